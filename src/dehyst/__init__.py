@@ -9,56 +9,75 @@ Measured loops in, a physical model and the cancelling voltage out::
 
 from __future__ import annotations
 
+from importlib import import_module
 from sys import modules
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dehyst._errors import (
-    DehystError,
-    FileFormatError,
-    IdentifyError,
-    MissingExtraError,
-    ModelError,
-    RecordError,
-    RigError,
-)
 from dehyst._version import __version__
-from dehyst.control import (
-    ClampWarning,
-    Command,
-    Compensator,
-    Snapshot,
-    VoltageLimits,
-    shortest_homing,
-    wave_table,
-)
-from dehyst.identification import check, identify
-from dehyst.model import (
-    Actuator,
-    Creep,
-    Dynamics,
-    Fit,
-    GradedSlip,
-    MaxwellSlip,
-    Motion,
-    Outcome,
-    Physical,
-    RecordErrors,
-    SmoothSlip,
-    Spring,
-    State,
-    Structure,
-    Trace,
-    Transformer,
-)
-from dehyst.records import Record, read, write_record
 
 if TYPE_CHECKING:
+    from dehyst._errors import (
+        DehystError,
+        FileFormatError,
+        IdentifyError,
+        MissingExtraError,
+        ModelError,
+        RecordError,
+        RigError,
+    )
     from dehyst.banks import Bank
     from dehyst.baselines import compare
+    from dehyst.calibration import calibrate
+    from dehyst.control import (
+        ClampWarning,
+        Command,
+        Compensator,
+        Snapshot,
+        VoltageLimits,
+        shortest_homing,
+        wave_table,
+    )
     from dehyst.exports import export, export_fmu, export_wasm
-    from dehyst.instruments.calibration import calibrate
-    from dehyst.stages import Stage, StageCompensator, StageFit, StageRecord, identify_stage, read_stage
-    from dehyst.uncertainty import insight
+
+    # The function has the name of its module, which mypy takes for another definition.
+    from dehyst.identification import Fit, Outcome, RecordErrors, Structure, Trace, identify  # type: ignore[no-redef]
+    from dehyst.model import (
+        Actuator,
+        Creep,
+        Dynamics,
+        GradedSlip,
+        MaxwellSlip,
+        Motion,
+        Physical,
+        SmoothSlip,
+        Spring,
+        State,
+        Transformer,
+    )
+    from dehyst.records import Record, read, write_record
+    from dehyst.stages import Stage, StageCompensator, StageFit, identify_stage
+    from dehyst.trust import check, insight
+
+# Each public name and the room it is imported from when it is first used: a control loop loads no identification.
+_ROOM_OF = {
+    name: room
+    for room, names in {
+        "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
+        "banks": "Bank",
+        "baselines": "compare",
+        "control": "ClampWarning Command Compensator Snapshot VoltageLimits shortest_homing wave_table",
+        "exports": "export export_fmu export_wasm",
+        "identification": "Fit Outcome RecordErrors Structure Trace identify",
+        "calibration": "calibrate",
+        "model": "Actuator Creep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip Spring State Transformer",
+        "records": "Record read write_record",
+        "stages": "Stage StageCompensator StageFit identify_stage",
+        "trust": "check insight",
+    }.items()
+    for name in names.split()
+}
+# Rooms that are attributes of the package without an import of their own.
+_ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
 __all__ = [
     "Actuator",
@@ -89,7 +108,6 @@ __all__ = [
     "Stage",
     "StageCompensator",
     "StageFit",
-    "StageRecord",
     "State",
     "Structure",
     "Trace",
@@ -106,37 +124,26 @@ __all__ = [
     "identify_stage",
     "insight",
     "read",
-    "read_stage",
     "shortest_homing",
     "wave_table",
     "write_record",
 ]
 
-# Imported when they are used first: a control loop needs none of them.
-_LATE = {
-    "Bank": "dehyst.banks",
-    "calibrate": "dehyst.instruments.calibration",
-    "compare": "dehyst.baselines",
-    "export": "dehyst.exports",
-    "export_fmu": "dehyst.exports",
-    "export_wasm": "dehyst.exports",
-    "Stage": "dehyst.stages",
-    "StageCompensator": "dehyst.stages",
-    "StageFit": "dehyst.stages",
-    "StageRecord": "dehyst.stages",
-    "identify_stage": "dehyst.stages",
-    "insight": "dehyst.uncertainty",
-    "read_stage": "dehyst.stages",
-}
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _LATE:
-        # With both, Python suggests the nearest name.
-        raise AttributeError(f"module 'dehyst' has no attribute '{name}'", name=name, obj=modules[__name__])
-    from importlib import import_module
-
-    return getattr(import_module(_LATE[name]), name)
+def __getattr__(name: str) -> object:
+    if name in _ROOM_OF:
+        value = getattr(import_module(f"dehyst.{_ROOM_OF[name]}"), name)
+        globals()[name] = value
+        return value
+    if name in _ROOMS:
+        return import_module(f"dehyst.{name}")
+    if name == "load":
+        raise AttributeError(
+            "module 'dehyst' has no attribute 'load'; a model is loaded by dehyst.Actuator.load, a measurement by "
+            "dehyst.read"
+        )
+    # With both, Python suggests the nearest name.
+    raise AttributeError(f"module 'dehyst' has no attribute '{name}'", name=name, obj=modules[__name__])
 
 
 def __dir__() -> list[str]:

@@ -5,6 +5,7 @@
     DehystError
     ├── RecordError(ValueError)         a measurement that cannot be used
     ├── FileFormatError(ValueError)     a file that cannot be read or written
+    │   └── DecimalSignError                numbers that can be read in two ways
     ├── ModelError(ValueError)          an actuator, element or state with impossible numbers
     ├── IdentifyError(ValueError)       a question that the records cannot answer
     ├── MissingExtraError(ImportError)  an optional dependency that is not installed
@@ -13,16 +14,66 @@
         ├── DeviceError                     an error that the instrument itself reports
         └── SensorError                     a reading that cannot be the displacement
 
-Every message states what was got, what is needed and what to try.
+Every error states what was got, what is needed and what to try: as fields, from which its message is made here.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 from dehyst._text import escaped
 
 
 class DehystError(Exception):
-    """Base class of every exception that dehyst raises on purpose."""
+    """Base class of every exception that dehyst raises on purpose.
+
+    Parameters
+    ----------
+    message : str, optional
+        What is wrong, where `got` and `need` do not say it.
+    argument : str, optional
+        Name of the argument that is wrong, or several with commas.
+    got, need, hint : optional
+        What was given, what is needed, and what to try.
+    change : sequence of str, optional
+        Names of the arguments that the hint is about.
+    """
+
+    def __init__(
+        self,
+        message: object = "",
+        *,
+        argument: str = "",
+        got: object = "",
+        need: str = "",
+        hint: str = "",
+        change: Sequence[str] = (),
+    ) -> None:
+        self.message, self.argument, self.got, self.need, self.hint = str(message), argument, str(got), need, hint
+        self.change = tuple(change)
+        super().__init__(self.text())
+
+    def text(self, named: Callable[[str], str] = str, given: Callable[[str], str] = "{}=".format) -> str:
+        """Return the message.
+
+        Parameters
+        ----------
+        named, given : callable, optional
+            The name by which an argument is shown, as that of an option, and how one is given; empty if it cannot be.
+        """
+        head = ", ".join(map(named, self.argument.split(", "))) + ": " if self.argument else ""
+        got = f"got {self.got}" if self.got else ""
+        need = f"need {self.need}" if self.need else ""
+        parts = ", ".join(part for part in (self.message, got, need) if part)
+        wrong = self.argument.split(", ")
+        ways = ", ".join(filter(None, (given(name) for name in self.change if name not in wrong)))
+        return f"{head}{parts}{'; ' * bool(parts and self.hint)}{self.hint}{f' ({ways})' if ways else ''}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        names = ("argument", "got", "need", "hint")
+        fields = {name: getattr(self, name) for name in names} | {"change": list(self.change)}
+        return {"kind": type(self).__name__, "message": str(self), **fields}
 
     def __str__(self) -> str:
         """Return the message as one line, with control characters escaped: names in it may come from files."""
@@ -35,6 +86,10 @@ class RecordError(DehystError, ValueError):
 
 class FileFormatError(DehystError, ValueError):
     """A file that cannot be read: unknown kind, missing column, unknown unit, broken content."""
+
+
+class DecimalSignError(FileFormatError):
+    """A file whose numbers can be read with a decimal comma and with a decimal point."""
 
 
 class ModelError(DehystError, ValueError):

@@ -16,77 +16,18 @@ EMPTY: Array = np.zeros(0)
 EMPTY.flags.writeable = False
 
 
-class _Rebuilt:
-    """Tables that are pickled and copied as the numbers from which they were computed."""
+class Core:
+    """Tables of an actuator in C, which chooses the fastest evaluator for the parts that it has.
 
-    __slots__ = ("_core", "_made_from")
-    _made_from: tuple[Array, ...]
-
-    def __reduce__(self) -> tuple[type, tuple[Array, ...]]:
-        return type(self), self._made_from
-
-
-class Core(_Rebuilt):
-    """Tables of a plain actuator in C. Equations and names: `core/include/dehyst.h`.
-
-    Raise `ModelError` if the core refuses the numbers.
-
-    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements. `knots`,
-    `values` (M,): the parallel spring: displacement [m] and voltage [V], both strictly increasing, M >= 2.
-    """
-
-    __slots__ = ()
-
-    def __init__(self, rho: Array, kappa: Array, knots: Array, values: Array) -> None:
-        self._made_from = rho, kappa, knots, values
-        try:
-            self._core = _core.Core(rho, kappa, knots, values)
-        except _core.CoreError as error:
-            raise ModelError(f"impossible actuator: {error}") from error
-
-    def compensate(self, y: Array, start: float, carts: Array, *, stack: bool = True) -> tuple[Array, float, Array]:
-        """Convert displacements [m] to voltages [V] from the state (start, carts); return the last state too."""
-        return self._run(self._core.compensate, y, start, carts, stack)
-
-    def simulate(self, v: Array, start: float, carts: Array, *, stack: bool = True) -> tuple[Array, float, Array]:
-        """Convert voltages [V] to displacements [m] from the state (start, carts); return the last state too."""
-        return self._run(self._core.simulate, v, start, carts, stack)
-
-    def depth(self, y: Array, start: float, carts: Array) -> int:
-        """Count the entries on the stack of reversals after the displacements y."""
-        return int(checked(self._core.depth, y, start, carts))
-
-    def voltage(self, y: float, carts: Array) -> float:
-        """Return the voltage [V] in the state (y, carts)."""
-        return float(checked(self._core.voltage, y, carts))
-
-    def spring_at(self, y: float) -> float:
-        """Return the voltage [V] of the parallel spring at y."""
-        return float(self._core.spring_at(y))
-
-    def spring_inverse(self, v: float) -> float:
-        """Return the displacement [m] at which the parallel spring alone has the voltage v."""
-        return float(self._core.spring_inverse(v))
-
-    def _run(
-        self, function: Callable[..., Any], x: Array, start: float, carts: Array, stack: bool
-    ) -> tuple[Array, float, Array]:
-        out, position, moved = checked(function, x, start, carts, stack)
-        return out, float(position), moved
-
-
-class WideCore(_Rebuilt):
-    """Tables of an actuator in C with graded and smooth elements, transformer, creep and inertia.
-
-    The `tables`, in this order, have names as in `core/include/dehyst.h`. Raise `ModelError` if the core refuses the
-    numbers.
+    Equations and names: `core/include/dehyst.h`. Pickled and copied as the numbers from which they were computed.
 
     Parameters
     ----------
     rho, kappa : (N,) array
-        As in `Core`; kappa is left alone if there are grades.
+        Breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements; kappa is not read where
+        there are grades.
     knots, values : (K,) array
-        The parallel spring.
+        The parallel spring: displacement [m] and voltage [V], both strictly increasing, K >= 2.
     grade_knots : (M + 1,) array
         Knots [m] of the graded elements; empty: the elements are plain.
     grades : (N M,) array
@@ -99,16 +40,40 @@ class WideCore(_Rebuilt):
         beta [V/m] and theta; empty: none.
     lengths, closings, smooth : (L,) array
         Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
+
+    Raises
+    ------
+    ModelError
+        If the core refuses the numbers.
     """
 
-    __slots__ = ()
+    __slots__ = ("_core", "_made_from")
 
-    def __init__(self, *tables: Array) -> None:
-        self._made_from = tables
+    def __init__(
+        self,
+        rho: Array,
+        kappa: Array,
+        knots: Array,
+        values: Array,
+        grade_knots: Array = EMPTY,
+        grades: Array = EMPTY,
+        voltages: Array = EMPTY,
+        drives: Array = EMPTY,
+        creep: Array = EMPTY,
+        inertia: Array = EMPTY,
+        lengths: Array = EMPTY,
+        closings: Array = EMPTY,
+        smooth: Array = EMPTY,
+    ) -> None:
+        grading, tau = (grade_knots, grades), (voltages, drives)
+        self._made_from = rho, kappa, knots, values, *grading, *tau, creep, inertia, lengths, closings, smooth
         try:
-            self._core = _core.Wide(*tables)
+            self._core = _core.Core(*self._made_from)
         except _core.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
+
+    def __reduce__(self) -> tuple[type, tuple[Array, ...]]:
+        return type(self), self._made_from
 
     def compensate(
         self, w: Array, pace: StepCoefficients, start: CoreState, *, more: Array = EMPTY, stack: bool = True
@@ -126,6 +91,18 @@ class WideCore(_Rebuilt):
         """Return the voltage [V] in a state."""
         return float(checked(self._core.voltage, *start))
 
+    def depth(self, y: Array, start: float, carts: Array) -> int:
+        """Count the entries on the stack of reversals after the displacements y, from the state (start, carts)."""
+        return int(checked(self._core.depth, y, start, carts))
+
+    def spring_at(self, y: float) -> float:
+        """Return the voltage [V] of the parallel spring at y."""
+        return float(self._core.spring_at(y))
+
+    def spring_inverse(self, v: float) -> float:
+        """Return the displacement [m] at which the parallel spring alone has the voltage v."""
+        return float(self._core.spring_inverse(v))
+
     @property
     def in_lanes(self) -> bool:
         """Whether a bank computes it in lanes: it has neither graded nor smooth elements, nor a mass."""
@@ -139,7 +116,7 @@ class WideCore(_Rebuilt):
         on_clamp: Callable[[bool, float, float], None],
         start: CoreState,
     ) -> _core.Loop:
-        """Return a loop with the coefficients of one step, from a state; see `dehyst_compensator`.
+        """Return a loop with the coefficients of one step, from a state; see `dehyst_model`.
 
         Parameters
         ----------
@@ -169,7 +146,7 @@ class BankCore:
 
     Parameters
     ----------
-    cores : sequence of M WideCore
+    cores : sequence of M Core
         Each `in_lanes`.
     decay, gain : (B,) array
         Coefficients of a step of all creep branches, one actuator after the other.
@@ -179,7 +156,7 @@ class BankCore:
 
     __slots__ = ("_bank", "rows")
 
-    def __init__(self, cores: Sequence[WideCore], decay: Array, gain: Array, limits: Array) -> None:
+    def __init__(self, cores: Sequence[Core], decay: Array, gain: Array, limits: Array) -> None:
         self._bank = checked(_core.Bank, [one._core for one in cores], decay, gain, limits)
         # The largest numbers of elements and of creep branches.
         self.rows: tuple[int, int] = self._bank.rows()

@@ -32,14 +32,34 @@ UNITS = {
     "velocity": "m/s",
     "speed": "m/s",
     "acceleration": "m/s**2",
-    "slew_rate": "V/s",
+    **_named("V/s", "slew_rate, recorded_slew_rate"),
     "sample_rate": "Hz",
 }
 # Units that need no library, by the unit that they convert to: how many of each make one of it.
 COUNTS = {
     "m": {"m": 1.0, "mm": 1e3, "um": 1e6, "µm": 1e6, "μm": 1e6, "nm": 1e9, "pm": 1e12},
-    "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9},
+    "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9, "min": 1 / 60},
     "V": {"V": 1.0, "mV": 1e3, "kV": 1e-3},
+}
+# The words for the units, in lower case; a symbol counts more.
+_WORDS = {
+    word: symbol
+    for symbol, words in {
+        "s": "second seconds sec secs sekunde sekunden",
+        "ms": "millisecond milliseconds msec millisekunde millisekunden",
+        "us": "microsecond microseconds usec",
+        "ns": "nanosecond nanoseconds nsec",
+        "min": "minute minutes minuten",
+        "V": "volt volts",
+        "mV": "millivolt millivolts",
+        "kV": "kilovolt kilovolts",
+        "m": "meter meters metre metres",
+        "mm": "millimeter millimeters millimetre millimetres",
+        "um": "micrometer micrometers micrometre micrometres micron microns mikrometer",
+        "nm": "nanometer nanometers nanometre nanometres",
+        "pm": "picometer picometers picometre picometres",
+    }.items()
+    for word in words.split()
 }
 _PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.float32, np.int64, np.int32, np.bool_})
 
@@ -82,7 +102,7 @@ def _refuse_masked(values: Any, what: str, error: type[DehystError]) -> None:
     mask = getattr(values, "mask", None)
     # That of a table or a series of pandas is a method.
     if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
-        raise error(f"{what}: got an array with masked values, need all of them")
+        raise error(argument=what, got="an array with masked values", need="all of them")
 
 
 def _quantity(values: Any) -> Any:
@@ -95,6 +115,12 @@ def _quantity(values: Any) -> Any:
 def _unit_of(values: Any) -> str:
     attributes = (getattr(values, name, None) for name in ("units", "unit"))
     return next((str(unit) for unit in attributes if unit is not None and not isroutine(unit)), "")
+
+
+def symbol_of(unit: str) -> str:
+    """Return the symbol for a unit that is written as a symbol or a word, with or without brackets; "" if unknown."""
+    bare = unit.strip().strip("[]()").strip()
+    return bare if any(bare in known for known in COUNTS.values()) else _WORDS.get(bare.lower(), "")
 
 
 def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:
@@ -114,7 +140,7 @@ def _counts(got: str, unit: str) -> float | None:
 def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystError]) -> Any:
     got = _unit_of(quantity)
     if unit is None:
-        raise error(f"{what}: got a quantity in {got}, need plain numbers without a unit")
+        raise error(argument=what, got=f"a quantity in {got}", need="plain numbers without a unit")
     methods = (getattr(quantity, name, None) for name in ("to_value", "to", "rescale"))
     convert = next((method for method in methods if callable(method)), None)
     if convert is None and got == unit:

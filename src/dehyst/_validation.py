@@ -1,6 +1,13 @@
 """Checks of numbers, arrays and options from outside; each error states what was got and what is needed.
 
 Every check raises the class that its argument `error` names.
+
+The core multiplies, divides and adds the numbers of a model. The results must stay finite, also for motions far beyond
+the records. The rule limits magnitudes, in SI units, and is far wider than any device needs:
+
+- A coordinate, a stiffness, a ratio or a delay is 1e30 at most in magnitude.
+- A divisor is between 1e-30 and 1e30: the distance of two knots, a length, a time constant, a frequency.
+- A voltage limit, which is only compared, is 1e300 at most: the difference of two limits is then finite.
 """
 
 from __future__ import annotations
@@ -15,10 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._computable import MOST_ADDED, demand_magnitudes
 from dehyst._errors import DehystError, IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._units import plain
+
+# Names of the axes of a record or a stage that names none.
+DEFAULT_AXES = ("x", "y", "z")
+
+LEAST, MOST, MOST_ADDED = 1e-30, 1e30, 1e300
+# The core's DEHYST_FARTHEST: no displacement lies farther away.
+FARTHEST = float(np.finfo(np.float64).eps) ** -2
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 def keep(owner: object, **fields: Any) -> None:
@@ -55,7 +69,7 @@ def spanned(
     """Return the array that `vector` returns, its smallest and its largest value; both are NaN if it is empty."""
     array = _doubles(values, what, unit, error)
     if array.ndim != 1:
-        raise error(f"{what}: got an array of shape {array.shape}, need one dimension")
+        raise error(argument=what, got=f"an array of shape {array.shape}", need="one dimension")
     if not array.size:
         return array, math.nan, math.nan
     low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
@@ -69,7 +83,7 @@ def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
     """Return `values` as a contiguous two-dimensional array of finite doubles; raise as `vector` does."""
     array = _doubles(values, what, unit, ModelError)
     if array.ndim != 2:
-        raise ModelError(f"{what}: got an array of shape {array.shape}, need two dimensions")
+        raise ModelError(argument=what, got=f"an array of shape {array.shape}", need="two dimensions")
     if not np.isfinite(array).all():
         raise ModelError(f"{what}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
     return array
@@ -83,7 +97,7 @@ def _doubles(values: ArrayLike, what: str, unit: str | None, error: type[DehystE
             raise TypeError
         return np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as cause:
-        raise error(f"{what}: got {type(values).__name__}, need an array of numbers") from cause
+        raise error(argument=what, got=type(values).__name__, need="an array of numbers") from cause
 
 
 def number(value: object, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> float:
@@ -102,7 +116,7 @@ def number(value: object, what: str, unit: str | None = None, *, error: type[Deh
             as_float = math.inf
         if math.isfinite(as_float):
             return as_float
-    raise error(f"{what}: got {value!r}, need a finite number")
+    raise error(argument=what, got=repr(value), need="a finite number")
 
 
 def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) -> tuple[float, float]:
@@ -116,7 +130,7 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
     pair = plain(limits, "limits", error=error)
     ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
-        raise error(f"limits: got {limits}, need two finite voltages, the lower one first, such as (0, 200)")
+        raise error(argument="limits", got=limits, need="two finite voltages, the lower one first, such as (0, 200)")
     demand_magnitudes(ends, "limits [V]", MOST_ADDED, error=error)
     return ends[0], ends[1]
 
@@ -124,7 +138,7 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
 def demand(holds: bool, name: str, got: object, needed: str, *, error: type[DehystError] = IdentifyError) -> None:
     """Raise `error`, with the option's name, what was got and what is needed, unless `holds`."""
     if not holds:
-        raise error(f"{name}: got {got!r}, need {needed}")
+        raise error(argument=name, got=repr(got), need=needed)
 
 
 def count(
@@ -133,7 +147,7 @@ def count(
     """Return a whole number from `least` to `most`, without an upper bound if that is None; else raise `error`."""
     if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= (most or inf):
         return int(value)
-    raise error(f"{name}: got {value!r}, need a whole number from {least}{f' to {most}' if most else ''}")
+    raise error(argument=name, got=repr(value), need=f"a whole number from {least}{(f' to {most}' if most else '')}")
 
 
 def fraction(value: object, name: str, least: float | None = None) -> float:
@@ -172,3 +186,72 @@ def choice(value: object, name: str, among: Collection[str], *, error: type[Dehy
 def _real(value: object) -> float:
     """Return a number as a float, and NaN for anything else."""
     return float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+
+
+def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception] = ModelError) -> tuple[str, ...]:
+    """Return the names of `count` axes; raise `error` unless they are as many different names, without blanks."""
+    names = tuple(axes)
+    good = all(isinstance(name, str) and name and not set(name) & set(" \t\n,;:\"'") for name in names)
+    if isinstance(axes, str) or len(names) != count or not good or len(set(names)) < count or not count:
+        raise error(f"{what}: axes: got {axes!r}, need {count} different names without blanks, such as {('x', 'y')}")
+    return names
+
+
+def demand_magnitudes(
+    values: ArrayLike, what: str, most: float = MOST, *, error: type[DehystError] = ModelError
+) -> None:
+    """Refuse numbers that are too large to compute with.
+
+    Raises
+    ------
+    error
+        If a magnitude is above `most`.
+    """
+    _demand(values, what, -np.inf, most, error)
+
+
+def demand_divisors(values: ArrayLike, what: str) -> None:
+    """Refuse numbers that are too small or too large to divide by.
+
+    Raise `ModelError` if a magnitude is not between 1e-30 and 1e30.
+    """
+    _demand(values, what, LEAST, MOST)
+
+
+def demand_curve(knots: Array, values: Array, what: str) -> None:
+    """Refuse a rising curve (M,) that has a slope, or an inverse of a slope, too large to compute with.
+
+    Raises
+    ------
+    ModelError
+    """
+    for numbers, axis in ((knots, "knots"), (values, "values")):
+        demand_magnitudes(numbers, f"{what} {axis}")
+        demand_divisors(np.diff(numbers), f"{what}: steps between {axis}")
+
+
+def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
+    """Refuse a result that is not finite, or is larger than `most`.
+
+    Raises
+    ------
+    ModelError
+    """
+    if not values.size or (values.min() >= -most and values.max() <= most):
+        return
+    first = int(np.argmax(~(np.abs(values) <= most)))
+    raise ModelError(
+        f"{what}: value {first} would be {values[first]:.3g}, which cannot be computed with; check the units of the "
+        "input, and stay near the range of the model"
+    )
+
+
+def _demand(values: ArrayLike, what: str, least: float, most: float, error: type[DehystError] = ModelError) -> None:
+    magnitudes = np.abs(np.asarray(values, dtype=np.float64)).ravel()
+    bad = np.flatnonzero(~((magnitudes >= least) & (magnitudes <= most)))
+    if bad.size:
+        needed = f"at most {most:g}" if least < 0 else f"{least:g} to {most:g}"
+        raise error(
+            f"{what}: got {magnitudes[bad[0]]:.3g}, which cannot be computed with; need {needed} in magnitude, in SI "
+            "units. Check the units, or whether the file is damaged"
+        )

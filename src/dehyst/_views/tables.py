@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,20 +46,37 @@ def dataset(time: Array, variables: Mapping[str, tuple[Array, str]], **attribute
     )
 
 
-def columns_of(table: Any) -> list[tuple[str, Array, str]]:
-    """Return name, numbers and unit of each numeric column of a DataFrame, its index too if that has a name.
+class TableColumn(NamedTuple):
+    """A column of a DataFrame: `data` (n,), in `unit` if it is known; `foreign` if any other column of time counts."""
+
+    name: str
+    data: Array
+    unit: str = ""
+    foreign: bool = False
+
+
+def columns_of(table: Any) -> list[TableColumn]:
+    """Return the numeric columns of a DataFrame, its index too if that has a name or holds dates or durations.
 
     Dates and durations become seconds; other columns have no unit beside their name.
     """
     if not hasattr(table, "columns") or not hasattr(table, "index"):
         raise RecordError(f"frame: got {type(table).__name__}, need a DataFrame; or try dehyst.Record.from_arrays")
     rows = table if table.index.name is None else table.reset_index()
-    given = {str(name): np.asarray(rows[name]) for name in rows.columns}
-    return [
-        (name, np.asarray(seconds(values), dtype=np.float64), "s" if values.dtype.kind in "mM" else "")
-        for name, values in given.items()
-        if values.dtype.kind in "iufmM"
-    ]
+    found = [_column(str(name), rows[name]) for name in rows.columns]
+    if table.index.name is None and getattr(table.index.dtype, "kind", "") in "mM":
+        found.append(_column("time", table.index.to_series())._replace(foreign=True))
+    return [column for column in found if column.data.dtype.kind == "f"]
+
+
+def _column(name: str, values: Any) -> TableColumn:
+    """Return a Series as a column; with its own data if these are no numbers."""
+    # A time zone makes objects of dates.
+    zoned = getattr(values.dtype, "tz", None) is not None
+    data = np.asarray(values.dt.tz_convert(None) if zoned else values)
+    if data.dtype.kind not in "iufmM":
+        return TableColumn(name, data)
+    return TableColumn(name, np.asarray(seconds(data), dtype=np.float64), "s" if data.dtype.kind in "mM" else "")
 
 
 def variable(container: Any, name: str) -> Any:
@@ -69,8 +86,10 @@ def variable(container: Any, name: str) -> Any:
     except (KeyError, TypeError, IndexError) as error:
         known = ", ".join(f"'{escaped(one)}'" for one in getattr(container, "variables", ()))
         raise RecordError(
-            f"dataset: got no variable '{name}', need one; it holds {known or 'none'}. Rename yours with "
-            f".rename(name='{name}')"
+            argument="dataset",
+            got=f"no variable '{name}'",
+            need="one",
+            hint=f"it holds {known or 'none'}. Rename yours with .rename(name='{name}')",
         ) from error
     return seconds(found.values) if found.values.dtype.kind in "mM" else found
 

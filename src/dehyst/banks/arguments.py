@@ -53,14 +53,14 @@ def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
         return [values] * m
     each = listed(values, what)
     if len(each) != m:
-        raise ModelError(f"{what}: got {len(each)} for {m} actuators, need one for each, or one for all")
+        raise ModelError(argument=what, got=f"{len(each)} for {m} actuators", need="one for each, or one for all")
     return each
 
 
 def listed(values: Any, what: str) -> list[Any]:
     """Return `values` as a list; raise `ModelError` if they are none."""
     if not isinstance(values, Iterable):
-        raise ModelError(f"{what}: got {type(values).__name__}, need a list with one for each actuator")
+        raise ModelError(argument=what, got=type(values).__name__, need="a list with one for each actuator")
     return list(values)
 
 
@@ -76,11 +76,11 @@ def table_of(values: ArrayLike, what: str, count: int) -> Array:
     """Return samples (n, count); raise `ModelError` if they have another shape, or one is no finite number."""
     given = np.asarray(values)
     if given.dtype.kind not in "iuf":
-        raise ModelError(f"{what}: got an array of {given.dtype}, need numbers")
+        raise ModelError(argument=what, got=f"an array of {given.dtype}", need="numbers")
     table = np.ascontiguousarray(given, dtype=np.float64)
     if table.ndim != 2 or table.shape[1] != count:
         got = table.shape[1:] if table.ndim == 2 and what == "displacement" else table.shape
-        raise ModelError(f"{what}: got the shape {got}, need a column for each of {count} actuators")
+        raise ModelError(argument=what, got=f"the shape {got}", need=f"a column for each of {count} actuators")
     if not np.isfinite(table).all():
         t, i = np.argwhere(~np.isfinite(table))[0]
         raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")

@@ -19,8 +19,8 @@ from dehyst._types import Array
 from dehyst.banks.arguments import compensators, fitting, listed, positive, reason_alone, table_of
 from dehyst.banks.state import BankClamps, BankState
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.control.clamping import stray_sentence
-from dehyst.control.core_loop import make_loop, step_numbers
+from dehyst.control.limits import stray_sentence
+from dehyst.control.loop import make_loop, step_numbers
 from dehyst.model import Actuator, State
 
 _TAP = np.ones(1)
@@ -123,7 +123,9 @@ class Bank:
         """
         row = np.asarray(displacement)
         if row.shape != (len(self),):
-            raise ModelError(f"displacement: got the shape {row.shape}, need one for each of {len(self)} actuators")
+            raise ModelError(
+                argument="displacement", got=f"the shape {row.shape}", need=f"one for each of {len(self)} actuators"
+            )
         wanted = table_of(row[None], "displacement", len(self))
         result = np.empty((1, len(self))) if out is None else fitting(out, len(self))[None]
         self._run(wanted, result, plays=False)
@@ -277,7 +279,7 @@ class Bank:
 
     @cached_property
     def _digest(self) -> str:
-        """What tells the actuators of this bank from others."""
+        """Key that distinguishes the actuators of this bank from others."""
         digest = hashlib.sha256()
         for one in self.actuators:
             for numbers in (one.slip.breakaway, one.slip.stiffness, one.spring.displacement, one.spring.voltage):

@@ -25,7 +25,7 @@ from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.identification.solvers.program import Solution, solve
 from dehyst.records import Record
-from dehyst.records.metrics import rms
+from dehyst.records.signals import rms
 
 _SEARCH_ROWS = 2000
 # Bounds of alpha, of the part of v that a reversal hides at first, and of log((beta + gamma) times the range of v).

@@ -1,13 +1,17 @@
-"""Comparison of dehyst's models with every baseline: the same records, the same split, the same figures."""
+"""The baselines by name.
+
+`BASELINES` holds one entry for each way to get a model: its name, and a function of training records that returns the
+model or raises an error that states why these records give none.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Real
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +19,151 @@ from numpy.typing import NDArray
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.baselines.registry import BASELINES, Identification
-from dehyst.baselines.scores import OURS, ModelComparison, ModelScore, RecordScore
-from dehyst.baselines.tracking_trials import TrackingTrial, trial
+from dehyst._views.fields import json_value, json_values
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.play_models import (
+    GeneralizedPrandtlIshlinskii,
+    KrasnoselskiiPokrovskii,
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+)
+from dehyst.baselines.preisach import Preisach
+from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
 from dehyst.identification import identify, state_after
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.validation import without_offset
 from dehyst.model import AbstractModel, Actuator, Motion, simulated
-from dehyst.model.replay import timed
+from dehyst.model.states import timed
 from dehyst.records import Record
-from dehyst.records.metrics import largest, percent, rms
+from dehyst.records.signals import largest, percent, rms
+
+Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
+
+BASELINES: Mapping[str, Identification] = {
+    "Goldfarb-Celanovic": lambda records: GoldfarbCelanovic.fit(records[0]),
+    "Prandtl-Ishlinskii": PrandtlIshlinskii.fit,
+    "Prandtl-Ishlinskii, modified": ModifiedPrandtlIshlinskii.fit,
+    "Prandtl-Ishlinskii, generalised": GeneralizedPrandtlIshlinskii.fit,
+    "Krasnoselskii-Pokrovskii": KrasnoselskiiPokrovskii.fit,
+    "Preisach": Preisach.fit,
+    "Preisach, reversal curves": Preisach.from_reversal_curves,
+    "Bouc-Wen": BoucWen.fit,
+    "Duhem": Duhem.fit,
+    "linear ratio": Linear.fit,
+}
+
+
+OURS = "dehyst"
+
+
+@dataclass(frozen=True)
+class RecordScore:
+    """Measured minus simulated displacement of one record, in % of the training stroke.
+
+    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not: before the
+    voltage has been through its range, or in the lead-in. `largest`, `rms`: with one free constant for the record: its
+    residual strain and its sensor's zero are not known. `largest_without`, `rms_without`: without it, on the model's
+    own axis; after a lead-in, on the axis found from the lead-in.
+    """
+
+    record: str
+    role: str
+    samples: int
+    left_out: int
+    largest: float
+    rms: float
+    largest_without: float
+    rms_without: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        named = "largest_percent=largest rms_percent=rms"
+        without = "largest_without_constant_percent=largest_without rms_without_constant_percent=rms_without"
+        return json_values(self, f"record role samples left_out {named} {without}")
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """One model.
+
+    Attributes
+    ----------
+    name : str
+    failure : str
+        Why there is no model or no figure, as a sentence; empty if there is none to report.
+    parameters : int or None
+        Number of coefficients.
+    seconds : float or None
+        Time that the fit took.
+    scores : tuple of RecordScore
+        One for each record, training first.
+    tracking : Mapping
+        Errors by virtual actuator; the model was fitted to that actuator's own records.
+    simulate, compensate : float or None
+        Nanoseconds a sample.
+    """
+
+    name: str
+    failure: str = ""
+    parameters: int | None = None
+    seconds: float | None = None
+    scores: tuple[RecordScore, ...] = ()
+    tracking: Mapping[str, TrackingErrors] = field(default_factory=dict)
+    simulate: float | None = None
+    compensate: float | None = None
+
+    def worst(self, role: str) -> RecordScore | None:
+        """Return the score with the largest error among the records of that role."""
+        return max((score for score in self.scores if score.role == role), key=lambda s: s.largest, default=None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        keys = "parameters fit_s=seconds errors=scores tracking simulate_ns=simulate compensate_ns=compensate"
+        return {"model": self.name, "said": self.failure or None, **json_values(self, keys)}
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """A table with one row for each model.
+
+    Attributes
+    ----------
+    rows : tuple of ModelScore
+    stroke : float
+        Stroke [m] to which the percentages refer.
+    records, held_out, truths : tuple of str
+        Names of the training records, of the held-out records and of the virtual actuators.
+    lead : float
+        Lead-in of the held-out records [s].
+    """
+
+    rows: tuple[ModelScore, ...]
+    stroke: float
+    records: tuple[str, ...]
+    held_out: tuple[str, ...]
+    truths: tuple[str, ...]
+    lead: float = 0.0
+
+    @property
+    def note(self) -> str:
+        """What models used of held-out records beside the voltage, as a sentence; empty if nothing."""
+        if not (self.lead and self.held_out):
+            return ""
+        return (
+            f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, "
+            "the models of dehyst take their state and an offset of the voltage, every other model takes a constant: "
+            "its mean error there."
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        keys = "stroke_m=stroke training=records validation=held_out truths lead_s=lead"
+        return {**json_values(self, keys), "note": self.note or None, "models": json_value(self.rows)}
+
 
 _SAMPLES_TO_TIME = 20_000
 _RUNS_TO_TIME = 5
@@ -34,10 +172,10 @@ _FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
 def contenders() -> dict[str, Identification]:
-    """Return all models, name -> identification: dehyst's with the selected and the plain structure, then baselines."""
+    """Return all models, name -> identification: dehyst's selected structure and "maxwell_slip", then baselines."""
     return {
         OURS: lambda records: identify(records, structure="auto").actuator,
-        f"{OURS}, paper's": lambda records: identify(records, structure="paper").actuator,
+        f"{OURS}, paper's": lambda records: identify(records, structure="maxwell_slip").actuator,
         **BASELINES,
     }
 
@@ -91,7 +229,7 @@ def compare(
     """
     trials = [trial(name) for name in truths]
     if not isinstance(lead, Real) or not 0 <= float(lead) < np.inf:
-        raise IdentifyError(f"lead: got {lead!r}, need seconds, 0 or more")
+        raise IdentifyError(argument="lead", got=repr(lead), need="seconds, 0 or more")
     given = as_list(records)
     training, held_out = _records(given, as_list(validate), trials)
     run = _ComparisonRun(training, list(map(prepare, training)), list(map(prepare, held_out)), float(lead))

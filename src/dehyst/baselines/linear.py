@@ -19,7 +19,7 @@ from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.model import State
 from dehyst.records import Record
-from dehyst.records.metrics import rms
+from dehyst.records.signals import rms
 
 
 @final

@@ -11,10 +11,11 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.model import AbstractModel, simulated
-from dehyst.model.replay import beginning, timed
+from dehyst.model.states import beginning, timed
 from dehyst.records import Record
-from dehyst.records.metrics import largest, percent, rms
+from dehyst.records.signals import largest, percent, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
 from dehyst.waveforms import Excitation, Sampling, descending_tops, raised_cosine, staircase
 
@@ -30,6 +31,10 @@ class TrackingErrors(NamedTuple):
     largest: float
     rms: float
     beyond: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return JSON values."""
+        return json_values(self, "largest_percent=largest rms_percent=rms beyond_voltage_percent=beyond")
 
 
 @dataclass(frozen=True)

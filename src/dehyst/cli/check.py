@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dehyst._text import escaped
-from dehyst.cli.axes.assess import check_axes
-from dehyst.cli.axes.inputs import axes_option, is_stage
-from dehyst.cli.common import PATH, echo_files, force_option, json_option, read_model, refuse_replacing
-from dehyst.cli.output.terminal import echo, echo_json, note, worded
-from dehyst.cli.record_files import columns_options, read_records
+from dehyst.cli.common import PATH, echo_files, force_option, json_option, refuse_unused
+from dehyst.cli.models import AxesModel, axes_option, is_stage
+from dehyst.cli.output.terminal import echo, echo_json, note
+from dehyst.cli.record_files import AXES_COLUMNS, COLUMNS, columns_options, read_records
 
 if TYPE_CHECKING:
-    from dehyst.identification import CheckHistory, Recheck
-    from dehyst.identification.checking.history import ControlChart
+    from dehyst.records import Record
+    from dehyst.trust import CheckHistory, Recheck
+    from dehyst.trust.history import ControlChart
 
-# The picture in a history's folder; checks of a history that are printed.
-_PICTURE, _SHOWN = "history.svg", 10
+# Checks of a history that are printed.
+_SHOWN = 10
 
 
 @click.command()
@@ -37,7 +36,7 @@ _PICTURE, _SHOWN = "history.svg", 10
     "--history",
     type=PATH,
     metavar="FOLDER",
-    help="Keep the check here, print the earlier ones of this model, and draw them (history.svg).",
+    help="Keep the check here, print the earlier ones of this model, and draw them (history.svg, or one an axis).",
 )
 @axes_option("those of the records")
 @force_option
@@ -56,48 +55,77 @@ def check(
 
     The status is 0 if the model is still true, 1 if not.
     """
-    if is_stage(model):
-        check_axes(model, records, goal, axes, as_json, columns, print_check)
-    from dehyst.identification import CheckHistory
-    from dehyst.identification import check as run
-    from dehyst.identification.checking.history import demand_folder
+    several = is_stage(model)
+    kept = () if history is None else ("history", "force")
+    beside = "with a stage" if several else "with the model of one axis" if kept else "without --history"
+    refuse_unused(beside, "goal", *kept, *(("axes", *AXES_COLUMNS) if several else COLUMNS))
+    from dehyst._io import demand_alike
+    from dehyst.trust import CheckHistory
+    from dehyst.trust.history import demand_folder
 
+    known = AxesModel.read(model)
+    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.svg" for axis in known.axes]
     if history is not None:
         demand_folder(history)
-        refuse_replacing(history / _PICTURE)
-    actuator = read_model(model)
-    (record,) = read_records((records,), columns)
-    recheck = run(actuator, record, goal=goal)
-    recheck = replace(recheck, remarks=worded(recheck.remarks))
-    if recheck.mismatch:
-        note(*worded([f"{recheck.mismatch}{'' if history is None else f'. It is not kept in {history}'}"]))
-        history = None
-    past = None if history is None else CheckHistory.keep(history, recheck)
-    for sentence in () if past is None else worded(past.damaged):
-        note(sentence)
-    picture = None if past is None else _drawn(past)
-    if as_json:
-        echo_json(recheck.as_dict() if past is None else {**recheck.as_dict(), "history": past.as_dict()})
-    else:
+        for drawing in filter(None, pictures):
+            demand_alike(drawing)
+    (record,) = read_records((records,), columns, axes=known.stored_columns(axes))
+    rechecks, coupling, good = _checked(known, record, goal)
+    results = []
+    for axis, recheck, picture in zip(known.axes, rechecks, pictures, strict=True):
+        if recheck.mismatch:
+            unkept = "" if history is None else f". It is not kept in {history}"
+            note(*known.prefixed_one(axis, [f"{recheck.mismatch}{unkept}"]))
+        past = None if history is None or recheck.mismatch else CheckHistory.keep(history, recheck)
+        for sentence in known.prefixed_one(axis, () if past is None else past.damaged):
+            note(sentence)
+        drawn = None if past is None or picture is None else _drawn(past, picture)
+        results.append(recheck.as_dict() if past is None else {**recheck.as_dict(), "history": past.as_dict()})
+        if as_json:
+            continue
+        if axis:
+            echo(f"Axis {axis}")
         print_check(recheck)
         if past is not None:
             print_history(past)
-        echo_files(Picture=picture)
-    sys.exit(0 if recheck.good else 1)
+        echo_files(Picture=drawn)
+        if axis:
+            echo()
+    if as_json:
+        echo_json(results[0] if coupling is None else {**coupling, "axes": known.by_axis(results)})
+    elif coupling is not None:
+        echo("Coupling: changed" if coupling["changes"] else "Coupling: as in the model")
+        for sentence in coupling["changes"]:
+            echo(f"  - {sentence}")
+    sys.exit(0 if good else 1)
 
 
-def _drawn(history: CheckHistory) -> Path | None:
+def _checked(known: AxesModel, record: Record, goal: float | None) -> tuple[list[Recheck], dict[str, Any] | None, bool]:
+    """Return the check of each axis, that of the coupling of several as JSON values, and whether the model is true."""
+    from dehyst.trust import check as run
+
+    if known.stage is None:
+        found = [run(known.actuators[0], record, goal=goal)]
+        coupling, good = None, found[0].good
+    else:
+        from dehyst.stages import check_stage
+
+        stage = check_stage(known.stage, record, goal=goal)
+        found, coupling, good = [*stage.rechecks], stage.as_dict(), stage.good
+    return found, coupling, good
+
+
+def _drawn(history: CheckHistory, picture: Path) -> Path | None:
     """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
     from dehyst._errors import FileFormatError, MissingExtraError
     from dehyst.report import write_check_history
 
     try:
-        refuse_replacing(history.folder / _PICTURE)
-        write_check_history(history.folder / _PICTURE, history)
+        write_check_history(picture, history)
     except (FileFormatError, MissingExtraError) as error:
         note(error)
         return None
-    return history.folder / _PICTURE
+    return picture
 
 
 def print_check(recheck: Recheck) -> None:

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.output.option_words import in_words_of, options_of
-from dehyst.cli.output.terminal import echo, echo_json, guarded_streams, note, worded
+from dehyst.cli.output.terminal import echo, echo_json, error_text, flag_of, guarded_streams, note, options_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -27,8 +26,9 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 
-_FORCE = "dehyst.force"
 _INTERRUPTED = 130
+# Name of what a refused command prints beside its error as JSON.
+REFUSED = "dehyst.refused"
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
 
@@ -104,7 +104,7 @@ class Commands(click.Group):
             return super().invoke(ctx)
         except DehystError as error:
             command = self.get_command(ctx, ctx.invoked_subcommand or "") or self
-            self._report(command, error)
+            self._report(command, error, ctx.meta.get(REFUSED, {}))
             sys.exit(2)
         except MemoryError:
             note("not enough memory; resample the record or cut it")
@@ -113,18 +113,28 @@ class Commands(click.Group):
             note("stopped by Ctrl-C")
             sys.exit(_INTERRUPTED)
 
-    def _report(self, command: Any, error: DehystError) -> None:
-        """Print an error and, if options would mend it, the command with them."""
-        from dehyst.records.column_choice import ColumnsError
+    def _report(self, command: Any, error: DehystError, known: Mapping[str, Any]) -> None:
+        """Print an error, and commands with options that would mend it; with --json as JSON too, beside the known."""
+        from dehyst._errors import DecimalSignError
+        from dehyst.records.tables import ColumnsError, notes_on
 
-        if not isinstance(error, ColumnsError) or not error.options.keys() <= options_of(command).keys():
-            note(*in_words_of(command, [str(error)]))
-            return
-        note(*in_words_of(command, [error.reason]))
-        if error.options:
-            given = {options_of(command)[name].flag: value for name, value in error.options.items()}
-            echo("Check units and scales, then try:", err=True)
-            echo(f"  {shlex.join(['dehyst', *_with_options(self._words, given)])}", err=True)
+        options, trials = options_of(command), []
+        suggestion: dict[str, str] = {}
+        if isinstance(error, DecimalSignError) and "decimal" in options:
+            trials = [{"--decimal": sign} for sign in (".", ",")]
+        if isinstance(error, ColumnsError) and error.options and error.options.keys() <= options.keys():
+            suggestion = error.options
+            trials = [{flag_of(options[name]): value for name, value in suggestion.items()}]
+            error.message = error.reason
+        note(error_text(error, command))
+        if trials:
+            echo("To try:" if len(trials) == 1 else "See which numbers are right, with one of:", err=True)
+        for trial in trials:
+            echo(f"  {shlex.join(['dehyst', *_with_options(self._words, trial)])}", err=True)
+        for sentence in notes_on(suggestion) if suggestion else ():
+            echo(sentence, err=True)
+        if "--json" in self._words:
+            echo_json({**known, "error": {**error.as_dict(), "suggestion": dict(suggestion)}})
 
 
 def _with_options(words: list[str], given: dict[str, str]) -> list[str]:
@@ -184,6 +194,33 @@ def command_line() -> str:
     return shlex.join(["dehyst", *sys.argv[1:]])
 
 
+def given(*names: str) -> list[str]:
+    """Return those of the running command's parameters, by default all, that were given and are no defaults."""
+    context = click.get_current_context()
+    names = names or tuple(one.name for one in context.command.params if one.name is not None)
+    defaults = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
+    return [name for name in names if context.get_parameter_source(name) not in defaults]
+
+
+def refuse_unused(beside: str, *takes: str) -> None:
+    """Refuse each option that was given and has no effect on the input at hand, before anything is read or written.
+
+    `beside`: the input, as "with a stage". `takes`: the parameters that have an effect. An option that is added to a
+    command is refused until its name is here.
+    """
+    refuse_given(beside, *(name for name in given() if name not in (*takes, "as_json")))
+
+
+def refuse_given(beside: str, *names: str) -> None:
+    """Refuse those of some options that were given: they have no effect on the input at hand."""
+    context = click.get_current_context()
+    unused = given(*names) if names else []
+    for option in context.command.params:
+        if isinstance(option, click.Option) and option.name in unused:
+            flag = (option.opts, option.secondary_opts)[context.params.get(option.name) is False][-1]
+            raise click.UsageError(f"{flag}: has no effect {beside}; leave it out")
+
+
 def echo_files(**paths: Path | None) -> None:
     """Print the files that were written, each with its name."""
     for name, path in paths.items():
@@ -192,21 +229,27 @@ def echo_files(**paths: Path | None) -> None:
 
 
 def force_option(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the switch that lets outputs replace foreign files; `refuse_overwriting` reads it."""
+    """Add the switch that lets outputs replace files that do not begin as they do."""
 
-    def keep(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-        ctx.meta[_FORCE] = value
+    def protect(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
+        from dehyst._io import protecting
+
+        ctx.with_resource(protecting(force=value))
+        return value
 
     return click.option(
-        "--force", is_flag=True, expose_value=False, callback=keep, help="Replace files that dehyst did not write."
+        "--force", is_flag=True, expose_value=False, callback=protect, help="Replace files of another kind too."
     )(command)
 
 
 def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
-    """Refuse outputs that are inputs or, without --force, foreign files, before anything is read."""
+    """Refuse outputs that are inputs or, without --force, replace other files, before anything is read."""
     from dehyst._errors import FileFormatError
+    from dehyst._io import demand_alike
 
     named = [output for output in outputs if output is not None]
+    if not named and given("force"):
+        raise click.UsageError("--force: has no effect without an output; leave it out")
     joined = click.get_current_context().params.get("join")
     inputs = inputs if joined is None else [*inputs, joined]
     if len({os.path.realpath(output) for output in named}) < len(named):
@@ -216,23 +259,11 @@ def refuse_overwriting(inputs: list[Path], *outputs: Path | None) -> None:
             raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
         if any(_same(output, path) for path in inputs):
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
-        refuse_replacing(output)
+        demand_alike(output)
         if output.is_dir():
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
-
-
-def refuse_replacing(*outputs: Path | None) -> None:
-    """Refuse to overwrite foreign files without --force: before the computation, and again before writing."""
-    from dehyst._io.marks import demand_replaceable
-
-    context = click.get_current_context()
-    # `dehyst export` takes --force as an argument of its own.
-    force = bool(context.meta.get(_FORCE) or context.params.get("force"))
-    for output in outputs:
-        if output is not None:
-            demand_replaceable(output, force=force)
 
 
 def _same(first: Path, second: Path) -> bool:
@@ -253,7 +284,7 @@ def write_output(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 def read_model(path: Path) -> Actuator:
     """Read a model, and warn if its identification was not usable."""
     from dehyst._errors import FileFormatError
-    from dehyst.model import Actuator, Outcome
+    from dehyst.model import Actuator
 
     try:
         actuator = Actuator.load(path)
@@ -261,17 +292,17 @@ def read_model(path: Path) -> Actuator:
         if (model := _other_model(path)) is None:
             raise
         raise FileFormatError(f"{path}: is no model, but {model} is one; give MODEL first, then {path}") from error
-    outcome = getattr(Outcome, str(actuator.provenance.get("outcome")), None)
-    if isinstance(outcome, Outcome) and not outcome.good:
-        note(f"{path}: when this model was identified: {outcome.value}")
-    if actuator.provenance.get("provisional") is True:
+    known = actuator.identification
+    if known is not None and known.outcome is not None and not known.outcome.good:
+        note(f"{path}: when this model was identified: {known.outcome.value}")
+    if known is not None and known.provisional:
         note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
     return actuator
 
 
 def _other_model(path: Path) -> Path | None:
     """Return another argument of the running command, if that one is a model."""
-    from dehyst._io.marks import format_of
+    from dehyst._io import format_of
     from dehyst.model.serialization import FORMAT
 
     context = click.get_current_context()
@@ -282,8 +313,6 @@ def _other_model(path: Path) -> Path | None:
 
 def conclude(as_json: bool, result: dict[str, Any], lines: str | Iterable[str], warnings: Iterable[str]) -> None:
     """Print warnings, then the result as one or more lines or as JSON."""
-    warnings = worded(warnings)
-    result = {**result, "warnings": list(warnings)} if "warnings" in result else result
     for warning in warnings:
         note(warning)
     if as_json:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst._io.json_files import finite
+from dehyst._io import finite
 from dehyst.cli.common import (
     PATH,
     ManyToValidate,
@@ -17,15 +17,15 @@ from dehyst.cli.common import (
     force_option,
     json_option,
     refuse_overwriting,
-    refuse_replacing,
+    refuse_unused,
     report_option,
 )
 from dehyst.cli.output.terminal import echo, echo_json, progress_line
-from dehyst.cli.record_files import columns_options, read_records
+from dehyst.cli.record_files import COLUMNS, columns_options, read_records
 
 if TYPE_CHECKING:
     from dehyst.baselines import ModelComparison
-    from dehyst.baselines.scores import ModelScore
+    from dehyst.baselines.comparison import ModelScore
 
 _TRUTHS = ["play", "creep", "preisach", "boucwen"]
 
@@ -71,10 +71,13 @@ def compare(
 
     Without a RECORD, those of the first --truth are used. Status 1 if dehyst's own model fails.
     """
-    from dehyst._io.json_files import write_json
+    from dehyst._io import write_json
     from dehyst.baselines import compare as run
-    from dehyst.baselines.scores import OURS
+    from dehyst.baselines.comparison import OURS
 
+    files = ("validate", *COLUMNS) if records or validate else ()
+    beside = "without --validate" if files else "without a RECORD"
+    refuse_unused(beside, "truths", "only", "output", "report", "force", *files, *(("lead",) if validate else ()))
     refuse_overwriting([*records, *validate], output, report)
     chosen = _chosen(only)
     named = _TRUTHS if "all" in truths else list(dict.fromkeys(truths))
@@ -82,7 +85,6 @@ def compare(
     progress("reading")
     training, held_out = read_records(records, columns), read_records(validate, columns)
     comparison = run(training, validate=held_out, truths=named, lead=lead, models=chosen, progress=progress)
-    refuse_replacing(output, report)
     if output is not None:
         write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(comparison.as_dict())})
     if report is not None:

@@ -14,11 +14,11 @@ from dehyst.cli.common import (
     force_option,
     json_option,
     read_model,
+    refuse_given,
     refuse_overwriting,
-    refuse_replacing,
     write_output,
 )
-from dehyst.cli.output.terminal import echo, echo_json, note, worded
+from dehyst.cli.output.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
     from dehyst.stages import StageExcitation
@@ -136,6 +136,7 @@ def minor_loop(low: float, high: float, highest: float, cycles: int, majors: int
 @_play_options
 def staircase(highest: float, steps: int, hold: float, ramp: float | None, back: bool, **options: Any) -> None:
     """Write steps up to HIGHEST [V] and down again with holds: they show creep."""
+    refuse_given("on steps, which are equal", "pace")
     from dehyst.waveforms import standard
 
     _write(
@@ -173,7 +174,6 @@ def stage(
     given = options["frequency"]
     tried = [make(frequency) for frequency in ((given,) if given is not None else _FREQUENCIES)]
     found = next((one for one in tried if one.duration <= _LONGEST * (len(highest) + 1)), tried[-1])
-    refuse_replacing(options["output"])
     columns = {f"v{axis}_V": found.voltage[:, j] for j, axis in enumerate(found.axes)}
     write_output(options["output"], {"time_s": found.time, **columns})
     parts = ", ".join(f"{name} {(stop - first) / found.sample_rate:.4g} s" for name, first, stop in found.parts)
@@ -214,12 +214,15 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     if (highest is None) == (model is None):
         raise ModelError("homing: need either a highest voltage or --model, not both")
     if model is None:
+        refuse_given("without --model", "hold", "pace")
         _write(lambda drive: standard.homing(highest, drive=drive), options)
         return
     from dehyst.control import shortest_homing
 
     refuse_overwriting([model], options["output"])
     actuator = read_model(model)
+    if not actuator.needs_time:
+        refuse_given("with a model that does not creep", "hold")
     options["limits"] = options["limits"] or actuator.limits
     given = click.get_current_context().get_parameter_source("base")
     if options["limits"] is not None and given is not click.core.ParameterSource.COMMANDLINE:
@@ -273,7 +276,6 @@ def _drive(options: dict[str, Any], frequency: float) -> Sampling:
 
 def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:
     output = options["output"]
-    refuse_replacing(output)
     write_output(output, {"time_s": excitation.time, "voltage_V": excitation.voltage})
     for warning in excitation.warnings:
         note(warning)
@@ -290,7 +292,7 @@ def _save(excitation: Excitation, options: dict[str, Any], remark: str) -> None:
                 "first_V": float(excitation.voltage[0]),
                 "last_V": float(excitation.voltage[-1]),
                 "turns_V": excitation.turns.tolist(),
-                "warnings": list(worded(excitation.warnings)),
+                "warnings": list(excitation.warnings),
                 "output": str(output),
             }
         )

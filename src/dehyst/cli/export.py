@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.axes.export import export_axes, footprint_rows
-from dehyst.cli.axes.inputs import axis_bounds_options, is_stage, refuse_axis_bounds
-from dehyst.cli.common import PATH, conclude, json_option, limits_option, read_model, refuse_overwriting
-from dehyst.cli.start import given_start, start_or_top_option, start_words
+from dehyst.cli.common import (
+    PATH,
+    conclude,
+    force_option,
+    given,
+    json_option,
+    limits_option,
+    refuse_overwriting,
+    refuse_unused,
+)
+from dehyst.cli.models import AXIS_BOUNDS, AxesModel, axis_bounds_options, bounds_of, is_stage
+from dehyst.cli.start import StartFile, given_starts, start_or_top_option, start_words
 from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
     from dehyst.control import Compensator, PossibleStart
     from dehyst.exports import Exported
     from dehyst.model import Actuator, State
+    from dehyst.stages import StageCompensator
 
 
 # Limits that no voltage reaches.
@@ -51,7 +60,7 @@ _NEAR = 0.01
     default=True,
     help="Compile it and report its size and the error of floats; takes seconds.  [default: measure]",
 )
-@click.option("--force", is_flag=True, help="Replace an earlier export or, for a file, one that dehyst did not write.")
+@force_option
 @click.option(
     "--fmu",
     type=click.Choice(["2.0", "3.0"]),
@@ -76,10 +85,9 @@ def export(
     preview: bool,
     name: str | None,
     measure: bool,
-    force: bool,
     fmu: Any,
     kind: Any,
-    start: str | Path,
+    start: str | StartFile,
     as_json: bool,
     **axis_bounds: Any,
 ) -> None:
@@ -90,92 +98,102 @@ def export(
     With --fmu, write it or its actuator as an FMU for co-simulation. To a name that ends in .wasm, write it as
     WebAssembly, and beside it the JavaScript module that calls it.
     """
-    from dehyst.control import Compensator
-    from dehyst.exports import export as run
-
-    if is_stage(model):
-        if fmu is not None or kind is not None or directory.suffix in (".fmu", ".wasm"):
-            raise click.UsageError("a stage is exported as C; give a folder, and leave out --fmu and --kind")
-        if number != "double" or preview:
-            raise click.UsageError("--number float and --preview are for single actuators; leave them out")
-        bounds = {"limits": limits, "slew": slew, "period": period, **axis_bounds}
-        export_axes(model, directory, start, bounds, name=name, measure=measure, force=force, as_json=as_json)
-        return
-    refuse_axis_bounds(axis_bounds)
-    if fmu is None and directory.suffix == ".fmu":
-        raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
-    as_wasm = directory.suffix == ".wasm"
+    several, force = is_stage(model), bool(given("force"))
+    as_wasm = _refuse_other_options(directory, fmu, kind, several)
     if as_wasm:
-        _demand_of_wasm(model, directory, fmu, number, name, measure)
-    _demand_of_fmu(fmu, kind, number, name, measure, limited=limits is not None or slew is not None or preview)
-    actuator = read_model(model)
-    begin, remarks = given_start(actuator, start, limits, MOST)
-    remarks += _open_start(actuator, begin)
-    state = begin.state
-    compensator = Compensator(
-        actuator, _NONE if kind == "actuator" else limits, slew, period=period, state=state, preview=preview
-    )
+        from dehyst.exports.wasm import wasm_files
+
+        refuse_overwriting([model], *wasm_files(directory))
+    known = AxesModel.read(model)
+    bounds, slews = bounds_of(known.axes, {"limits": limits, "slew": slew, **axis_bounds})
+    begins, remarks = given_starts(known, start, bounds, {"max_bytes": MOST, "decimal": None})
+    starts = [one for one in begins if one is not None]
+    pairs = list(zip(known.actuators, starts, strict=True))
+    remarks += known.prefixed(_open_start(*pair) for pair in pairs)
+    if kind == "actuator":
+        bounds = [_NONE]
+    compensator, loops = _compensators(known, starts, bounds, slews, period=period, preview=preview)
+
+    def begin_words() -> list[str]:
+        words = ([_begin_words(loop, *pair, kind)] for loop, pair in zip(loops, pairs, strict=True))
+        return known.prefixed(words)
+
     if fmu is not None:
         refuse_overwriting([model], directory)
-        result, line, more = _write_fmu(compensator, state, directory, fmu, kind or "compensator", force)
+        result, line, more = _write_fmu(loops[0], starts[0].state, directory, fmu, kind or "compensator")
         result["warnings"] = remarks = [*remarks, *more]
-        conclude(as_json, result, [line, _begin_words(compensator, actuator, begin, kind)], remarks)
+        conclude(as_json, result, [line, *begin_words()], remarks)
         return
+    if not several:
+        remarks += _limit_warnings(loops[0], starts[0].state)
     if as_wasm:
-        result, line = _write_wasm(compensator, directory, force)
-        remarks += _limit_warnings(compensator, state)
-        lines = [line, _begin_words(compensator, actuator, begin)]
-        conclude(as_json, {**result, "warnings": remarks}, lines, remarks)
+        result, line = _write_wasm(loops[0], directory)
+        conclude(as_json, {**result, "warnings": remarks}, [line, *begin_words()], remarks)
         return
+    from dehyst.exports import export as run
+    from dehyst.stages import StageCompensator, export_stage
+
     named = {} if name is None else {"name": name}
-    exported = run(compensator, directory, number, force=force, measure=measure, **named)
-    remarks += _limit_warnings(compensator, state)
+    if isinstance(compensator, StageCompensator):
+        exported = export_stage(compensator, directory, force=force, measure=measure, **named)
+    else:
+        exported = run(compensator, directory, number, force=force, measure=measure, **named)
     if measure and exported.unmeasured is not None:
         remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
     result = {
         "directory": str(directory),
         "number": number,
         "warnings": remarks,
-        **_begins(compensator),
+        **known.merged([_begins(loop) for loop in loops]),
         **_numbers(exported),
     }
-    words = _begin_words(compensator, actuator, begin)
-    conclude(as_json, result, [f"{directory}: a compensator of {number}s", words, *_table(exported)], remarks)
+    of_axes = f" of the axes {', '.join(known.axes)}," if several else ""
+    head = f"{directory}: a compensator{of_axes} of {number}s"
+    conclude(as_json, result, [head, *begin_words(), *_table(exported)], remarks)
 
 
-def _demand_of_fmu(
-    fmu: str | None, kind: str | None, number: str, name: str | None, measure: bool, *, limited: bool
-) -> None:
-    """Refuse options that do not go together."""
-    if fmu is None and kind is not None:
-        raise click.UsageError("--kind applies to an FMU: give --fmu too")
-    if fmu is not None and (name is not None or not measure):
-        raise click.UsageError("--name and --no-measure apply to C: an FMU has its model's name; leave them out")
-    if fmu is not None and number != "double":
-        raise click.UsageError("--number float: an FMU has doubles; leave it out")
-    if kind == "actuator" and limited:
-        raise click.UsageError(
-            "--kind actuator has neither limits nor a preview: leave out --limits, --slew, --preview"
-        )
+def _refuse_other_options(directory: Path, fmu: str | None, kind: str | None, several: bool) -> bool:
+    """Refuse options that have no effect on what is written; return whether that is WebAssembly."""
+    always = ("limits", "slew", "period", "start", "force")
+    if several:
+        refuse_unused("with a stage, which is exported as C", *always, *AXIS_BOUNDS, "name", "measure")
+        if directory.suffix in (".fmu", ".wasm"):
+            raise click.UsageError("a stage is exported as C; give a folder")
+    elif fmu is None and directory.suffix == ".fmu":
+        raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
+    elif directory.suffix == ".wasm":
+        refuse_unused("on WebAssembly", *always, "preview")
+        return True
+    elif fmu is None:
+        refuse_unused("on C for one axis", *always, "preview", "number", "name", "measure")
+    elif kind == "actuator":
+        refuse_unused("on an FMU of the actuator", "period", "start", "force", "fmu", "kind")
+    else:
+        refuse_unused("on an FMU", *always, "preview", "fmu", "kind")
+    return False
 
 
-def _demand_of_wasm(model: Path, path: Path, fmu: str | None, number: str, name: str | None, measure: bool) -> None:
-    """Refuse options that are not of WebAssembly, and files that an export would replace."""
-    from dehyst.exports.wasm import wasm_files
+def _compensators(
+    known: AxesModel, starts: list[PossibleStart], limits: list[Any], slews: list[Any], *, period: Any, preview: bool
+) -> tuple[Compensator | StageCompensator, tuple[Compensator, ...]]:
+    """Return the compensator to export, and that of each axis."""
+    from dehyst.control import Compensator
+    from dehyst.stages import StageCompensator
 
-    if fmu is not None:
-        raise click.UsageError(f"{path}: got a name that ends in .wasm with --fmu; give one of them")
-    if name is not None or not measure or number != "double":
-        raise click.UsageError("--name, --no-measure and --number apply to C: leave them out")
-    refuse_overwriting([model], *wasm_files(path))
+    states = [start.state for start in starts]
+    if known.stage is not None:
+        several = StageCompensator(known.stage, period=period, limits=limits, slew_rate=slews, states=states)
+        return several, several.compensators
+    one = Compensator(known.actuators[0], limits[0], slews[0], period=period, state=states[0], preview=preview)
+    return one, (one,)
 
 
-def _write_wasm(compensator: Compensator, path: Path, force: bool) -> tuple[dict[str, Any], str]:
+def _write_wasm(compensator: Compensator, path: Path) -> tuple[dict[str, Any], str]:
     """Write WebAssembly; return its result as JSON values, and as a line."""
     from dehyst.exports import export_wasm
     from dehyst.exports.wasm import wasm_files
 
-    export_wasm(compensator, path, force=force)
+    export_wasm(compensator, path)
     _, script, types = wasm_files(path)
     size = path.stat().st_size
     result = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size, **_begins(compensator)}
@@ -183,14 +201,14 @@ def _write_wasm(compensator: Compensator, path: Path, force: bool) -> tuple[dict
 
 
 def _write_fmu(
-    compensator: Compensator, state: State, path: Path, version: Any, kind: Any, force: bool
+    compensator: Compensator, state: State, path: Path, version: Any, kind: Any
 ) -> tuple[dict[str, Any], str, list[str]]:
     """Write an FMU; return its result as JSON values, as a line, and warnings."""
     from dehyst.exports import SourceOnlyWarning, export_fmu
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(compensator, path, version, kind, force=force)
+        export_fmu(compensator, path, version, kind)
     remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     result = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks, **_begins(compensator)}
     remarks += _limit_warnings(compensator, state) if kind == "compensator" else []
@@ -200,7 +218,7 @@ def _write_fmu(
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
     """Warn of a start that the voltages before it leave open by more than the model's error."""
-    from dehyst.control.start_error import model_error
+    from dehyst.control.planning.start import model_error
 
     places = [state.displacement for state in start.states]
     width = max(places) - min(places)
@@ -239,26 +257,19 @@ def _begin_words(compensator: Compensator, actuator: Actuator, start: PossibleSt
 
 
 def _numbers(exported: Exported) -> dict[str, Any]:
-    operations = exported.operations
     return {
         "bytes": {name: footprint._asdict() for name, footprint in exported.footprints.items()},
-        "operations": {
-            "arithmetic": operations.arithmetic,
-            "divisions": operations.divisions,
-            "comparisons": operations.comparisons,
-        },
         "error_of_range": exported.error,
         "unmeasured": exported.unmeasured,
     }
 
 
 def _table(exported: Exported) -> list[str]:
-    worst = exported.operations
-    rows = footprint_rows(exported.footprints)
-    rows.append(
-        f"a step: at most {worst.arithmetic} additions, subtractions and multiplications, {worst.divisions} divisions, "
-        f"{worst.comparisons} comparisons"
-    )
+    rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if exported.footprints else []
+    rows += [
+        f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}"
+        for name, size in exported.footprints.items()
+    ]
     if exported.error is not None:
         rows.append(f"floats: errors up to {exported.error:.1e} of the range")
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +15,15 @@ from dehyst.cli.common import (
     command_line,
     conclude,
     force_option,
+    given,
     json_option,
     refuse_overwriting,
-    refuse_replacing,
 )
 from dehyst.cli.output.terminal import note, progress_line
+from dehyst.cli.record_files import decimal_option, sample_rate_option
 
 if TYPE_CHECKING:
-    from dehyst.fleet import Fleet
+    from dehyst.fleet import Drifts, Fleet
 
 
 @click.group()
@@ -35,12 +37,12 @@ def fleet() -> None:
 @click.option("--by", metavar="NAMES", help="Keys of a record, as serial,session.  [default: its number or name]")
 @click.option(
     "--structure",
-    type=click.Choice(["plain", "auto"]),
-    default="plain",
+    type=click.Choice(["maxwell_slip", "auto"]),
+    default="maxwell_slip",
     show_default=True,
-    help="plain: slip elements and a spring. auto: parts selected by cross-validation, much slower.",
+    help="maxwell_slip: slip elements and a spring. auto: parts selected by cross-validation, much slower.",
 )
-@click.option("--elements", type=int, metavar="N", help="Number of slip elements, plain.  [default: 20]")
+@click.option("--elements", type=int, metavar="N", help="Number of slip elements, maxwell_slip.  [default: 20]")
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
 @click.option("--delay", type=float, metavar="SECONDS", help="Lag of the displacements.  [default: estimated]")
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
@@ -54,7 +56,8 @@ def fleet() -> None:
 @click.option("--displacement", metavar="NAME", help="Column of the displacement.  [default: found by its name]")
 @click.option("--voltage-scale", metavar="SCALE", help="Of an amplifier's monitor, e.g. '100 V/V'.")
 @click.option("--displacement-scale", metavar="SCALE", help="Of a sensor's voltage, e.g. '10 um/V'.")
-@click.option("--sample-rate", type=float, metavar="HZ", help="Instead of a time column.")
+@sample_rate_option
+@decimal_option
 @force_option
 @json_option
 def identify(
@@ -126,6 +129,30 @@ def _summary(done: Fleet, tally: Counter[str], output: Path) -> list[str]:
     return [*lines, f"next: dehyst fleet report {output} -o fleet.html"]
 
 
+def _drift_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add what is one actuator, what orders its sessions, and the cost that is allowed."""
+    for option in (
+        click.option(
+            "--goal",
+            type=click.FloatRange(min=0, min_open=True),
+            default=1.0,
+            show_default=True,
+            metavar="PERCENT",
+            help="Cost, in % of the stroke, above which an actuator is to be recalibrated in any case.",
+        ),
+        click.option(
+            "--over",
+            default="session",
+            show_default=True,
+            metavar="NAME",
+            help="Key of its sessions, oldest first: 2 is before 10.",
+        ),
+        click.option("--by", default="serial", show_default=True, metavar="NAME", help="Key of one actuator."),
+    ):
+        command = option(command)
+    return command
+
+
 @fleet.command()
 @click.argument("table", type=PATH, metavar="TABLE.parquet")
 @click.option("-o", "--output", type=PATH, metavar="PAGE.html", help="Write a self-contained page here.")
@@ -137,40 +164,44 @@ def _summary(done: Fleet, tally: Counter[str], output: Path) -> list[str]:
     metavar="Z",
     help="Robust standard deviations from the fleet's median beyond which a record is listed.",
 )
+@_drift_options
 @force_option
 @json_option
-def report(table: Path, output: Path | None, threshold: float, as_json: bool) -> None:
-    """Show distributions, outliers, refused records with reasons, and duplicates of an identified fleet."""
+def report(table: Path, output: Path | None, threshold: float, as_json: bool, **sessions: Any) -> None:
+    """Show outliers, refused records with reasons, duplicates, distributions and what has aged of an identified fleet.
+
+    What has aged, as dehyst fleet drift shows it, is left out if the table has no sessions.
+    """
     from dehyst.fleet import findings_of, load
     from dehyst.fleet.page import write_fleet_page
 
     refuse_overwriting([table], output)
-    found = findings_of(load(table), threshold=threshold)
+    loaded = load(table)
+    found, drifts = findings_of(loaded, threshold=threshold), _drifts(loaded, sessions)
     if output is not None:
-        refuse_replacing(output)
-        write_fleet_page(output, found, command=command_line())
+        write_fleet_page(output, found, drifts=drifts, command=command_line())
     written = [] if output is None else [f"page: {output}"]
-    conclude(as_json, found.as_dict(), [*found.lines(), *written], [])
+    result = {**found.as_dict(), "drift": None if drifts is None else drifts.as_dict()}
+    lines = found.lines() if drifts is None else [*drifts.lines(), "", *found.lines()]
+    conclude(as_json, result, [*lines, *written], [] if drifts is None else drifts.remarks)
+
+
+def _drifts(table: Fleet, sessions: dict[str, Any]) -> Drifts | None:
+    """Return what ageing costs; None if the table has no sessions and none were asked for."""
+    from dehyst._errors import FileFormatError
+    from dehyst.fleet import drifts_of
+
+    try:
+        return drifts_of(table, **sessions)
+    except FileFormatError:
+        if given(*sessions):
+            raise
+    return None
 
 
 @fleet.command()
 @click.argument("table", type=PATH, metavar="TABLE.parquet")
-@click.option("--by", default="serial", show_default=True, metavar="NAME", help="Key of one actuator.")
-@click.option(
-    "--over",
-    default="session",
-    show_default=True,
-    metavar="NAME",
-    help="Key of its sessions, oldest first: 2 is before 10.",
-)
-@click.option(
-    "--goal",
-    type=click.FloatRange(min=0, min_open=True),
-    default=1.0,
-    show_default=True,
-    metavar="PERCENT",
-    help="Cost, in % of the stroke, above which an actuator is to be recalibrated in any case.",
-)
+@_drift_options
 @json_option
 def drift(table: Path, by: str, over: str, goal: float, as_json: bool) -> None:
     """Show what keeping the oldest model of each actuator costs at its later sessions.

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,26 +14,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.axes.identify import identify_axes, neighbour_remarks
-from dehyst.cli.axes.inputs import axes_option
 from dehyst.cli.common import (
     PATH,
     ManyToValidate,
     command_line,
     force_option,
+    given,
     json_option,
+    refuse_given,
     refuse_overwriting,
-    refuse_replacing,
+    refuse_unused,
 )
+from dehyst.cli.models import axes_option
 from dehyst.cli.output.printing import print_fit
-from dehyst.cli.output.terminal import echo_json, note, progress_line, worded
-from dehyst.cli.record_files import COLUMNS, columns_options, read_records
+from dehyst.cli.output.terminal import echo_json, note, progress_line
+from dehyst.cli.record_files import COLUMNS, columns_options, read_records, table_of, time_of_table
 from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:
-    from dehyst.identification import Deadline
-    from dehyst.model import Actuator, Check
+    from dehyst.identification import Deadline, Fit
+    from dehyst.model import Actuator
+    from dehyst.records import Record
+    from dehyst.stages import Stage, StageFit
 
+_VOLTS = ("V", "mV", "kV")
 _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
 
 
@@ -62,11 +66,11 @@ _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to st
 )
 @click.option(
     "--structure",
-    type=click.Choice(["auto", "paper"]),
+    type=click.Choice(["auto", "maxwell_slip"]),
     default="auto",
     show_default=True,
-    help="auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. paper: Maxwell-slip, "
-    "plain (slip elements and a spring, as in Yeh's paper); --elements, --knots and another --method imply it.",
+    help="auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. "
+    "maxwell_slip: slip elements and a spring, as in Yeh's paper; --elements, --knots and another --method imply it.",
 )
 @click.option("--refine", is_flag=True, help="Minimise the simulation error in a second, slow step.")
 @click.option("--norm", type=click.Choice(["l1", "l2", "linf"]), default="l1", show_default=True)
@@ -125,73 +129,102 @@ def identify(
     model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. With --axes there is
     no model before all axes are identified: Ctrl-C writes nothing.
     """
+    if options["structure"] == "auto" and given("elements", "knots", "method"):
+        refuse_given("with --elements, --knots or --method, which imply maxwell_slip", "structure")
+    if len(records) + len(validate) < 2:
+        refuse_given("on one record", "shared_datum")
     if axes is not None:
-        settings = {name: value for name, value in options.items() if name not in COLUMNS}
-        settings |= {"drift": not no_drift, "time_limit": time_limit}
-        _refuse_for_axes(traces, zero)
-        identify_axes(records, validate, axes, (output, report), settings, options, as_json)
+        always = ("axes", "output", "force", "validate", "report", "traces", "zero", "time_limit", "no_drift")
+        refuse_unused("with --axes", *always, *(name for name in options if name not in ("voltage", "displacement")))
     from dehyst.identification import Deadline
-    from dehyst.identification import identify as run
-    from dehyst.uncertainty import insight as assess
 
     refuse_overwriting([*records, *validate], output, report, traces)
     deadline = Deadline(time_limit)
     best, progress = BestSoFar(deadline, output), progress_line()
     progress("reading")
-    training, held_out = zeroed(read_records(records, options), read_records(validate, options), zero)
+    training, held_out = zeroed(
+        read_records(records, options, axes=axes), read_records(validate, options, axes=axes), zero
+    )
     settings = {name: value for name, value in options.items() if name not in COLUMNS}
+    settings |= {"validate": held_out, "drift": not no_drift, "progress": progress}
+    fit: Fit | StageFit
     with best.ended_by_interrupt():
-        fit = run(
-            training,
-            validate=held_out,
-            drift=not no_drift,
-            throw=False,
-            progress=progress,
-            time_limit=deadline,
-            first_model=best.keep,
-            **settings,
-        )
-    fit = replace(fit, remarks=(*fit.remarks, *neighbour_remarks(fit, records, options)))
-    refuse_replacing(output, report, traces)
-    fit = replace(fit, repairs=worded(fit.repairs), remarks=worded(fit.remarks), checks=_worded_checks(fit.checks))
-    if output is not None and fit.actuator is not None:
-        fit.actuator.save(output)
-    if fit.actuator is None:
+        if axes is None:
+            from dehyst.identification import identify as run
+
+            found = run(training, throw=False, time_limit=deadline, first_model=best.keep, **settings)
+            found = replace(found, remarks=(*found.remarks, *neighbour_remarks(found, records, options)))
+            fit = found
+            model: Actuator | Stage | None = fit.actuator
+            every = fit.traces
+        else:
+            fit = _of_axes(training, time_limit=time_limit, **settings)
+            model, every = fit.stage, tuple(trace for one in fit.fits for trace in one.traces)
+    if output is not None and model is not None:
+        model.save(output)
+    if model is None:
         best.remove()
     if traces is not None:
-        from dehyst.model.trace_file import write_traces
+        from dehyst.identification.results import write_traces
 
-        write_traces(traces, fit.traces)
+        write_traces(traces, every)
     if report is not None:
-        from dehyst.report import write_report
-
         progress("drawing the report")
-        quick = fit.actuator is None or deadline.ended
-        assessment = None if quick else assess(fit.actuator, training, repeats=0)
-        write_report(report, fit, command=command_line(), insight=assessment)
+        _report(report, fit, training, held_out, quick=deadline.ended)
     progress("")
     if as_json:
         echo_json(fit.as_dict())
     else:
-        print_fit(fit, output, report)
+        print_fit(fit, None if model is None else output, report)
     if deadline.ended:
-        where = "was printed" if output is None or fit.actuator is None else f"is in {output}"
+        where = "was printed" if output is None or model is None else f"is in {output}"
         note(f"stopped by Ctrl-C; the best model so far {where}")
     sys.exit(0 if fit.good and not deadline.ended else 1)
 
 
-def _refuse_for_axes(traces: Path | None, zero: str | float | None) -> None:
-    """Refuse options that records of several axes do not have."""
-    from dehyst._errors import IdentifyError
+def _of_axes(training: list[Record], *, progress: Callable[[str], None], **settings: Any) -> StageFit:
+    """Identify a stage, of which there is no model before all axes are identified."""
+    from dehyst.stages import identify_stage
 
-    for flag, value in {"--traces": traces, "--zero": zero}.items():
-        if value is not None:
-            raise IdentifyError(f"{flag}: got it with --axes, which does not take it; leave it out")
+    try:
+        return identify_stage(training, **settings, progress=progress)
+    except KeyboardInterrupt:
+        progress("")
+        note("Ctrl-C: several axes have no model before all are identified; nothing was written")
+        raise
 
 
-def _worded_checks(checks: tuple[Check, ...]) -> tuple[Check, ...]:
-    sentences = worded(check.sentence for check in checks)
-    return tuple(replace(check, sentence=sentence) for check, sentence in zip(checks, sentences, strict=True))
+def _report(path: Path, fit: Fit | StageFit, training: list[Record], held_out: list[Record], *, quick: bool) -> None:
+    """Write the report of a fit, with an assessment of a model of one axis unless it is to be quick."""
+    from dehyst.identification import Fit
+
+    if not isinstance(fit, Fit):
+        from dehyst.stages import write_stage_report
+
+        write_stage_report(path, fit, [*training, *held_out], command=command_line())
+        return
+    from dehyst.report import write_report
+    from dehyst.trust import insight
+
+    found = None if quick or fit.actuator is None else insight(fit.actuator, training, repeats=0)
+    write_report(path, fit, command=command_line(), insight=found)
+
+
+def neighbour_remarks(fit: Fit, records: tuple[Path, ...], columns: dict[str, Any]) -> list[str]:
+    """Return warnings of other voltages in the files of records that the residual of a single axis follows."""
+    from dehyst.stages.cross_talk import followed
+
+    remarks = []
+    for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):
+        if path.is_fifo() or columns["sample_rate"] is not None:
+            continue
+        table = table_of(path, columns)
+        chosen = table.find("voltage", columns["voltage"])[0].name
+        others = {c.name: c.data for c in table.columns if c.name != chosen and not c.fault and c.parts[1] in _VOLTS}
+        if others:
+            time = time_of_table(table, table.columns[0].data.size, columns).get("time_s")
+            remarks += [] if time is None else [one.sentence for one in followed(trace, time, others, error.stroke)]
+    return remarks
 
 
 class BestSoFar:
@@ -215,7 +248,6 @@ class BestSoFar:
         self._usable = True
         output = self._output
         if output is not None and (not os.path.lexists(output) or _is_provisional(output)):
-            refuse_replacing(output)
             actuator.save(output)
             self._written = True
 
@@ -257,5 +289,6 @@ def _is_provisional(path: Path) -> bool:
     from dehyst.model import Actuator
 
     with suppress(DehystError):
-        return Actuator.load(path).provenance.get("provisional") is True
+        known = Actuator.load(path).identification
+        return known is not None and known.provisional
     return False

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.cli.axes.assess import insight_axes
-from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import (
     PATH,
     command_line,
     force_option,
     json_option,
     limits_option,
-    read_model,
+    refuse_given,
     refuse_overwriting,
-    refuse_replacing,
+    refuse_unused,
     report_option,
     write_output,
 )
+from dehyst.cli.models import AxesModel, axes_option, is_stage
 from dehyst.cli.output.printing import print_insight
-from dehyst.cli.output.terminal import echo_json, note, progress_line
-from dehyst.cli.record_files import columns_options, path_of, read_records
+from dehyst.cli.output.terminal import echo, echo_json, note, progress_line
+from dehyst.cli.record_files import AXES_COLUMNS, COLUMNS, columns_options, path_of, read_records
+from dehyst.cli.slew import Slew
 from dehyst.cli.start import Request
 from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
+
+if TYPE_CHECKING:
+    from dehyst.model import Actuator
+    from dehyst.stages import StageInsight
+
+_ASKED = ("limits", "seconds", "level", "precision", "repeats")
 
 
 @click.command()
@@ -68,36 +74,32 @@ def insight(
 
     The status is 1 if there is a warning, also if a number of the model is not known to the precision.
     """
-    from dehyst._errors import ModelError
-    from dehyst.uncertainty import insight as run
+    from dehyst.trust import insight as run
 
-    if is_stage(model):
-        if any(value is not None for value in (trajectory, wanted, zero, output, report)):
-            raise ModelError("--trajectory, -o, --report: got one with a stage, which does not take it; leave it out")
-        insight_axes(model, records, axes, {**options, "as_json": as_json})
-        return
-
-    if output is not None and trajectory is None:
-        raise ModelError("-o: got no trajectory, need one to write its prediction band; give --trajectory")
-    if zero is not None and trajectory is None:
-        raise ModelError(f"--zero: got {zero} and no trajectory; give --trajectory, the path that it is for")
-    if wanted is not None and trajectory is None:
-        raise ModelError(f"--wanted: got '{wanted}' and no trajectory; give --trajectory, the file with this column")
+    if not options["repeats"]:
+        refuse_given("with --repeats 0, which leaves out the intervals", "level", "precision")
+    of_path = ("trajectory", "wanted", "zero", "output") if trajectory is not None else ()
+    several = is_stage(model)
+    if several:
+        refuse_unused("with a stage", "axes", *_ASKED, *AXES_COLUMNS)
+    else:
+        beside = "with the model of one axis" if of_path else "without --trajectory"
+        refuse_unused(beside, "report", "force", *of_path, *_ASKED, *COLUMNS)
     refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
-    actuator = read_model(model)
-    progress = progress_line()
-    path, time = (None, {}) if trajectory is None else path_of(trajectory, wanted, options["max_bytes"])
-    if trajectory is not None and actuator.needs_time and not time:
-        raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
-    if path is not None:
-        request = Request(actuator, options["limits"], None, None, None, None, as_json)
-        path = path + zero_of_path(request, zero)
-        for warning in outside_reach(actuator, path, options["limits"], zero):
-            note(warning)
-    training = read_records(records, options)
-    asked = {name: options[name] for name in ("limits", "seconds", "level", "precision", "repeats")}
-    assessment = run(actuator, training, trajectory=path, time=time.get("time_s"), progress=progress, **asked)
-    refuse_replacing(output, report)
+    known, progress = AxesModel.read(model), progress_line()
+    path, time = (None, {}) if trajectory is None else _path(known.actuators[0], trajectory, wanted, zero, options)
+    training = read_records(records, options, trajectory is not None, known.stored_columns(axes))
+    asked = {"progress": progress, **{name: options[name] for name in _ASKED}}
+    whole = None
+    if known.stage is not None:
+        from dehyst.stages import stage_insight
+
+        whole = stage_insight(known.stage, training, **asked)
+    when = time.get("time_s")
+    assessments = (
+        (run(known.actuators[0], training, trajectory=path, time=when, **asked),) if whole is None else whole.insights
+    )
+    assessment = assessments[0]
     if output is not None and assessment.band is not None:
         write_output(output, {**time, **assessment.band.columns()})
     if report is not None:
@@ -107,7 +109,34 @@ def insight(
         write_insight(report, assessment, command=command_line())
     progress("")
     if as_json:
-        echo_json(assessment.as_dict())
+        echo_json((whole or assessment).as_dict())
     else:
-        print_insight(assessment, output, report)
-    sys.exit(1 if assessment.warnings() else 0)
+        if whole is not None:
+            _print_coupling(whole)
+        for axis, one in zip(known.axes, assessments, strict=True):
+            if axis:
+                echo()
+                echo(f"Axis {axis}")
+            print_insight(one, output, report)
+    sys.exit(1 if any(one.warnings() for one in assessments) else 0)
+
+
+def _print_coupling(found: StageInsight) -> None:
+    for line in found.lines():
+        echo(line)
+
+
+def _path(
+    actuator: Actuator, trajectory: Path, wanted: str | None, zero: str | float | None, options: dict[str, Any]
+) -> tuple[Any, dict[str, Any]]:
+    """Return the displacement (n,) [m] of a trajectory in the model's coordinates, and its time column."""
+    from dehyst._errors import ModelError
+
+    path, time = path_of(trajectory, wanted, options)
+    if actuator.needs_time and not time:
+        raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
+    request = Request(actuator, options["limits"], Slew(None, "none"), None, None, None, False)
+    path = path + zero_of_path(request, zero)
+    for warning in outside_reach(actuator, path, options["limits"], zero):
+        note(warning)
+    return path, time

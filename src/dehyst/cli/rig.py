@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst.cli.common import refuse_given
 from dehyst.cli.output.terminal import echo
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ def serve(
     rehearsed = [Fault.parse(text) for text in faults]
     instrument: VirtualBench | StageBench
     if axes == 1:
+        refuse_given("with one axis", "coupling", "hysteretic")
         instrument, reported = _instrument(actuator, rehearsed, **options)
         ranges = [reported]
     else:

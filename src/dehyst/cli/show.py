@@ -7,26 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dehyst._errors import DehystError
 from dehyst._text import counted
-from dehyst.cli.axes.assess import show_axes, show_stage
-from dehyst.cli.axes.inputs import axes_option, is_stage
 from dehyst.cli.common import (
     PATH,
+    REFUSED,
     command_line,
     echo_files,
     force_option,
     json_option,
     refuse_overwriting,
-    refuse_replacing,
+    refuse_unused,
     report_option,
 )
-from dehyst.cli.output.terminal import echo, echo_json, worded
-from dehyst.cli.record_files import columns_options, record_in, table_of
+from dehyst.cli.models import AxesModel, axes_option, is_stage
+from dehyst.cli.output.terminal import echo, echo_json
+from dehyst.cli.record_files import AXES_COLUMNS, COLUMNS, columns_options, record_in, table_of
 
 if TYPE_CHECKING:
     from dehyst.records import Record
     from dehyst.records.formats.columns import Table
 
+# What a guess is marked with, and the factor and unit in which values of a quantity are shown.
+_GUESSED = "guessed, verify"
+_SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
 # Columns of a file that are listed.
 _MOST = 40
 # Characters of the drawing.
@@ -46,36 +50,71 @@ def show(file: Path, output: Path | None, report: Path | None, axes: str | None,
 
     The status is 2 if it is no record; the message holds the options that may make it one.
     """
-    refuse_overwriting([file], output, report)
     if is_stage(file):
-        show_stage(file, as_json)
+        refuse_unused("with a stage")
+        _show_model(AxesModel.read(file), as_json)
         return
-    if axes is not None:
-        _show_axes(file, axes, options, as_json)
-        return
+    taken = AXES_COLUMNS if axes is not None else COLUMNS
+    refuse_unused("with --axes", "output", "report", "force", "axes", *taken)
+    from dehyst.records.tables import axis_columns
+
+    refuse_overwriting([file], output, report)
     table = table_of(file, options)
     if not as_json:
         _print_columns(table)
-    record = record_in(table, file.stem, options)
-    rows = _understood(record, options)
+    try:
+        record = record_in(table, file.stem, options, axes)
+    except DehystError:
+        if as_json:
+            # The columns among which to choose.
+            click.get_current_context().meta[REFUSED] = {"file_columns": _columns(table)}
+        raise
+    chosen = [options] if axes is None else [{**options, **one._asdict()} for one in axis_columns(axes)]
+    parts = record.by_axis()
+    rows = [_understood(part, own) for part, own in zip(parts, chosen, strict=True)]
     if output is not None:
         from dehyst.records import write_record
 
-        refuse_replacing(output)
         write_record(output, record)
     if report is not None:
         from dehyst.report import write_record_page
 
-        refuse_replacing(report)
-        write_record_page(report, record, rows, command=command_line())
+        write_record_page(report, record, [row for own in rows for row in own], command=command_line())
     if as_json:
-        echo_json(_numbers(record, table))
+        numbers = [_numbers(part, table) for part in parts]
+        echo_json(numbers[0] if axes is None else dict(zip(record.axes, numbers, strict=True)))
         return
-    echo()
+    for axis, part, own, words in zip(record.axes or ("",), parts, chosen, rows, strict=True):
+        echo()
+        if axis:
+            echo(f"Axis {axis}")
+        _print_axis(part, table, own, words)
+    echo_files(Record=output, Report=report)
+
+
+def _show_model(model: AxesModel, as_json: bool) -> None:
+    """Print a stage file."""
+    stage = model.stage
+    if stage is None:
+        return
+    if as_json:
+        echo_json(stage.as_dict())
+    else:
+        for line in stage.summary().split("\n"):
+            echo(line)
+
+
+def _print_axis(record: Record, table: Table, options: dict[str, Any], rows: list[tuple[str, str, str]]) -> None:
+    """Print what the columns of an axis are understood as, what is suspicious, and the loop."""
     width = max(len(row[1]) for row in rows)
     for quantity, column, words in rows:
         echo(f"{quantity + ':':<14}{column:<{width}}  {words}")
-    problems = worded([*_unusable(record), *record.problems()])
+    echo()
+    echo("First and last value, as written and as understood:")
+    for end in _ends(record, table, options):
+        (first, last), (a, b) = end["written"], end["understood"]
+        echo(f"  {end['column']}: {first} ... {last} -> {a:.6g} ... {b:.6g} {end['unit']}{end['mark']}")
+    problems = [*_unusable(record), *record.problems()]
     echo()
     echo("Notes:" if problems else "No problems found.")
     for sentence in problems:
@@ -83,23 +122,6 @@ def show(file: Path, output: Path | None, report: Path | None, axes: str | None,
     echo()
     for line in _plot(record.voltage, record.displacement * 1e6, "voltage (V)", "displacement (um)"):
         echo(line)
-    echo_files(Record=output, Report=report)
-
-
-def _show_axes(file: Path, axes: str, options: dict[str, Any], as_json: bool) -> None:
-    """Print what each axis of a file is understood as."""
-    record = show_axes(file, axes, options)
-    if as_json:
-        echo_json({axis: _numbers(record.axis(j), table_of(file, options)) for j, axis in enumerate(record.axes)})
-        return
-    _print_columns(table_of(file, options))
-    for j, axis in enumerate(record.axes):
-        echo()
-        echo(f"Axis {axis}")
-        for quantity, _, words in _understood(record.axis(j), options):
-            echo(f"  {quantity + ':':<14}{words}")
-        for sentence in worded(record.axis(j).problems()):
-            echo(f"  - {sentence}")
 
 
 def _print_columns(table: Table) -> None:
@@ -127,7 +149,8 @@ def _understood(record: Record, options: dict[str, Any]) -> list[tuple[str, str,
 
     def origin(quantity: str) -> str:
         scale = f", {scales[quantity]}" if quantity in scales else ""
-        return f"'{columns.get(quantity, quantity)}'{scale}"
+        mark = f" ({_GUESSED})" if _guessed(record, quantity, options) else ""
+        return f"'{columns.get(quantity) or options.get(quantity) or quantity}'{scale}{mark}"
 
     (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range
     times = f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz"
@@ -137,12 +160,43 @@ def _understood(record: Record, options: dict[str, Any]) -> list[tuple[str, str,
     return [(quantity, origin(quantity), words) for quantity, words in named.items()]
 
 
+def _guessed(record: Record, quantity: str, options: dict[str, Any]) -> bool:
+    """Return whether a quantity of a record, or of the axis that has the `name` in the options, is guessed."""
+    guesses = record.meta.get("guesses", {})
+    return quantity in guesses or f"{quantity} of {options.get('name')}" in guesses
+
+
+def _ends(record: Record, table: Table, options: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return first and last value of each column that is used, as the file has them and as the record does."""
+    ends = []
+    timed = ("time",) if options["sample_rate"] is None else ()
+    for quantity in (*timed, "voltage", "displacement"):
+        column, _ = table.find(quantity, options[quantity])
+        # Joining cuts and interpolates rows.
+        cells = ("", "") if options["join"] else column.ends
+        written = [cell or f"{value:.9g}" for cell, value in zip(cells, column.data[[0, -1]], strict=True)]
+        stated = column.parts[1]
+        values, factor, unit = getattr(record, quantity)[[0, -1]], *_SHOWN[quantity]
+        ends.append(
+            {
+                "column": column.name if not stated or stated in column.name else f"{column.name} [{stated}]",
+                "quantity": quantity,
+                "written": written,
+                "understood": [float(value) * factor for value in values],
+                "unit": unit,
+                "mark": f" ({_GUESSED})" if _guessed(record, quantity, options) else "",
+            }
+        )
+    return ends
+
+
 def _numbers(record: Record, table: Table) -> dict[str, Any]:
     return {
         "name": record.name,
-        "file_columns": [{"name": column.name, "unit": column.parts[1]} for column in table.columns],
+        "file_columns": _columns(table),
         "columns": record.meta.get("columns", {}),
         "scales": record.meta.get("scales", {}),
+        "guesses": record.meta.get("guesses", {}),
         "samples": len(record),
         "sample_rate_Hz": 1 / record.sample_time,
         "duration_s": float(record.time[-1] - record.time[0]),
@@ -150,8 +204,12 @@ def _numbers(record: Record, table: Table) -> dict[str, Any]:
         "displacement_um": [1e6 * value for value in record.displacement_range],
         "noise_nm": 1e9 * record.noise,
         "cycles": len(record.cycles()),
-        "problems": list(worded([*_unusable(record), *record.problems()])),
+        "problems": [*_unusable(record), *record.problems()],
     }
+
+
+def _columns(table: Table) -> list[dict[str, str]]:
+    return [{"name": column.name, "unit": column.parts[1]} for column in table.columns]
 
 
 def _unusable(record: Record) -> list[str]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from dehyst._text import counted
+from dehyst.cli.record_files import table_in
 
 if TYPE_CHECKING:
+    from dehyst.cli.models import AxesModel
+    from dehyst.cli.slew import Slew
     from dehyst.control import HomedPath, PossibleStart, StartError
     from dehyst.model import Actuator, State
     from dehyst.records import Record
+    from dehyst.records.formats.columns import Table
 
 # Voltages farther outside of a model's limits than this part of their range were not covered by its records.
 _FAR = 0.1
@@ -24,6 +30,10 @@ _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
     "give a record for more"
 )
+# Before the file of a record whose beginning, not whose end, is the start.
+_AS = "as:"
+# Seconds of a homing from which on its duration is a warning.
+_LONG = 60.0
 _NAMES = ("top", "bottom", "relaxed", "homed")
 
 
@@ -35,11 +45,21 @@ class Request(NamedTuple):
 
     actuator: Actuator
     limits: tuple[float, float] | None
-    slew: float | None
+    slew: Slew
     start: PossibleStart | None
     home: bool | None
     present: float | None
     as_json: bool
+
+
+class StartFile(NamedTuple):
+    """A file of what was played before: the start is the state at its end, or if `began` that in which it began."""
+
+    path: Path
+    began: bool
+
+    def __str__(self) -> str:
+        return f"{_AS if self.began else ''}{self.path}"
 
 
 class _StartType(click.ParamType):  # type: ignore[type-arg]
@@ -48,20 +68,23 @@ class _StartType(click.ParamType):  # type: ignore[type-arg]
     name = "start"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        return f"{'|'.join(_NAMES)}|FILE"
+        return f"{'|'.join(_NAMES)}|FILE|{_AS}RECORD"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | Path:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | StartFile:
         if value in _NAMES:
             return str(value)
-        path = Path(value)
-        if not path.exists():
-            self.fail(f"got {value!r}, need {', '.join(_NAMES)}, or a file of what was played before", param, ctx)
-        return path
+        began = not Path(value).exists() and str(value).startswith(_AS)
+        file = StartFile(Path(str(value).removeprefix(_AS) if began else value), began)
+        if not file.path.exists():
+            needed = f"need {', '.join(_NAMES)}, a file of what was played before, or {_AS}RECORD"
+            self.fail(f"got {value!r}, {needed}", param, ctx)
+        return file
 
 
 _STATES = (
     "turned at the top or bottom of the identified range; relaxed at 0 V; homed, as after 'dehyst excite homing "
-    "--model' without other options; or as at the end of FILE, a record, or only the voltages played before."
+    "--model' without other options; as at the end of FILE, a record, or only the voltages played before; or as "
+    "RECORD began."
 )
 
 
@@ -82,37 +105,112 @@ def home_option(words: str) -> Callable[..., Any]:
     return click.option("--home/--no-home", "--homing", "home", default=None, help=words)
 
 
+def given_starts(
+    model: AxesModel,
+    start: str | StartFile | None,
+    limits: Sequence[tuple[float, float] | None],
+    options: dict[str, Any],
+    axes: str | None = None,
+    *,
+    rests: bool = True,
+) -> tuple[list[PossibleStart | None], list[str]]:
+    """Return the start of each axis, see `given_start`, and remarks; None if none was given.
+
+    `axes`: columns of several axes in a file of what was played before; by default those of the records.
+    """
+    if start is None:
+        return [None] * len(model.axes), []
+    starts, remarks = [], []
+    for j, (axis, actuator, allowed) in enumerate(zip(model.axes, model.actuators, limits, strict=True)):
+        columns = {} if isinstance(start, str) else _columns(model, j, axes)
+        begin, own = given_start(actuator, start, allowed, options, rests=rests, columns=columns)
+        if model.stage is not None and isinstance(start, str):
+            begin, own = _played_within(actuator, begin, allowed)
+        starts.append(begin)
+        remarks += model.prefixed_one(axis, own)
+    return [*starts], remarks
+
+
+def _played_within(
+    actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None
+) -> tuple[PossibleStart, list[str]]:
+    """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
+    from dehyst.stages.compensator import start_within
+
+    allowed = limits or actuator.limits
+    state = start.state if allowed is None else start_within(actuator, start.state, allowed)
+    if allowed is None or state is start.state:
+        return start, []
+    remark = (
+        f"the start {start.name} needs {actuator.voltage(start.state):.6g} V, outside the limits {allowed[0]:.6g} to "
+        f"{allowed[1]:.6g} V: it begins at {actuator.voltage(state):.6g} V, after loops between the limits"
+    )
+    return replace(start, states=(state,)), [remark]
+
+
+def _columns(model: AxesModel, j: int, axes: str | None) -> dict[str, str]:
+    """Return the columns of axis `j` in a file of what was played before; of one axis they are found by their names."""
+    from dehyst.records.tables import axis_columns
+
+    if model.stage is None:
+        return {}
+    found = {one.name: one for one in axis_columns(model.stored_columns(axes if axes and ":" in axes else None) or "")}
+    one = found.get(model.axes[j])
+    computed = f"{model.axes[j]}_expected_um"
+    return {} if one is None else {"voltage": one.voltage, "displacement": one.displacement, "computed": computed}
+
+
 def given_start(
-    actuator: Actuator, start: str | Path, limits: tuple[float, float] | None, max_bytes: float
+    actuator: Actuator,
+    start: str | StartFile,
+    limits: tuple[float, float] | None,
+    options: dict[str, Any],
+    *,
+    rests: bool = True,
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[PossibleStart, list[str]]:
     """Return the start that the option names or the file determines, and remarks on it.
 
-    Displacements that dehyst wrote are no measurement: of such a file only the voltages count.
+    Displacements that dehyst wrote are no measurement: of such a file only the voltages count. `rests`: whether the
+    actuator rests at the voltage of the start, which is still applied: the file's last one, or its first if it is the
+    beginning that counts. `columns`: those of its voltage and displacement, and of a computed one, by default
+    as one axis has them.
     """
-    from dehyst._io.marks import written_by_dehyst
+    from dehyst._errors import ModelError
+    from dehyst._io import COMPUTED
     from dehyst.control import PossibleStart
-    from dehyst.records import Record, read_table
+    from dehyst.records import Record
 
     if isinstance(start, str):
         return PossibleStart.named(actuator, start), []  # type: ignore[arg-type]
-    table = read_table(start, max_bytes=max_bytes)
-    own, voltage = written_by_dehyst(start), table.column("voltage")
-    measured = table.has("displacement") and not own
+    file = start.path
+    table = table_in(file, options)
+    own, voltage = columns.get("computed", COMPUTED) in table.names, table.column("voltage", columns.get("voltage"))
+    measured = _has_displacement(table, columns) and not own
     time = table.column("time") if actuator.needs_time or measured else None
-    outside = _outside_words(actuator, start.name, voltage, limits)
-    if own and table.has("displacement"):
-        outside.append(f"{start.name}: {_COMPUTED}")
+    outside = _outside_words(actuator, file.name, voltage, limits)
+    if start.began and not measured:
+        raise ModelError(f"--start {start}: has no measured displacement; the state in which a record began needs it")
+    if own:
+        outside.append(f"{file.name}: {_COMPUTED}")
     if time is not None and measured:
-        state, beside = _after_record(actuator, Record(time, voltage, table.column("displacement"), start.name))
-        return state, [*outside, *beside]
-    known = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=start.name)
-    return known, outside
+        moved = table.column("displacement", columns.get("displacement"))
+        record = Record(time, voltage, moved, file.name)
+        found, beside = _of_record(actuator, record, start.began)
+        outside += beside
+    else:
+        found = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=file.name)
+    return found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found, outside
+
+
+def _has_displacement(table: Table, columns: Mapping[str, str]) -> bool:
+    return columns["displacement"] in table.names if "displacement" in columns else table.has("displacement")
 
 
 def _outside_words(actuator: Actuator, name: str, voltage: Any, limits: tuple[float, float] | None) -> list[str]:
     """Return a remark on earlier voltages outside the identified range; refuse those far outside of what is allowed."""
     from dehyst._errors import ModelError
-    from dehyst.model.plausibility import Range, voltage_error
+    from dehyst.model.checks import Range, voltage_error
 
     if actuator.limits is None:
         return []
@@ -123,41 +221,33 @@ def _outside_words(actuator: Actuator, name: str, voltage: Any, limits: tuple[fl
     return [f"{name}: {words}" for words in outside_warnings(actuator, voltage)[2]]
 
 
-def _after_record(actuator: Actuator, record: Record) -> tuple[PossibleStart, list[str]]:
-    """Return the state at the end of a record, and a remark if its voltages lie beside the model's."""
+def _of_record(actuator: Actuator, record: Record, began: bool) -> tuple[PossibleStart, list[str]]:
+    """Return the state after a record or in which it began, and a remark if its voltages lie beside the model's."""
     import numpy as np
 
     from dehyst._errors import ModelError
     from dehyst.control import PossibleStart
-    from dehyst.control.start_error import model_error
-    from dehyst.identification import state_after
-    from dehyst.model.plausibility import implausibility
+    from dehyst.control.planning.start import model_error
+    from dehyst.identification import initial_state, state_after
 
-    if reason := implausibility(actuator, record.displacement, None):
+    if reason := actuator.implausibility(record.displacement):
         raise ModelError(f"{record.name}: {reason}")
-    state, offset = state_after(actuator, record)
+    state, offset = (initial_state if began else state_after)(actuator, record)
+    start = PossibleStart(f"{_AS if began else ''}{record.name}", (state,))
     low, high = actuator.voltage_range
     share = abs(offset) / (high - low)
     if share * float(np.ptp(actuator.reach)) <= model_error(actuator):
-        return PossibleStart(record.name, (state,)), []
+        return start, []
     remark = (
         f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the range: "
         "expect displacements to lie beside the sensor's by as much"
     )
-    return PossibleStart(record.name, (state,)), [remark]
-
-
-def begin_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> State:
-    """Return the state of a start, or the nearest one within the limits."""
-    from dehyst.control.reachable import state_within_limits
-
-    allowed = limits or actuator.limits
-    return start.state if allowed is None else state_within_limits(actuator, start.state, allowed)
+    return start, [remark]
 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default that of the start."""
-    voltage = f"{actuator.voltage(begin_within(actuator, start, None) if state is None else state):.4g} V"
+    voltage = f"{actuator.voltage(start.within(actuator, None) if state is None else state):.4g} V"
     words = {
         "relaxed": f"(from rest, relaxed, at {voltage})",
         "homed": f"(homed, at {voltage})",
@@ -165,36 +255,15 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
         "top": f"(coming from the top, {voltage})",
         "bottom": f"(coming from the bottom, {voltage})",
     }
-    return words.get(start.name, f"(as at the end of {start.name}, at {voltage})")
+    began = start.name.startswith(_AS)
+    other = f"as {start.name.removeprefix(_AS)} began" if began else f"as at the end of {start.name}"
+    return words.get(start.name, f"({other}, at {voltage})")
 
 
 def homed_words(homed: HomedPath) -> str:
     """Describe the homing before a path, in brackets."""
     seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
     return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
-
-
-def start_error(
-    actuator: Actuator,
-    start: PossibleStart,
-    voltage: Any,
-    limits: tuple[float, float] | None,
-    *,
-    time: Any = None,
-    first: int = 0,
-) -> StartError | None:
-    """Return what a start leaves open of the motion by a voltage [V] from sample `first` on; None if it is known.
-
-    An actuator of unknown history rests at the first voltage, however it was brought there.
-    """
-    from dehyst.control import PossibleStart, StartError
-
-    if start.known or not voltage.size:
-        return None
-    states = start.states
-    if start.name == "unknown":
-        states = PossibleStart.unknown(actuator, float(voltage[0]), limits).states
-    return StartError.along(actuator, states, voltage, time=time, first=first)
 
 
 def error_line(name: str, error: StartError, *, homed: bool) -> str:
@@ -294,3 +363,88 @@ def outside_warnings(actuator: Actuator, voltage: Any) -> tuple[int, bool, list[
             "identify again"
         )
     return count, far, [warning]
+
+
+# Wanted displacement [m], columns of time, and derivatives.
+WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
+
+
+def planned(model: AxesModel, requests: Sequence[Request], path: WantedPath) -> list[HomedPath]:
+    """Return the voltages of each axis along a path: from its start, or if that matters, after a homing."""
+    from dehyst.control import Compensator, plan_path
+    from dehyst.stages import StageCompensator, plan_stage_path
+
+    first, (wanted, time, derivatives), when = requests[0], path, path[1].get("time_s")
+    if model.stage is None:
+        one = Compensator(first.actuator, first.limits, first.slew.bound)
+        options: dict[str, Any] = {"start": first.start, "home": first.home, "present": first.present}
+        return [plan_path(one, wanted[:, 0], time=when, **derivatives, **options)]
+    limits, slews = [each.limits for each in requests], [each.slew.bound for each in requests]
+    several = StageCompensator(model.stage, limits=limits, slew_rate=slews, period=period_of(time))
+    starts = [each.start for each in requests if each.start is not None]
+    present = None if first.present is None else [first.present] * len(requests)
+    return [*plan_stage_path(several, wanted, time=when, starts=starts or None, home=first.home, present=present)]
+
+
+def period_of(clock: dict[str, Any]) -> float | None:
+    """Return the mean time between samples, by which the compensator of a stage checks its slew rate."""
+    times = clock.get("time_s")
+    return None if times is None or len(times) < 2 else float((times[-1] - times[0]) / (len(times) - 1))
+
+
+def described(request: Request, answer: HomedPath) -> tuple[str, list[str]]:
+    """Return the start of a path in brackets, and warnings of what the file does not contain."""
+    actuator, warnings = request.actuator, [*answer.warnings]
+    if answer.homing is not None:
+        return homed_words(answer), [*warnings, *delay_warnings(actuator), *_of_long_homing(answer)]
+    begin, first = answer.start.within(actuator, request.limits), float(answer.voltage[0])
+    if answer.first:
+        warnings.insert(
+            0,
+            f"the first {counted(answer.first, 'sample')} lead from {first:.6g} V to the first one of the path within "
+            "the slew rate: play the whole file",
+        )
+    warnings += file_warnings(actuator, first, answer.start, begin, request.slew.bound)
+    if request.present is not None and request.start is None:
+        warnings.append("--present: has no effect, because the start does not matter and no homing is needed")
+    return start_words(actuator, answer.start, begin), warnings
+
+
+def _of_long_homing(homed: HomedPath) -> list[str]:
+    """Warn of a homing that the user did not request and that takes long, with its purpose."""
+    without = homed.unhomed
+    if without is None or homed.seconds is None or homed.seconds < _LONG:
+        return []
+    return [
+        f"the homing takes {homed.seconds:.4g} s; without it (--no-home) the unknown start leaves "
+        f"{without.percent(without.largest):.2g} % of the stroke open. If what was played last is on file, --start "
+        "FILE needs no homing"
+    ]
+
+
+def clock_columns(path: HomedPath, time: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns time_s, if there is a `time`, and phase, if something comes before the path."""
+    if path.homing is None and not path.first:
+        return time
+    return {**({} if path.time is None else {"time_s": path.time}), "phase": path.phase}
+
+
+def left_open(path: HomedPath) -> StartError | None:
+    """Return what the start of a path leaves open; None if it is known."""
+    return None if path.homing is None and path.start.known else path.error
+
+
+def error_lines(path: HomedPath) -> list[str]:
+    """Return a line on what the start of a path leaves open; none if it is known."""
+    error = left_open(path)
+    return [] if error is None else [error_line(path.start.name, error, homed=path.homing is not None)]
+
+
+def path_start_dict(path: HomedPath) -> dict[str, Any]:
+    """Return the start of a path as JSON values."""
+    return start_dict(path.start.name, left_open(path), None if path.homing is None else path)
+
+
+def path_columns(part: Any) -> dict[str, Any]:
+    """Return the columns of a wanted displacement, its voltage and the displacement to expect."""
+    return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}

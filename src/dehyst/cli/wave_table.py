@@ -8,18 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._text import counted
-from dehyst.cli.common import conclude, refuse_replacing, write_output
+from dehyst.cli.common import conclude, write_output
 from dehyst.cli.output.terminal import note, progress_line
-from dehyst.cli.played_voltage import path_columns
-from dehyst.cli.scans import in_options
 from dehyst.cli.start import (
     Request,
-    begin_within,
     delay_warnings,
     error_line,
     file_warnings,
+    path_columns,
     start_dict,
-    start_error,
 )
 
 if TYPE_CHECKING:
@@ -43,29 +40,38 @@ def tabulate(
     _note_duration(table, cycles)
     progress(f"writing {table.rows(cycles)} rows")
     played, cycle = table.played(cycles), table.cycle
-    refuse_replacing(*outputs)
     write_output(outputs[0], {"time_s": played.time, "phase": played.phase, **path_columns(played)})
     write_output(outputs[1], {"time_s": cycle.time, **path_columns(cycle)})
     progress("")
-    warnings = [*map(in_options, table.warnings), *remarks, *_unwritten_warnings(request, start, table)]
-    limits, first = request.limits or request.actuator.limits, table.homing_rows.size
-    error = start_error(request.actuator, start, played.voltage, limits, time=played.time, first=first)
+    actuator, first = request.actuator, table.homing_rows.size
+    limits, path = request.limits or actuator.voltage_range, scan.path(axis)
+    rates = {"velocity": path.velocity, "acceleration": path.acceleration}
+    speed = request.slew.remarks(actuator, limits, path.displacement, path.time, **rates)
+    warnings = [*table.warnings, *remarks, *speed, *_unwritten_warnings(request, start, table)]
+    error = None
+    if not start.known:
+        error = start.error_along(actuator, played.voltage, limits, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
     result = {
         "samples": played.voltage.size,
         **_table_dict(table, scan, start_dict(start.name, error)),
         "lowest_V": low,
         "highest_V": high,
+        **request.slew.as_dict(),
         "warnings": warnings,
         "state": table.state.as_dict(),
         "output": str(outputs[0]),
         "table": str(outputs[1]),
     }
     start_up = f"{counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um"
+    if table.clamped:
+        missed = float(abs(cycle.expected - cycle.displacement).max())
+        start_up += request.slew.missed_words(limits, cycle.voltage, missed)
     lines = [
         f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {start_up}: "
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
     ]
+    lines.append(request.slew.words)
     if error is not None:
         lines.append(error_line(start.name, error, homed=_homes(request)))
     conclude(request.as_json, result, lines, warnings)
@@ -87,8 +93,8 @@ def _table(request: Request, start: PossibleStart, scan: Scan, axis: str, option
             scan,
             axis=axis,
             limits=request.limits,
-            slew_rate=request.slew,
-            state=None if _homes(request) else begin_within(request.actuator, start, request.limits),
+            slew_rate=request.slew.bound,
+            state=None if _homes(request) else start.within(request.actuator, request.limits),
             present=request.present,
             approach=options["approach"],
             cycles=options["start_up"],
@@ -136,8 +142,8 @@ def _unwritten_warnings(request: Request, start: PossibleStart, table: WaveTable
     actuator = request.actuator
     if table.homing is not None:
         return delay_warnings(actuator)
-    begin = begin_within(actuator, start, request.limits)
-    return file_warnings(actuator, float(table.start_up.voltage[0]), start, begin, request.slew)
+    begin = start.within(actuator, request.limits)
+    return file_warnings(actuator, float(table.start_up.voltage[0]), start, begin, request.slew.bound)
 
 
 def _homing_seconds(table: WaveTable) -> float:
@@ -147,7 +153,7 @@ def _homing_seconds(table: WaveTable) -> float:
 def refuse_cycles(scan: Scan, cycles: int) -> None:
     """Refuse a number of cycles that no file should hold."""
     from dehyst._errors import RecordError
-    from dehyst.control.homed_path import MOST_ROWS
+    from dehyst.control.planning.path import MOST_ROWS
 
     if cycles < 0:
         raise RecordError(f"--cycles: got {cycles}, need a whole number, 0 or more")
@@ -166,7 +172,7 @@ def refuse_cycles(scan: Scan, cycles: int) -> None:
 def _note_duration(table: WaveTable, cycles: int) -> None:
     """Print how long the written voltage plays; raises RecordError if a file should not hold so many rows."""
     from dehyst._errors import RecordError
-    from dehyst.control.homed_path import MOST_ROWS
+    from dehyst.control.planning.path import MOST_ROWS
 
     rows, rate = table.rows(cycles), table.sample_rate
     parts = (

@@ -48,13 +48,20 @@ def zeroed(records: list[Record], others: list[Record], zero: str | float | None
     if zero is None or not records:
         return records, others
     y = records[0].displacement
-    place = zero * 1e-6 if isinstance(zero, float) else {"bottom": y.min(), "first": y[0], "mean": y.mean()}[zero]
-    moved = [_moved(record, float(place)) for record in (*records, *others)]
+    place = (
+        zero * 1e-6
+        if isinstance(zero, float)
+        else {"bottom": y.min(axis=0), "first": y[0], "mean": y.mean(axis=0)}[zero]
+    )
+    moved = [_moved(record, place) for record in (*records, *others)]
     return moved[: len(records)], moved[len(records) :]
 
 
-def _moved(record: Record, place: float) -> Record:
-    source = f"{record.meta.get('source', record.name)}, zero at {place * 1e6:.6g} um"
+def _moved(record: Record, place: Any) -> Record:
+    import numpy as np
+
+    places = ", ".join(f"{one * 1e6:.6g}" for one in np.atleast_1d(place).tolist())
+    source = f"{record.meta.get('source', record.name)}, zero at {places} um"
     return replace(record, displacement=record.displacement - place, meta={**record.meta, "source": source})
 
 
@@ -101,9 +108,11 @@ def refuse_astray(
         low, high = compensator.reach
         advice = _advice(wanted, (low, high), zero)
         raise ModelError(
-            f"displacement: got {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model reaches "
-            f"{1e6 * low:.4g} to {1e6 * high:.4g} um, from the sensor's zero in its records; check the numbers and "
-            f"their unit{'' if advice is None else f', or {advice}'}"
+            f"got {1e6 * wanted.min():.6g} to {1e6 * wanted.max():.6g} um, the model "
+            f"reaches {1e6 * low:.4g} to {1e6 * high:.4g} um, from the sensor's zero "
+            "in its records",
+            argument="displacement",
+            hint=f"check the numbers and their unit{('' if advice is None else f', or {advice}')}",
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -10,20 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import CoreError, CoreState, Loop
+from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, number, vector
-from dehyst.control.clamping import Clamps, ClampWarning, stray_sentence, warn_of_run
-from dehyst.control.core_loop import make_loop, reached_if_clamped, resume
-from dehyst.control.limits import VoltageLimits
-from dehyst.control.preview import Preview
-from dehyst.control.reachable import state_within_limits
-from dehyst.control.snapshot import Snapshot, key_of
+from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
+from dehyst.control.loop import Preview, Snapshot, key_of, make_loop, reached_if_clamped, resume
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import Actuator, State
-from dehyst.model.plausibility import ANYWAY
+from dehyst.model.checks import ANYWAY
 from dehyst.model.python_control import compensator_block, labels
+from dehyst.model.states import state_within_limits
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -88,17 +86,21 @@ class Compensator:
         units: str = "m",
     ) -> None:
         if not isinstance(actuator, Actuator):
-            raise ModelError(f"actuator: got {type(actuator).__name__}, need an Actuator")
+            raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
         low_high = actuator.limits if limits is None else limits
         if low_high is None:
-            raise ModelError("no voltage limits: the actuator has none and none were given; give limits=(low, high)")
+            raise ModelError(
+                "no voltage limits: the actuator has none and none were given",
+                hint="give limits (low, high)",
+                change=("limits",),
+            )
         self._actuator, self._preview = actuator, bool(preview)
         self._units, self._per_metre = units, per_metre(units)
         self._scaled = self._per_metre != 1
         self._limits = VoltageLimits(*interval(low_high), slew_rate)
         self._period = None if period is None else _positive(period)
         if preview and period is None:
-            raise ModelError("preview needs the time between steps; give period= [s]")
+            raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
         self._given = actuator.state if state is None else state
         self._start = state_within_limits(actuator, self._given, self.limits)
 
@@ -175,7 +177,7 @@ class Compensator:
             raise _refusal(displacement) from error
 
     def offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
-        """Return what `offer` returns and, if it is clamped, the displacement [m] that the actuator reaches then.
+        """Return what `offer` returns and, if it is clamped, the displacement [m, or `units`] that it leads to.
 
         None if it is not clamped. A mass is taken to be at rest. Raises and warns as `offer`.
 
@@ -184,7 +186,7 @@ class Compensator:
         voltage = self.offer(displacement)
         reached = reached_if_clamped(self._loop, self._limits, self._period, voltage)
         # What was tried has taken the offer back.
-        return (voltage, None) if reached is None else (self.offer(displacement), reached)
+        return (voltage, None) if reached is None else (self.offer(displacement), reached * self._per_metre)
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.
@@ -196,8 +198,9 @@ class Compensator:
             self._loop.commit(number(voltage, "voltage"))
         except CoreError as error:
             raise ModelError(
-                f"voltage: got {voltage:g} V, which has nothing to do with the limits {self._limits.words}; need the "
-                "voltage that was really sent, in volts"
+                f"got {voltage:g} V, which has nothing to do with the limits {self._limits.words}",
+                argument="voltage",
+                hint="need the voltage that was really sent, in volts",
             ) from error
 
     def hold(self) -> None:
@@ -219,7 +222,7 @@ class Compensator:
         ClampWarning
             As `step`.
         """
-        wanted, before = self._path(displacement), self.snapshot()
+        wanted, before = self.in_metres(displacement), self.snapshot()
         voltage = self._loop.run(wanted)
         limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before.counts))
         try:
@@ -241,11 +244,14 @@ class Compensator:
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
         state: State | None = None,
+        present: float | None = None,
         extrapolate: bool = False,
     ) -> Command:
         """Compute the voltages of a whole path, known ahead and perhaps uneven in time; the loop's memory is unchanged.
 
-        Each voltage is clamped, and the state follows the voltage that is really sent.
+        Each voltage is clamped, and the state follows the voltage that is really sent. The slew rate holds from the
+        present voltage on: the first sample comes a `period` after it, or the first interval of `time` if that is
+        shorter.
 
         Parameters
         ----------
@@ -257,8 +263,10 @@ class Compensator:
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`; the last two in `units` a second, and a second squared.
         state : State, optional
-            State of the actuator; default: `self.state`, before any step as it was given. The first sample is not slew
-            limited.
+            State of the actuator; default: `self.state`, before any step as it was given.
+        present : float, optional
+            Voltage [V] before the first sample; default: the one that holds `state`, or without a state the last one
+            sent.
         extrapolate : bool, optional
             Allow a path more than one stroke outside the actuator's reach, which is usually in micrometres; it is
             followed as far as the limits allow.
@@ -266,10 +274,10 @@ class Compensator:
         Raises
         ------
         ModelError
-            If the arrays do not fit, the path lies more than one stroke outside, or a time is needed and neither `time`
-            nor `period` is given.
+            If the arrays do not fit, the path lies more than one stroke outside, the present voltage outside the
+            limits, or a time is needed and neither `time` nor `period` is given.
         """
-        wanted = self._path(displacement)
+        wanted = self.in_metres(displacement)
         sentence = "" if extrapolate else self._straying(wanted, load)
         if sentence:
             raise ModelError(f"{sentence}; {ANYWAY}")
@@ -280,15 +288,28 @@ class Compensator:
             time=time,
             period=self.period,
             load=load,
-            velocity=self._derivative(velocity, "velocity", "/s"),
-            acceleration=self._derivative(acceleration, "acceleration", "/s**2"),
+            velocity=None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
+            acceleration=None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
             start=state if state is not None else self.state if self._running else self._given,
+            present=self._present(state) if present is None else self._limits.within(present, "present"),
         )
-        return command.in_units(self.units) if self._scaled else command
+        if not self._scaled:
+            return command
+        hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
+        return replace(command, warnings=(*command.warnings, *hint)).in_units(self.units)
 
     def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
         """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
-        return self._straying(self._path(displacement), load)
+        return self._straying(self.in_metres(displacement), load)
+
+    def in_metres(self, values: ArrayLike, what: str = "displacement", per: str = "") -> Array:
+        """Return the `values` (n,) of a path in `units`, or a quantity with a unit of its own, in metres.
+
+        `what` names them in errors; `per`: "/s" of a velocity, "/s**2" of an acceleration. Raise `ModelError` if
+        a value is not finite, or has a unit that cannot be converted.
+        """
+        plain = vector(values, what, f"{self._units}{per}")
+        return plain / self._per_metre if self._scaled else plain
 
     @property
     def voltage(self) -> float:
@@ -379,6 +400,32 @@ class Compensator:
         """Return all numbers that a step reads, as computed by the core; names as in `core/dehyst.h`."""
         return self._loop.tables()
 
+    def model_block(self) -> bytes:
+        """Return actuator, limits, period and start as the block of bytes that `dehyst_model_load` reads in C.
+
+        It is the same for every processor and number type, has a checksum, and begins with the start of the
+        construction or the last reset.
+        """
+        return self._loop.block(*self.start(), self.period or 0.0, self.samples_ahead)
+
+    def model_id(self) -> int:
+        """Return the checksum by which C knows that a snapshot is of this model; limits and start do not count."""
+        self.model_block()
+        return self._loop.id()
+
+    def snapshot_block(self) -> bytes:
+        """Return the loop's memory as the block of bytes that `dehyst_loop_restore` reads in C."""
+        self.model_block()
+        return self._loop.save()
+
+    def restore_block(self, block: bytes) -> None:
+        """Continue from a `block` that `dehyst_loop_save` wrote in C, or `snapshot_block`.
+
+        Raise `ModelError` if it is of another model, or damaged: the loop is as before then.
+        """
+        self.model_block()
+        checked(self._loop.restore, block)
+
     def start(self) -> CoreState:
         """Return the state of the construction or the last reset, in the core's numbers."""
         return self.actuator.model.core_state(self._start)
@@ -392,14 +439,9 @@ class Compensator:
     def _metres(self, displacement: object) -> float:
         return number(displacement, "displacement", self._units) / self._per_metre
 
-    def _path(self, displacement: ArrayLike) -> Array:
-        values = vector(displacement, "displacement", self._units)
-        return values / self._per_metre if self._scaled else values
-
-    def _derivative(self, values: ArrayLike | None, what: str, per: str) -> ArrayLike | None:
-        if values is None or not self._scaled:
-            return values
-        return np.asarray(vector(values, what, f"{self._units}{per}") / self._per_metre)
+    def _present(self, state: State | None) -> float:
+        """Return the voltage [V] before a path that begins in a state, by default the present one."""
+        return self.voltage if state is None else self._limits.nearest(self.actuator.voltage(state))
 
     @property
     def _running(self) -> bool:
@@ -451,11 +493,13 @@ def _rebuilt(options: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
 
 
 def _refusal(displacement: float) -> ModelError:
-    return ModelError(f"displacement: got {displacement!r}, need a finite number of metres that the model can follow")
+    return ModelError(
+        argument="displacement", got=repr(displacement), need="a finite number of metres that the model can follow"
+    )
 
 
 def _positive(period: float) -> float:
     seconds = number(period, "period")
     if seconds <= 0:
-        raise ModelError(f"period: got {period}, need a positive number of seconds")
+        raise ModelError(argument="period", got=period, need="a positive number of seconds")
     return seconds

@@ -1,18 +1,25 @@
-"""The voltage limits and the slew rate of a compensator."""
+"""Voltage limits and slew rate, and the warnings about voltages that were clamped to them."""
 
 from __future__ import annotations
 
+import math
+import sys
+import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
+from dehyst._errors import DehystError, ModelError
 from dehyst._types import Array
 from dehyst._validation import interval, keep, number, untimely, vector
+from dehyst.model import Actuator
 
 # The hint in errors about a missing time of the samples.
-TIME_NEEDED = "give time= [s], one a sample, or make the Compensator with period= [s]"
+TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
+# Share of the reach: a path in another unit than metres that is smaller is likely one in metres.
+_TINY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class VoltageLimits:
         if self.slew_rate is not None:
             slew_rate = number(self.slew_rate, "slew_rate")
             if slew_rate <= 0:
-                raise ModelError(f"slew_rate: got {self.slew_rate}, need a positive number of volts a second")
+                raise ModelError(argument="slew_rate", got=self.slew_rate, need="a positive number of volts a second")
             keep(self, slew_rate=slew_rate)
 
     @property
@@ -45,16 +52,50 @@ class VoltageLimits:
         """Return the `voltage` [V], or the limit that it exceeds."""
         return min(max(voltage, self.low), self.high)
 
-    def steps(self, size: int, time: ArrayLike | None) -> Array:
-        """Return the largest voltage step [V] before each of `size` samples at `time` (n,) [s]."""
+    def within(self, voltage: float, what: str, *, error: type[DehystError] = ModelError) -> float:
+        """Return a present `voltage` [V]; raise `error`, which names it by `what`, if it lies outside the limits."""
+        now = number(voltage, what, "V", error=error)
+        if not self.low <= now <= self.high:
+            raise error(
+                f"got {now:.9g} V, but the limits are {self.low:g} to {self.high:g} V",
+                argument=what,
+                hint="ramp there first, or widen the limits if actuator and amplifier allow it",
+            )
+        return now
+
+    def towards(self, target: float, present: float, period: float) -> float:
+        """Return the voltage [V] a `period` [s] after the `present` one [V], on the way to a `target` [V]."""
+        end, largest = self.nearest(target), self.largest_step(period)
+        return end if abs(end - present) <= largest else present + math.copysign(largest, end - present)
+
+    def largest_step(self, period: float) -> float:
+        """Return the largest change [V] in a `period` [s]; infinite without a slew rate."""
+        return (self.slew_rate or math.inf) * period
+
+    def steps(self, size: int, time: ArrayLike | None, period: float | None = None) -> Array:
+        """Return the largest voltage step [V] before each of `size` samples at `time` (n,) [s].
+
+        The first sample counts as one step after the voltage that was sent before: `period` [s] or the first interval
+        of the time, whichever is shorter.
+        """
         if self.slew_rate is None:
             return np.full(size, np.inf)
         if time is None:
-            raise ModelError(f"a slew rate needs the time of each sample; {TIME_NEEDED}")
+            raise ModelError(
+                "a slew rate needs the time of each sample", hint=TIME_NEEDED, change=("time", "sample_rate")
+            )
         t = vector(time, "time")
         if t.size != size or np.any(np.diff(t) <= 0):
             raise ModelError(untimely(t, size))
-        return np.concatenate([[np.inf], self.slew_rate * np.diff(t)])[:size]
+        intervals = np.diff(t)
+        first = [*intervals[:1], *([] if period is None else [period])]
+        if size and not first:
+            raise ModelError(
+                "a slew rate needs the time since the voltage before, which one sample does not give",
+                hint="give two at least, or the period [s] between them",
+                change=("period",),
+            )
+        return self.slew_rate * np.concatenate([[min(first, default=0.0)], intervals])[:size]
 
     def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
         """Return a wanted `voltage` (n,) [V], clipped; correct up to and including the first sample that is changed.
@@ -64,3 +105,68 @@ class VoltageLimits:
         previous = np.concatenate([[before], voltage[:-1]])
         # Limits come last: the slew rate must not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
+
+
+class ClampWarning(UserWarning):
+    """A wanted displacement was not followed: its voltage was cut at a limit or held back by the slew rate."""
+
+
+class Clamps(NamedTuple):
+    """Number of samples whose voltage was cut at a limit, and held back by the slew rate."""
+
+    limited: int
+    slewed: int
+
+
+def warn_of_sample(
+    actuator: Actuator, limits: VoltageLimits, slewed: bool, displacement: float, voltage: float
+) -> None:
+    """Warn the caller of `Compensator.step` or `offer` that the voltage [V] of a displacement [m] is clamped."""
+    reason = "the slew rate allows no more" if slewed else "that is a limit"
+    reason += _after_stop(stray_sentence(actuator, limits, np.array([displacement])))
+    warnings.warn(
+        f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}", ClampWarning, _caller()
+    )
+
+
+def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array) -> None:
+    """Warn the caller of `Compensator.run` that some of the voltages are clamped."""
+    reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
+    reason += _after_stop(stray_sentence(actuator, limits, displacement))
+    warnings.warn(f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}", ClampWarning, _caller())
+
+
+def stray_sentence(
+    actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None
+) -> str:
+    """Return why displacements (n,) [m] are implausible; those in reach of the limits are not."""
+    sentence = actuator.implausibility(displacement, load)
+    if not sentence or (limits.low, limits.high) == actuator.limits:
+        return sentence
+    try:
+        return actuator.implausibility(displacement, load, actuator.major_loop((limits.low, limits.high)))
+    except ModelError:
+        return sentence
+
+
+def unit_hint(units: str, reach: tuple[float, float], displacement: Array) -> tuple[str, ...]:
+    """Return the hint for displacements (n,) in `units`, as is the reach, that are too small for them by far."""
+    largest = float(np.abs(displacement).max(initial=0.0))
+    if units == "m" or not 0 < largest <= _TINY * max(map(abs, reach)):
+        return ()
+    return (
+        f"all displacements lie within {largest:.3g} {units} of 0, less than a millionth of the reach: are they in "
+        f"metres? This compensator takes displacements in {units}",
+    )
+
+
+def _caller() -> int:
+    """Return the level of the first frame outside of the package, seen from the function that calls this one."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("dehyst."):
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def _after_stop(sentence: str) -> str:
+    return f". {sentence}" if sentence else ""

@@ -117,12 +117,16 @@ def follow(
     velocity: ArrayLike | None,
     acceleration: ArrayLike | None,
     start: State,
+    present: float,
 ) -> Command:
-    """Compute the voltages for a path, with the state after the clamped ones; see `Compensator.trajectory`."""
+    """Compute the voltages for a path, with the state after the clamped ones; see `Compensator.trajectory`.
+
+    `start` is the state, and `present` the voltage [V], before the first sample.
+    """
     wanted = vector(displacement, "displacement")
     if time is None and period is not None:
         time = period * np.arange(wanted.size)
-    steps = limits.steps(wanted.size, time)
+    steps = limits.steps(wanted.size, time, period)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
     _ = path.clock  # raises if the time is missing or does not fit
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
@@ -131,8 +135,7 @@ def follow(
     while i < wanted.size:
         stop = min(i + chunk, wanted.size)
         candidate, after = path.compensate(i, stop, state)
-        before = voltage[i - 1] if i else candidate[0]
-        allowed = limits.allowed(candidate, before, steps[i:stop])
+        allowed = limits.allowed(candidate, voltage[i - 1] if i else present, steps[i:stop])
         # The rounding of a voltage on a limit does not count as clamping.
         changed = np.flatnonzero(np.abs(allowed - candidate) > _ROUNDING * (limits.high - limits.low))
         count = int(changed[0]) if changed.size else stop - i
@@ -220,13 +223,13 @@ class _Path:
         return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
 
     @cached_property
-    def data(self) -> dict[str, Array | None]:
-        """Time, load and derivatives of the path, one value a sample each."""
-        columns = {"time": self.time, "load": self.load}
+    def data(self) -> dict[str, Array]:
+        """Those of time, load and derivatives of the path that count and are given, one value a sample each."""
+        columns = {"load": self.load} | ({"time": self.time} if self.actuator.needs_time else {})
         if self.actuator.dynamics is not None:
             data = PathData(self.time, self.load, self.velocity, self.acceleration)
             columns["velocity"], columns["acceleration"] = self.actuator.model.derivatives(self.wanted, data)
-        return {name: None if values is None else vector(values, name) for name, values in columns.items()}
+        return {name: vector(values, name) for name, values in columns.items() if values is not None}
 
     @cached_property
     def lead(self) -> Array:
@@ -235,21 +238,18 @@ class _Path:
 
     def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
         """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
-        if not self.actuator.wide:
-            motion = self.actuator.compensate(self.wanted[i:stop], load=self.load, state=start, extrapolate=True)
-            return motion.voltage, motion.state
         motion = self._piece(i, stop, start)
         voltage = motion.voltage
         if self.actuator.lag and stop < self.wanted.size:
             # A lag needs the slope of the voltage, which the last sample of a piece has from one side only.
             voltage = self._piece(i, stop + 1, start).voltage[:-1]
-        return voltage[min(i, 1) :], motion.state
+        return voltage[i - self._first(i) :], motion.state
 
     def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
         """Return displacement and state after the voltage of sample i."""
-        first = i if not self.actuator.wide else max(i - 1, 0)
-        cut = self._cut(first, i + 1)
-        motion = self.actuator.simulate(voltage[first : i + 1], **cut, state=start, extrapolate=True)
+        first = self._first(i)
+        forced = {name: values for name, values in self._cut(first, i + 1).items() if name in ("time", "load")}
+        motion = self.actuator.simulate(voltage[first : i + 1], **forced, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
 
     def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
@@ -279,16 +279,14 @@ class _Path:
         return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start, extrapolate=True)
 
     def _piece(self, i: int, stop: int, start: State) -> Motion:
-        first = max(i - 1, 0)
-        path = self.wanted[first:stop].copy()
-        if i:
-            path[0] = start.displacement - self.lead[first]
-        data: dict[str, Any] = {
-            name: None if values is None else values[first:stop] for name, values in self.data.items()
-        }
-        return self.actuator.compensate(path, **data, state=start, extrapolate=True)
+        first, path = self._first(i), self.wanted[self._first(i) : stop]
+        if first < i:
+            path = np.concatenate([[start.displacement - self.lead[first]], path[1:]])
+        return self.actuator.compensate(path, **self._cut(first, stop), state=start, extrapolate=True)
+
+    def _first(self, i: int) -> int:
+        """Return the first sample of a piece from sample i on."""
+        return max(i - 1, 0) if self.actuator.needs_time else i
 
     def _cut(self, first: int, stop: int) -> dict[str, Any]:
-        if not self.actuator.wide:
-            return {}
-        return {name: values[first:stop] for name in ("time", "load") if (values := self.data[name]) is not None}
+        return {name: values[first:stop] for name, values in self.data.items()}

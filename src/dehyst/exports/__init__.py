@@ -3,7 +3,6 @@
 from dehyst.exports.firmware import Exported, export
 from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
 from dehyst.exports.footprint import Footprint, sizes
-from dehyst.exports.operation_count import worst_case
 from dehyst.exports.wasm import export_wasm, wasm_module
 
 __all__ = [
@@ -15,5 +14,4 @@ __all__ = [
     "export_wasm",
     "sizes",
     "wasm_module",
-    "worst_case",
 ]

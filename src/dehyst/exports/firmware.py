@@ -11,7 +11,7 @@ from string import Template
 from typing import NamedTuple, TypeVar
 
 from dehyst._errors import FileFormatError, ModelError
-from dehyst._io.drafts import PathLike, draft_of, path_of, settle, settle_folder, unwritten
+from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.footprint import (
@@ -25,18 +25,27 @@ from dehyst.exports.footprint import (
     sizes,
 )
 from dehyst.exports.golden_trace import GoldenTrace, golden_trace, trace_header
-from dehyst.exports.model_header import NUMBERS, SIZES, Number, demand_compensator, numbers, size_macros, title
+from dehyst.exports.model_header import (
+    NUMBERS,
+    SIZES,
+    Number,
+    config_header,
+    demand_compensator,
+    numbers,
+    size_macros,
+    title,
+)
 from dehyst.exports.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
-from dehyst.exports.operation_count import Operations, worst_case
 from dehyst.exports.shipped import shipped
 from dehyst.exports.start import ExportedStart
 
-__all__ = ["SOURCES", "Exported", "Footprint", "Operations", "code", "export", "sizes", "worst_case"]
+__all__ = ["SOURCES", "Exported", "Footprint", "code", "export", "sizes"]
 
 _Result = TypeVar("_Result")
 SOURCES = ("piezo.c", "dehyst.c")
-_HEADERS = ("piezo.h", "dehyst.h")
-_FILES = {*SOURCES, *_HEADERS, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
+CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
+CONFIG = "dehyst_config.h"
+_FILES = {*CORE, CONFIG, "piezo.c", "piezo.h", "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # A float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
@@ -72,8 +81,6 @@ class Exported(NamedTuple):
     folder : Path
     footprints : dict of str to Footprint
         Bytes by processor, for each compiler that was found.
-    operations : Operations
-        Of a step, at most.
     error : float or None
         Of floats: the largest error of the trace, as a share of the limits or of the reach; None if not measured.
     unmeasured : str or None
@@ -82,7 +89,6 @@ class Exported(NamedTuple):
 
     folder: Path
     footprints: dict[str, Footprint]
-    operations: Operations
     error: float | None
     unmeasured: str | None
 
@@ -95,11 +101,9 @@ def code(compensator: Compensator, number: Number = "double", name: str = DEFAUL
     """
     demand_compensator(compensator)
     if number not in ("double", "float"):
-        raise ModelError(f"number: got {number!r}, need 'double' or 'float'")
+        raise ModelError(argument="number", got=repr(number), need="'double' or 'float'")
     demand_name(name)
-    files = {file: shipped(file) for file in (*SOURCES, *_HEADERS)}
-    if number == "float":
-        files["dehyst.h"] = _single(files["dehyst.h"])
+    files = {file: shipped(file) for file in (*CORE, "piezo.c", "piezo.h")} | {CONFIG: config_header(number)}
     for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros)):
         text = text_of(files[file].replace(place, generated(compensator, number)), name)
         # The actuator's name is not to be renamed.
@@ -118,9 +122,9 @@ def export(
 ) -> Exported:
     """Write a compensator as C: the whole folder, or nothing.
 
-    Four files go into a firmware: the core, `dehyst.c` and `dehyst.h`, byte for byte the one that Python runs but for
-    the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls. Beside them are a golden trace that
-    ``make check`` replays, and a README with the usage, the bytes that it takes and the most operations of a step.
+    Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
+    Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
+    Beside them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
 
     Parameters
     ----------
@@ -185,7 +189,7 @@ def _complete(draft: Path, compensator: Compensator, number: Number, name: str, 
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
     write_files(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    result = Exported(draft, {}, worst_case(compensator), None, None if measure else _UNASKED)
+    result = Exported(draft, {}, None, None if measure else _UNASKED)
     if measure:
         result = _measured(result, number, name)
     if number == "float":
@@ -225,13 +229,6 @@ def _reason(failure: FileFormatError) -> str:
     if shutil.which(_COMPILER) is None:
         return f"no C compiler ({_COMPILER}) was found"
     return f"the C compiler failed ({failure})"
-
-
-def _single(header: str) -> str:
-    """Return `dehyst.h` for floats."""
-    if header.count("typedef double dehyst_real;") != 1 or header.count("DBL_") != 2:
-        raise FileFormatError("exports/templates/dehyst.h: not the file of this version; install dehyst again")
-    return header.replace("typedef double dehyst_real;", "typedef float dehyst_real;").replace("DBL_", "FLT_")
 
 
 def _demand_free(folder: Path, force: bool) -> None:
@@ -316,12 +313,9 @@ def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, result
         begins=start.words,
         way=start.way,
         bytes=text_of(_bytes(result), own),
-        arithmetic=result.operations.arithmetic,
-        divisions=result.operations.divisions,
-        comparisons=result.operations.comparisons,
         rows=len(trace.rows),
         error=_error_words(number, result),
-        config="" if number == "double" else ", with floats in `dehyst.h`",
+        config="" if number == "double" else ", with floats in `dehyst_config.h`",
     )
 
 

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import get_args
 
 from dehyst._errors import FileFormatError, ModelError
-from dehyst._io.drafts import PathLike, path_of, write_atomically
-from dehyst._io.marks import demand_replaceable
+from dehyst._io import PathLike, demand_alike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import SOURCES, code
@@ -50,8 +49,6 @@ def export_fmu(
     path: PathLike,
     version: Version = "3.0",
     kind: Kind = "compensator",
-    *,
-    force: bool = False,
 ) -> None:
     """Write an FMU for co-simulation, which starts from the state in which the compensator was made or last reset.
 
@@ -68,15 +65,13 @@ def export_fmu(
     kind : {"compensator", "actuator"}, optional
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
         in and displacement out, without limits.
-    force : bool, optional
-        Replace a file of this name that dehyst did not write.
 
     Raises
     ------
     ModelError
         If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
     FileFormatError
-        If dehyst did not write the file of this name, it cannot be written, or its name does not end in .fmu.
+        If the file cannot be written, or its name does not end in .fmu.
 
     Warns
     -----
@@ -86,8 +81,10 @@ def export_fmu(
     demand_compensator(compensator)
     for name, value, known in (("version", version, get_args(Version)), ("kind", kind, get_args(Kind))):
         if value not in known:
-            raise ModelError(f"{name}: got {value!r}, need {' or '.join(map(repr, known))}")
-    _demand_free(path_of(path), force)
+            raise ModelError(argument=name, got=repr(value), need=" or ".join(map(repr, known)))
+    if path_of(path).suffix != ".fmu":
+        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
+    demand_alike(path)
     if kind == "actuator":
         # The same actuator in the same state, for any voltage.
         state = compensator.asked_start
@@ -111,15 +108,7 @@ def export_fmu(
             SourceOnlyWarning,
             2,
         )
-    # Compiling takes a while.
-    demand_replaceable(path, force=force)
     write_atomically(path, _zipped(content))
-
-
-def _demand_free(path: Path, force: bool) -> None:
-    if path.suffix != ".fmu":
-        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
-    demand_replaceable(path, force=force)
 
 
 def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
@@ -170,7 +159,9 @@ def _zipped(content: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in content.items():
             entry = zipfile.ZipInfo(name, _TIME)
-            entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
+            # The description shows at the file's beginning which program wrote it.
+            stored = name == "modelDescription.xml"
+            entry.compress_type, entry.create_system = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED, 3
             entry.external_attr = (0o100755 if name.endswith(".so") else 0o100644) << 16
             archive.writestr(entry, data)
     return stream.getvalue()

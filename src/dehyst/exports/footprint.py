@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dehyst._errors import FileFormatError
-from dehyst._io.drafts import PathLike
+from dehyst._io import PathLike
 from dehyst.exports.naming import DEFAULT, name_in, text_of
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")

@@ -16,7 +16,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import ClampWarning, Compensator
-from dehyst.control.clamping import Clamps
+from dehyst.control.limits import Clamps
 
 # How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
 _BEYOND = 0.25

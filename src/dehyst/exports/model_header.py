@@ -73,6 +73,19 @@ class Sizes(NamedTuple):
         return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
 
 
+def config_header(number: Number) -> str:
+    """Return `dehyst_config.h`, which says in one place what number type the core and the model have."""
+    return f"""/* The choices of a build, which every file of it includes. */
+#ifndef DEHYST_CONFIG_H
+#define DEHYST_CONFIG_H
+
+/* The number type: double or float. */
+#define DEHYST_REAL {number}
+
+#endif
+"""
+
+
 def title(compensator: Compensator) -> str:
     """Return the first line of `piezo.c` and `piezo.h`: the name of the actuator, as a comment."""
     name = in_comment(compensator.actuator.name)
@@ -89,7 +102,6 @@ def size_macros(compensator: Compensator, number: Number) -> str:
         f"#define MODEL_BRANCHES {sizes.branches}",
         f"#define MODEL_SMOOTH {sizes.smooth}",
         f"#define MODEL_TAPS {sizes.taps}",
-        "#define MODEL_ROOM(n) ((n) > 0 ? (n) : 1)",
         "",
         "/* Seconds between steps; 0: this model does not depend on time. */",
         f"#define MODEL_PERIOD {spell(compensator.period or 0.0)}",
@@ -110,26 +122,11 @@ def numbers(compensator: Compensator, number: Number) -> str:
     tables = _tables(compensator, number)
     if number == "float":
         _demand_float(tables)
-    spell, start = _Spelling(number), compensator.start()
-    w, motion = start.w, start.motion if start.motion.size else np.array([start.w, 0.0])
-    branches = tables["creep"].size
-    begin = {
-        "place": np.array([w, *motion]),
-        "cart": start.carts,
-        "strain": start.strains[:branches],
-        "elongation": start.strains[branches:],
-    }
-    used = _used(tables)
+    spell, start, branches = _Spelling(number), compensator.start(), tables["creep"].size
+    memory = {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
+    used = {**_used(tables), **memory}
     arrays = [spell.array(name, values) for name, values in used.items() if values.size]
-    return "\n".join(
-        [
-            *arrays,
-            *_start_comment(compensator),
-            *(spell.array(name, values if values.size else np.zeros(1)) for name, values in begin.items()),
-            _compensator(tables, used, spell),
-            "",
-        ]
-    )
+    return "\n".join([*arrays, *_start_comment(compensator), _model(compensator, tables, used, spell), ""])
 
 
 class _Spelling:
@@ -153,7 +150,7 @@ class _Spelling:
     def array(self, name: str, values: Array) -> str:
         rows = [self.some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE)]
         body = ",\n    ".join(rows)
-        return f"static const dehyst_real model_{name}[{values.size}] = {{\n    {body}}};"
+        return f"static const dehyst_real piezo_{name}[{values.size}] = {{\n    {body}}};"
 
 
 def _tables(compensator: Compensator, number: Number) -> Tables:
@@ -186,12 +183,13 @@ def _used(tables: Tables) -> dict[str, Array]:
     return arrays
 
 
-def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
-    """Return the constant `model`, with the members of `dehyst_compensator` in their order."""
-    sizes = Sizes.of(tables)
+def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spelling) -> str:
+    """Return the constant `piezo_model`, with the members of `dehyst_model` in their order."""
+    sizes, start = Sizes.of(tables), compensator.start()
+    motion = start.motion if start.motion.size else np.array([start.w, 0.0])
 
     def at(*names: str) -> str:
-        return ", ".join(f"model_{name}" if used[name].size else "0" for name in names)
+        return ", ".join(f"piezo_{name}" if used[name].size else "0" for name in names)
 
     inertia, step = tables["inertia"], tables["transition"]
     series = spell.some(inertia) if inertia.size else "0, 0"
@@ -214,17 +212,18 @@ def _compensator(tables: Tables, used: Tables, spell: _Spelling) -> str:
         f" {spell.one(low)}, {spell.one(high)}, {spell.one(change)},",
         f" {sizes.taps}, {at('tap')},",
         f" {spell.some(np.array(amplifier))},",
-        f" {spell.one(stiffness)}}};",
+        f" {spell.one(stiffness)},",
+        f" {{{spell.some(np.array([start.w, *motion]))}, {at('cart', 'strain', 'elongation')}}},",
+        f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {compensator.model_id()}ul}};",
     ]
-    return "static const dehyst_compensator model = " + "\n".join(rows)
+    return "static const dehyst_model piezo_model = " + "\n".join(rows)
 
 
 def _start_comment(compensator: Compensator) -> list[str]:
     start = ExportedStart.of(compensator)
     return [
         f"/* The start, at {start.words}. To bring the actuator there:",
-        f" * {start.way}.",
-        " * w, y and y'/omega; then the memory. */",
+        f" * {start.way}. */",
     ]
 
 

@@ -40,13 +40,21 @@ def demand_name(name: object) -> None:
     """
     if not isinstance(name, str) or len(name) > _MOST or not _NAME.fullmatch(name):
         raise ModelError(
-            f"name: got {name!r}, need a name in C: a letter, then letters, digits and underscores, {_MOST} at most"
+            argument="name",
+            got=repr(name),
+            need=f"a name in C: a letter, then letters, digits and underscores, {_MOST} at most",
         )
     lower = name.lower()
     if lower.startswith(("dehyst", "trace_", "model_")):
-        raise ModelError(f"name: got {name!r}, but such names belong to the core and its numbers; give another")
+        raise ModelError(
+            f"got {name!r}, but such names belong to the core and its numbers", argument="name", hint="give another"
+        )
     if lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in _words()):
-        raise ModelError(f"name: got {name!r}, which means something else in C or in the exported files; give another")
+        raise ModelError(
+            f"got {name!r}, which means something else in C or in the exported files",
+            argument="name",
+            hint="give another",
+        )
 
 
 def file_of(file: str, name: str) -> str:

@@ -14,9 +14,10 @@ def shipped(name: str) -> str:
 
 
 def shipped_bytes(name: str) -> bytes:
-    """Return a file that comes with the package; an editable install has the core's in another folder."""
-    for root in sys.modules["dehyst"].__path__:
-        path = Path(root) / "exports" / "templates" / name
-        if path.is_file():
-            return path.read_bytes()
+    """Return a file that comes with the package; in a checkout the core's headers are where the core has them."""
+    roots = [Path(root) for root in sys.modules["dehyst"].__path__]
+    folders = [root / "exports" / "templates" for root in roots]
+    for folder in [*(root.parents[1] / "core" / "include" for root in roots), *folders]:
+        if (folder / name).is_file():
+            return (folder / name).read_bytes()
     raise FileFormatError(f"exports/templates/{name}: not found beside the package; install dehyst again")

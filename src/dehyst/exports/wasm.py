@@ -6,28 +6,20 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
-
 from dehyst._errors import FileFormatError
-from dehyst._io.drafts import PathLike, path_of, write_atomically
-from dehyst._io.marks import demand_replaceable
-from dehyst._types import Array
+from dehyst._io import PathLike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.model_header import Sizes, demand_compensator
+from dehyst.exports.model_header import demand_compensator
 from dehyst.exports.shipped import shipped, shipped_bytes
 from dehyst.exports.start import ExportedStart
 
-# As `bindings/wasm/module.c` reads it.
-_VERSION = 1
 _MAGIC = b"\0asm\1\0\0\0"
-_PLAIN = ("rho", "kappa", "knot", "value", "grade_knot")
-_FURTHER = ("tau_voltage", "tau_drive", "creep", "decay", "gain", "length", "back", "smooth", "tap")
 _PLAIN_NAME = re.compile(r"[\w.-]+")
 _WRAPPER = {".js": "compensator.js", ".d.ts": "compensator.d.ts"}
 
 
-def export_wasm(compensator: Compensator, path: PathLike, *, force: bool = False) -> None:
+def export_wasm(compensator: Compensator, path: PathLike) -> None:
     """Write a compensator as WebAssembly, and beside it a JavaScript module with types that calls it.
 
     NAME.wasm has the core, the same for every model, and the numbers of this one; NAME.js and NAME.d.ts are the same
@@ -39,20 +31,16 @@ def export_wasm(compensator: Compensator, path: PathLike, *, force: bool = False
         The export has the state in which it was made or last reset. It does not change.
     path : path
         Ends in .wasm.
-    force : bool, optional
-        Replace files of these names that dehyst did not write.
 
     Raises
     ------
     ModelError
         If it is no Compensator.
     FileFormatError
-        If dehyst did not write the files of these names, they cannot be written, or the name does not end in .wasm.
+        If the files cannot be written, or the name does not end in .wasm.
     """
     module = wasm_module(compensator)
     files = wasm_files(path)
-    for file in files:
-        demand_replaceable(file, force=force)
     # The module comes last: when it is there, all are.
     for file, (suffix, template) in zip(files[1:], _WRAPPER.items(), strict=True):
         text = shipped(template)
@@ -79,7 +67,7 @@ def wasm_module(compensator: Compensator) -> bytes:
         raise FileFormatError("exports/templates/core.wasm: not the file of this version; install dehyst again")
     about = json.dumps(_about(compensator), ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
     # Own sections come first: a file of dehyst is known by its beginning.
-    return _MAGIC + _section("dehyst.about", about) + _section("dehyst.model", _numbers(compensator)) + core[8:]
+    return _MAGIC + _section("dehyst.about", about) + _section("dehyst.model", compensator.model_block()) + core[8:]
 
 
 def _about(compensator: Compensator) -> dict[str, object]:
@@ -98,26 +86,6 @@ def _about(compensator: Compensator) -> dict[str, object]:
         "reach": list(metres.reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
-
-
-def _numbers(compensator: Compensator) -> bytes:
-    """Return sizes and numbers in the order that `bindings/wasm/module.c` states."""
-    tables, start = compensator.tables(), compensator.start()
-    sizes, inertia = Sizes.of(tables), tables["inertia"].size > 0
-    graded = sizes.elements * sizes.grades
-    motion = start.motion if start.motion.size else np.array([start.w, 0.0])
-    parts: list[Array] = [
-        *(tables[name] for name in _PLAIN),
-        # The core computes the sums of the last row again.
-        tables["grade_slope"][:graded],
-        *(tables[name] for name in (*_FURTHER, "inertia", "transition")),
-        tables["loop"][:-1],
-        np.array([start.w, *motion]),
-        start.carts,
-        start.strains,
-    ]
-    header = np.array([_VERSION, *sizes, inertia, 0], dtype="<u4")
-    return header.tobytes() + np.concatenate(parts).astype("<f8").tobytes()
 
 
 def _section(name: str, content: bytes) -> bytes:

@@ -2,9 +2,8 @@
 
 from dehyst.fleet.dataset import Dataset, Task, open_dataset
 from dehyst.fleet.drift import Ageing, Drifts, drifts_of
-from dehyst.fleet.findings import Findings, findings_of
-from dehyst.fleet.options import FleetOptions
-from dehyst.fleet.outliers import Outlier
+from dehyst.fleet.findings import Findings, Outlier, findings_of
+from dehyst.fleet.reader import FleetOptions
 from dehyst.fleet.run import identify_fleet
 from dehyst.fleet.table import Fleet, actuators, load
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,14 +12,36 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dehyst._errors import FileFormatError
-from dehyst._io.drafts import PathLike
-from dehyst._io.reading import named, reading_errors
-from dehyst.fleet.needed import pyarrow_parquet, zarr
+from dehyst._io import PathLike, named, reading_errors
 from dehyst.records.formats.columns import listed
-from dehyst.records.formats.loaders import LOADERS
+from dehyst.records.formats.file_content import library
+from dehyst.records.formats.reader_process import LOADERS
+
+
+def pyarrow() -> Any:
+    """Return pyarrow."""
+    return library("pyarrow", "A table of a fleet", "fleet")
+
+
+def pyarrow_parquet() -> Any:
+    """Return pyarrow.parquet."""
+    return library("pyarrow.parquet", "A Parquet dataset or a table of a fleet", "fleet")
+
+
+def zarr() -> Any:
+    """Return zarr."""
+    return library("zarr", "A Zarr dataset", "fleet")
+
+
+def distributed() -> Any:
+    """Return Dask's scheduler library."""
+    return library("distributed", "--dask", "fleet")
+
 
 # Names of the key where none is asked for.
 RECORD = "record"
+# A lone surrogate, which stands for a byte of a name that is not UTF-8, or what its escape looks like.
+_SURROGATE = re.compile(r"[\ud800-\udfff]|\\ud[89a-f]")
 
 
 class Place(NamedTuple):
@@ -31,33 +54,52 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """One record of a dataset: its `position`, its `keys` by name, and its `place`."""
+    """One record of a dataset: its `position`, its `keys` by name, its `place`, and that place within the dataset.
+
+    `within` is text that every file can hold; no other record of the dataset has the same.
+    """
 
     position: int
     keys: Mapping[str, Any]
     place: Place
+    within: str = ""
 
     @property
     def name(self) -> str:
         """The name of the record: its keys."""
         return "/".join(str(value) for value in self.keys.values())
 
+    @property
+    def code(self) -> str:
+        """The name of the files of this record, the same in every run over its dataset."""
+        return code_of(self.within)
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {"position": self.position, "keys": dict(self.keys), "place": list(self.place)}
+        return {
+            "position": self.position,
+            "keys": dict(self.keys),
+            "place": list(self.place),
+            "within": self.within,
+        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Task:
         """Rebuild from `data`, which `as_dict` returned."""
-        return cls(int(data["position"]), dict(data["keys"]), Place(*data["place"]))
+        return cls(int(data["position"]), dict(data["keys"]), Place(*data["place"]), data["within"])
+
+
+def code_of(within: str) -> str:
+    """Return the `Task.code` of a place within a dataset."""
+    return hashlib.sha256(within.encode()).hexdigest()[:32]
 
 
 @dataclass(frozen=True)
 class Dataset:
     """The records of a dataset.
 
-    `path`: its absolute path. `by`: the names of the keys. `tasks`: in the dataset's order. `digest`: of its name, and
-    of keys and places of its records; their content has digests of its own.
+    `path`: its absolute path. `by`: the names of the keys. `tasks`: in the dataset's order. `digest`: of its name, its
+    kind and the names of the keys; records may come and go, and their content has digests of its own.
     """
 
     path: Path
@@ -104,19 +146,39 @@ def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
     """
     target, wanted = named(path).absolute(), tuple(by)
     if len(set(wanted)) < len(wanted) or not all(wanted):
-        raise FileFormatError(f"by: got {', '.join(by)!r}, need different names of keys, as 'serial,session'")
+        raise FileFormatError(
+            argument="by", got=repr(", ".join(by)), need="different names of keys, as 'serial,session'"
+        )
     if not target.exists():
         raise FileFormatError(f"{path}: no such dataset; give a Parquet file, a Zarr store or a folder of records")
     with reading_errors(target, "dataset"):
         found = list(_places(target, wanted))
     if not found:
         raise FileFormatError(f"{path}: holds no record; need Parquet row groups, Zarr groups or files of records")
-    tasks = tuple(Task(k, keys, place) for k, (keys, place) in enumerate(found))
-    state = hashlib.sha256(target.name.encode(errors="surrogateescape"))
-    for task in tasks:
-        relative = task.place.path.removeprefix(str(target))
-        state.update(json.dumps([dict(task.keys), task.place.kind, relative, task.place.part]).encode())
-    return Dataset(target, wanted or (RECORD,), tasks, state.hexdigest())
+    tasks = tuple(
+        Task(k, {name: text_of(value) for name, value in keys.items()}, place, _within(target, place))
+        for k, (keys, place) in enumerate(found)
+    )
+    kind = "zarr" if tasks[0].place.kind == "zarr" else "file" if target.is_file() else "folder"
+    text = json.dumps([target.name, kind, wanted])
+    return Dataset(target, wanted or (RECORD,), tasks, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _within(target: Path, place: Place) -> str:
+    """Return a place within a dataset, as text."""
+    path = Path(place.path)
+    relative = text_of(path.name if path == target else path.relative_to(target).as_posix())
+    return f"{relative}[{text_of(place.part)}]" if place.part else relative
+
+
+def text_of(value: Any) -> Any:
+    """Return text as UTF-8 can hold it, with an escape for each lone surrogate; other values as they are.
+
+    Different texts stay different: a backslash is doubled in a text with escapes, or with what looks like one.
+    """
+    if not isinstance(value, str) or not _SURROGATE.search(value):
+        return value
+    return value.replace("\\", "\\\\").encode(errors="backslashreplace").decode()
 
 
 def _places(target: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
@@ -167,7 +229,7 @@ def _constant(file: Any, group: int, name: str, column: int) -> Any:
 def plain_key(value: Any) -> Any:
     """Return a key as a JSON value: text, number or truth."""
     if isinstance(value, bytes):
-        return value.decode(errors="replace")
+        return value.decode(errors="surrogateescape")
     return value if isinstance(value, str | int | float | bool) else str(value)
 
 
@@ -182,11 +244,14 @@ def _groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], P
 
 
 def _files(folder: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
-    """Yield the files below a folder that `dehyst.read` opens, by name; hidden ones are left out."""
+    """Yield the files below a folder that `dehyst.read` opens, by name; hidden ones are left out.
+
+    What has such a name but is no file, as a link to nowhere, is a record too, which its reader refuses.
+    """
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in relative.parts)
-        if hidden or path.suffix.lower() not in LOADERS or not path.is_file():
+        if hidden or path.suffix.lower() not in LOADERS or path.is_dir():
             continue
         if path.suffix.lower() == ".parquet" and by and _has_columns(path, by):
             yield from _row_groups(path, by)

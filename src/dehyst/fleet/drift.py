@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -13,11 +15,67 @@ import numpy as np
 from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._text import counted
 from dehyst._types import Array, Mask
-from dehyst.fleet.loops import played
-from dehyst.fleet.order import Order
 from dehyst.fleet.table import Fleet
-from dehyst.identification.checking.history import DECISION, ControlChart
 from dehyst.model import Actuator
+from dehyst.trust.history import DECISION, ControlChart
+
+_NUMBER = re.compile(r"[+-]?[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
+_DIGITS = re.compile(r"([0-9]+)")
+
+
+@dataclass(frozen=True)
+class Order:
+    """An order of the values of a key: its `name`, and the `key` by which to sort."""
+
+    name: str
+    key: Callable[[Any], Any]
+
+    @classmethod
+    def of(cls, values: Iterable[Any]) -> Order:
+        """Return the order of numbers if all values are, else that of text: 2 is before 10, 2026-02 before 2026-10."""
+        if all(_NUMBER.fullmatch(str(value)) for value in values):
+            return cls("numbers by value", lambda value: Decimal(str(value)))
+        return cls("text, the numbers in it by value", _pieces)
+
+
+def _pieces(value: Any) -> list[str | int]:
+    # Natural sort key: text and digits alternate, so that only like is compared with like.
+    return [int(piece) if k % 2 else piece for k, piece in enumerate(_DIGITS.split(str(value)))]
+
+
+# Samples of a rise or a fall.
+_SAMPLES = 200
+# Parts of the voltages' range at which the width of the loop is taken, and tops of the falling loops of the path.
+PLACES, _TOPS = (0.25, 0.5, 0.75), (1.0, 1.0, 0.75, 0.5, 0.25)
+
+
+def played(actuator: Actuator, limits: tuple[float, float], seconds: float) -> Array:
+    """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample.
+
+    A cycle of a model that moves in time takes `seconds`.
+    """
+    voltage = path(limits)
+    time = seconds / (2 * _SAMPLES) * np.arange(voltage.size) if actuator.needs_time else None
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False, extrapolate=True)
+    y = actuator.simulate(voltage, time=time, state=start, extrapolate=True).displacement[2 * _SAMPLES :]
+    return np.asarray(y - y[0])
+
+
+def path(limits: tuple[float, float]) -> Array:
+    """Return cycles from the lower limit [V]: two through both limits, then three smaller ones."""
+    low, high = limits
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES + 1) / _SAMPLES)
+    parts = [np.zeros(1), *(part for top in _TOPS for part in (top * rise, top * (1 - rise)))]
+    return np.asarray(low + (high - low) * np.concatenate(parts))
+
+
+def widths(actuator: Actuator, limits: tuple[float, float], seconds: float) -> list[float]:
+    """Return how far falling and rising displacement differ [m] on the major loop at the voltages `PLACES`."""
+    y, v = played(actuator, limits, seconds)[: 2 * _SAMPLES + 1], path(limits)[: 2 * _SAMPLES + 1]
+    rising, falling = slice(0, _SAMPLES + 1), slice(2 * _SAMPLES, _SAMPLES - 1, -1)
+    at = limits[0] + (limits[1] - limits[0]) * np.array(PLACES)
+    return list((np.interp(at, v[falling], y[falling]) - np.interp(at, v[rising], y[rising])).tolist())
+
 
 # A goal [% of the stroke] by default, and the part of it that is the least standard deviation of the charts.
 GOAL, _LEAST = 1.0, 0.1
@@ -204,9 +262,11 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
 
 def _check(fleet: Fleet, by: str, over: str, goal: float) -> None:
     if not (isfinite(goal) and goal > 0):
-        raise IdentifyError(f"goal: got {goal:g} %, need a finite number above 0, as {GOAL:g}")
+        raise IdentifyError(argument="goal", got=f"{goal:g} %", need=f"a finite number above 0, as {GOAL:g}")
     if by == over:
-        raise IdentifyError(f"over: got '{over}', as by; need another key, that of the sessions of one '{by}'")
+        raise IdentifyError(
+            f"got '{over}', as by", argument="over", hint=f"need another key, that of the sessions of one '{by}'"
+        )
     if not fleet.rows:
         raise FileFormatError(f"{fleet.path}: holds no rows; identify a dataset with records first")
     if missing := [name for name in (by, over) if name not in fleet.rows[0]]:

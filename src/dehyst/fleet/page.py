@@ -1,41 +1,64 @@
-"""The page of a fleet: distributions, what to look at, what has no model, and duplicates."""
+"""The page of a fleet: what to do (recalibrate, look at, measure again), then distributions and each record."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.fleet.findings import Findings, identified
-from dehyst.fleet.outliers import QUANTITIES
-from dehyst.report.charts import Axis, Chart, Series
-from dehyst.report.html import Charts, bullets, document, escape, number, reproduction, table
+from dehyst.fleet.drift import Ageing, Drifts
+from dehyst.fleet.findings import QUANTITIES, Findings, identified
+from dehyst.report.html import Axis, Chart, Charts, Series, bullets, document, escape, number, reproduction, table
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
+# Diameter [px] of a record and of one to look at, and of both where there are many.
+_DOTS, _SMALL_DOTS, _MANY = (5.0, 8.0), (3.0, 5.0), 2000
 # Of a histogram from and to these quantiles, so that one outlier does not squeeze the others.
 _ENDS = (0.002, 0.998)
 
 
-def write_fleet_page(path: PathLike, findings: Findings, *, command: str | None = None) -> None:
+def write_fleet_page(
+    path: PathLike, findings: Findings, *, drifts: Drifts | None = None, command: str | None = None
+) -> None:
     """Write one HTML file that loads nothing from outside.
 
-    `findings`: what a table shows. `command`: that made it. Raise `FileFormatError` if `path` cannot be written.
+    `findings`: what a table shows. `drifts`: what ageing costs, if the table has sessions. `command`: that made it.
+    Raise `FileFormatError` if `path` cannot be written.
     """
     fleet = findings.fleet
     counts = ", ".join(f"{count} {outcome}" for outcome, count in findings.counts.items())
     total = counted(len(fleet), "record")
     parts = [
-        f"<h1>{escape(fleet.path.stem)}</h1>\n<p>{escape(f'{total}: {counts}.')}</p>",
-        _distributions(findings),
-        _map(findings),
+        f"<h1>Fleet of {total}</h1>\n<p>{escape(f'{fleet.path.name}: {counts}.')}</p>",
+        "" if drifts is None else _drifted(drifts),
         _listed(findings),
         _without_model(findings),
         bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
+        _distributions(findings),
+        _map(findings),
         reproduction(command),
     ]
-    write_atomically(path, document(f"{fleet.path.stem}: fleet", [part for part in parts if part]))
+    write_atomically(path, document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
+
+
+def _drifted(drifts: Drifts) -> str:
+    """Return the actuators to recalibrate, the most costly first."""
+    due = drifts.recalibrate
+    words = (
+        f"{len(due)} of {counted(len(drifts.ageing), 'actuator')} with two sessions or more, {drifts.ends[0]} to "
+        f"{drifts.ends[1]}: keeping the oldest model costs more than {drifts.goal:g} % of the stroke, or the cost is "
+        f"out of its limits. It usually costs {drifts.usual:.2g} %."
+    )
+    title = f"<h2>To recalibrate</h2>\n<p>{escape(words)}</p>"
+    head = ("actuator", "since", "at", "cost, % of the stroke", "change of the stroke, %")
+    return f"{title}\n{table(head, [_aged(one) for one in due[:_MOST]], 3)}" if due else title
+
+
+def _aged(one: Ageing) -> tuple[str, ...]:
+    sessions = str(one.sessions[0]), str(one.sessions[-1])
+    return str(one.serial), *sessions, number(float(one.costs[-1])), f"{one.signed[-1]:+.2g}"
 
 
 def _distributions(findings: Findings) -> Charts | str:
@@ -70,18 +93,20 @@ def _map(findings: Findings) -> Charts | str:
     listed = set(findings.listed)
     names = [findings.fleet.name(row) for row in rows]
     far = np.array([name in listed for name in names])
+    usual, larger = _DOTS if len(rows) <= _MANY else _SMALL_DOTS
     x = np.array([float(row["stroke_um"]) for row in rows])
     charts = []
     for quantity in (width, error):
         y = np.array([quantity.value(row) for row in rows])
         series = (
-            Series("records", x[~far], y[~far], "measured", kind="points"),
+            Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
             Series(
                 "to look at",
                 x[far],
                 y[far],
                 "simulated",
                 kind="points",
+                width=larger,
                 names=tuple(name for name in names if name in listed),
             ),
         )

@@ -13,14 +13,14 @@ import numpy as np
 from dehyst._errors import DehystError, IdentifyError
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.fleet.options import FleetOptions
-from dehyst.identification import identify
+from dehyst.fleet.reader import FleetOptions
+from dehyst.identification import Fit, Outcome, RecordErrors, identify
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.validation import Protocol, errors_of
-from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, RecordErrors, Spring
-from dehyst.model.readiness import USELESS
+from dehyst.identification.rules import RULES
+from dehyst.identification.validation import ComparisonOptions, errors_of
+from dehyst.model import Actuator, Identification, MaxwellSlip, Spring
 from dehyst.records import Record
-from dehyst.records.metrics import rms
+from dehyst.records.signals import rms
 
 if TYPE_CHECKING:
     from dehyst.fleet.table import Fleet
@@ -98,7 +98,7 @@ def shape_of(fleet: Fleet) -> dict[str, Any]:
     if len(same) < _FEWEST:
         raise IdentifyError(
             f"{fleet.path}: has {len(same)} plain models of one grid, a prior needs {_FEWEST}; identify more records "
-            "with --structure plain"
+            "with --structure maxwell_slip"
         )
     middle = np.median(same, axis=0)
     knots, spring = np.split(middle[2 * count :], 2)
@@ -126,7 +126,7 @@ def identified_with_prior(record: Record, options: FleetOptions) -> tuple[Fit, d
         return own, {"prior": "not tried"}
     ours, theirs = _evidence(record, options, shape)
     row = {"held_out_own_percent": ours, "held_out_prior_percent": theirs}
-    limit = USELESS if own is None else -np.inf if ours is None else _WORTH * ours
+    limit = RULES.useless if own is None else -np.inf if ours is None else _WORTH * ours
     lent = _fit(record, shape) if theirs is not None and theirs < limit else None
     if lent is not None:
         return lent, {**row, "prior": "kept"}
@@ -192,7 +192,7 @@ def _own_actuator(record: Record, options: FleetOptions) -> Actuator:
 
 
 def _errors(actuator: Actuator, record: Record, stroke: float, role: str) -> RecordErrors:
-    return errors_of(actuator, prepare(record), Protocol(role, actuator.delay, None, False, stroke))[0]
+    return errors_of(actuator, prepare(record), ComparisonOptions(role, actuator.delay, None, False, stroke))[0]
 
 
 def _fit(record: Record, shape: Shape) -> Fit | None:
@@ -202,8 +202,8 @@ def _fit(record: Record, shape: Shape) -> Fit | None:
     except DehystError:
         return None
     error = _errors(actuator, record, float(np.ptp(actuator.spring.displacement)), "training")
-    outcome = Outcome.IDENTIFIED if error.largest_percent <= USELESS else Outcome.INACCURATE
-    return Fit(actuator.with_provenance(outcome=outcome.name), outcome, (error,))
+    outcome = Outcome.IDENTIFIED if error.largest_percent <= RULES.useless else Outcome.INACCURATE
+    return Fit(actuator.with_identification(outcome=outcome), outcome, (error,))
 
 
 def fitted(record: Record, shape: Shape) -> Actuator:
@@ -245,5 +245,6 @@ def fitted(record: Record, shape: Shape) -> Actuator:
         width,
         limits=record.voltage_range,
         name=record.name,
-        provenance={"program": f"dehyst {__version__}", "method": "fleet", **origin},
+        provenance={"program": f"dehyst {__version__}", **origin},
+        identification=Identification(method="fleet"),
     )

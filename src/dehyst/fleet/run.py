@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError, IdentifyError
-from dehyst._io.drafts import PathLike
-from dehyst._io.reading import named
+from dehyst._io import PathLike, named
 from dehyst._text import counted
 from dehyst._types import Progress
-from dehyst.fleet.columns import COLUMNS, MODEL
-from dehyst.fleet.content import STAMP, digest_of, is_current, stamp_of
-from dehyst.fleet.dataset import Dataset, Task, open_dataset
-from dehyst.fleet.engine import Done, processors
-from dehyst.fleet.options import FleetOptions
+from dehyst.fleet.dataset import Dataset, Task, code_of, open_dataset
+from dehyst.fleet.engines import Done, Supervisor, processors
 from dehyst.fleet.prior import shape_of
-from dehyst.fleet.reader import Reader
-from dehyst.fleet.shards import Shards
-from dehyst.fleet.supervisor import Supervisor
+from dehyst.fleet.reader import STAMP, FleetOptions, Reader, digest_of, is_current, stamp_of
+from dehyst.fleet.shards import COLUMNS, MODEL, PLACE, Shards
 from dehyst.fleet.table import Fleet, load, write_table
 from dehyst.fleet.task import lost_row
 
@@ -63,12 +58,13 @@ def identify_fleet(
     time_limit : float, optional
         Seconds a record may take.
     resume : bool
-        Go on with a run that did not end, or complete its table. Rows of records whose samples have changed are
-        computed again.
+        Go on with a run that did not end, or complete its table: only records that are new or whose samples have
+        changed are computed. Rows of records that are gone go.
     progress : callable, optional
         Is called with a line of words some times a second.
     remark : callable, optional
-        Is called with a sentence if records share their keys, or have changed since the run that is resumed.
+        Is called with a sentence if records share their keys, or are gone or have changed since the run that is
+        resumed.
 
     Returns
     -------
@@ -77,8 +73,8 @@ def identify_fleet(
     Raises
     ------
     FileFormatError
-        The dataset or the output cannot be used; shards are there and `resume` is not given; shards or table to resume
-        are of another dataset, other options or another version.
+        The dataset or the output cannot be used; another run uses the output; shards are there and `resume` is not
+        given; shards or table to resume are of another dataset, other options or another version.
     IdentifyError
         An option is impossible.
     MissingExtraError
@@ -93,31 +89,28 @@ def identify_fleet(
     report("reading the index")
     found = open_dataset(dataset, by)
     options = _with_prior(options or FleetOptions(), prior)
+    if options.decimal is not None and all(task.place.kind != "file" for task in found.tasks):
+        raise FileFormatError(
+            f"got '{options.decimal}', but {dataset} holds no text files", argument="decimal", hint="leave it out"
+        )
     digest = options.digest(found.digest)
     if reserved := [name for name in found.by if name in (*COLUMNS, MODEL, "keys")]:
         raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
     shards = Shards.beside(target, digest)
-    earlier = _earlier(target, digest, len(found)) if resume and not shards.folder.exists() else None
-    if earlier is not None and _is_complete(earlier, found):
-        return earlier
-    shards.prepare(len(found), options.as_dict(), resume=resume)
-    if earlier is not None:
-        _adopt(earlier, found, shards)
-    run = _Run(found, options, shards, report, resume)
-    for sentence in (*found.remarks, *run.remarks):
-        report("")
-        (remark or (lambda _: None))(sentence)
-    try:
+    with shards.held():
+        earlier = _earlier(target, digest, shards) if resume else None
+        if earlier is not None and not shards.begun and _is_complete(earlier, found):
+            return earlier
+        shards.prepare(len(found), options.as_dict(), resume=resume)
+        gone = _adopt(earlier, found, shards)
+        run = _Run(found, options, shards, report, resume)
+        for sentence in (*found.remarks, *gone, *run.remarks):
+            report("")
+            (remark or (lambda _: None))(sentence)
         run.finish(_engine(dask, jobs, time_limit, run.head))
-    except Exception:
-        shards.remove_empty()
-        raise
-    about = {"digest": digest, "content": run.content(), "options": options.as_dict()}
-    write_table(target, found.by, run.rows(), about)
-    if not run.lost:
-        shards.remove()
-    report("")
-    return load(target)
+        run.write(target)
+        report("")
+        return load(target)
 
 
 class _Run:
@@ -158,17 +151,28 @@ class _Run:
         with closing(engine(self.left)) as ended:
             for done in ended:
                 if done is not None:
+                    if "fault" in done.answer:
+                        raise FileFormatError(f"{done.answer['fault']}; then give the same command with --resume")
                     self._done += 1
                     if done.reason:
                         self.lost[done.task.position] = done.reason
                 if time.monotonic() - self._shown > _OFTEN:
                     self._show()
 
-    def content(self) -> str:
-        """Return the hash of what the files of all records were when they were read."""
-        return digest_of((self.shards.read(task) or {}).get(STAMP) for task in self.dataset.tasks)
+    def write(self, output: Path) -> None:
+        """Write the table, and remove the shards if no record is lost."""
+        if not self.shards.begun:
+            raise FileFormatError(f"{self.shards.folder}: was removed while this run used it; give the command again")
+        tasks = self.dataset.tasks
+        # What the files of all records were when they were read.
+        content = _content((task, (self.shards.read(task) or {}).get(STAMP)) for task in tasks)
+        about = {"digest": self.shards.digest, "content": content, "options": self.head["options"]}
+        keys = {name: [task.keys[name] for task in tasks] for name in self.dataset.by}
+        write_table(output, keys, self._rows(), about, self.shards.folder)
+        if not self.lost:
+            self.shards.remove()
 
-    def rows(self) -> Iterator[Mapping[str, Any]]:
+    def _rows(self) -> Iterator[Mapping[str, Any]]:
         """Yield the row of each record, in the dataset's order."""
         for task in self.dataset.tasks:
             row = self.shards.read(task)
@@ -204,7 +208,7 @@ def _engine(
     dask: str | None, jobs: int | None, time_limit: float | None, head: Mapping[str, Any]
 ) -> Callable[[list[Task]], Generator[Done | None, None, None]]:
     if dask is not None:
-        from dehyst.fleet.dask_engine import DaskEngine
+        from dehyst.fleet.engines import DaskEngine
 
         return DaskEngine(head, dask, jobs).run
     return Supervisor(head, jobs or processors(), time_limit).run
@@ -212,9 +216,9 @@ def _engine(
 
 def _check(jobs: int | None, time_limit: float | None, dask: str | None, output: Path) -> None:
     if jobs is not None and jobs < 1:
-        raise IdentifyError(f"jobs: got {jobs}, need 1 at least")
+        raise IdentifyError(argument="jobs", got=jobs, need="1 at least")
     if time_limit is not None and not time_limit > 0:
-        raise IdentifyError(f"time_limit: got {time_limit:g} s, need seconds above 0")
+        raise IdentifyError(argument="time_limit", got=f"{time_limit:g} s", need="seconds above 0")
     if time_limit is not None and dask is not None:
         raise IdentifyError("time_limit: Dask cannot end a task; leave time_limit or dask out")
     if output.suffix.lower() != ".parquet":
@@ -239,31 +243,61 @@ def refuse_inside(dataset: Path, output: Path) -> None:
         )
 
 
-def _earlier(output: Path, digest: str, count: int) -> Fleet | None:
-    """Return the table of an earlier run with the same dataset, options and version; None if there is no table."""
+def _earlier(output: Path, digest: str, shards: Shards) -> Fleet | None:
+    """Return the table of an earlier run with the same dataset, options and version; None if there is no table.
+
+    Another table is refused, unless shards are there: the run that is resumed was about to replace it.
+    """
     if not output.exists():
         return None
-    fleet = load(output)
-    if fleet.about.get("digest") != digest or len(fleet) != count:
+    try:
+        fleet = load(output)
+        if fleet.about.get("digest") == digest:
+            return fleet
         raise FileFormatError(
             f"{output}: is a table of another dataset, other options or another version; repeat the command of that "
             "run, name another table, or leave --resume out to replace this one"
         )
-    return fleet
+    except FileFormatError:
+        if not shards.begun:
+            raise
+    return None
 
 
 def _is_complete(fleet: Fleet, dataset: Dataset) -> bool:
-    """Return whether a table has all rows, and no file of the dataset has changed since."""
-    content = digest_of(stamp_of(task.place) for task in dataset.tasks)
+    """Return whether a table has a row of each record, and no file of the dataset has changed since."""
+    content = _content((task, stamp_of(task.place)) for task in dataset.tasks)
     return fleet.about.get("content") == content and all(row["outcome"] != "lost" for row in fleet.rows)
 
 
-def _adopt(fleet: Fleet, dataset: Dataset, shards: Shards) -> None:
-    """Make shards of the rows of a table, but for those without samples to compare."""
-    for task, (row, model) in zip(dataset.tasks, fleet.texts(), strict=True):
-        if row["outcome"] != "lost" and row["sha256"]:
+def _content(stamps: Iterable[tuple[Task, str | None]]) -> str:
+    """Return the hash of the places of all records, and of a stamp of each."""
+    return digest_of(f"{task.within} {stamp}" for task, stamp in stamps)
+
+
+def _adopt(fleet: Fleet | None, dataset: Dataset, shards: Shards) -> tuple[str, ...]:
+    """Make shards of the rows of a table, if there is one, and remove those of records that are gone.
+
+    Rows without samples to compare are left out. Return a sentence if records are gone.
+    """
+    tasks, gone = {task.code: task for task in dataset.tasks}, set()
+    for path in shards.files():
+        if path.stem not in tasks:
+            gone.add(path.stem)
+            path.unlink()
+    for row, model in () if fleet is None else fleet.texts():
+        code = code_of(str(row[PLACE]))
+        task = tasks.get(code)
+        if task is None:
+            gone.add(code)
+            continue
+        same = all(str(row[name]) == str(value) for name, value in task.keys.items())
+        if same and row["outcome"] != "lost" and row["sha256"] and not shards.path(task).exists():
             columns = {name: row[name] for name in COLUMNS}
             # A row whose model is damaged is computed again.
             with suppress(ValueError):
                 held = {MODEL: json.loads(model)} if model else {}
                 shards.write(task, {"keys": dict(task.keys), **columns, **held})
+    if not gone:
+        return ()
+    return (f"{counted(len(gone), 'record')} of the run that is resumed gone from the dataset: without a row now",)

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import DehystError, FileFormatError
-from dehyst._io.drafts import PathLike, draft_of, settle_file, unwritten
-from dehyst._io.reading import named, reading_errors
+from dehyst._io import PathLike, demand_alike, draft_of, named, reading_errors, settle_file, settle_folder, unwritten
 from dehyst._version import __version__
-from dehyst.fleet.columns import COLUMNS, MODEL, NUMBERS, PRIORS, TEXTS
-from dehyst.fleet.needed import pyarrow, pyarrow_parquet
+from dehyst.fleet.dataset import pyarrow, pyarrow_parquet, text_of
+from dehyst.fleet.shards import COLUMNS, MODEL, NUMBERS, PLACE, PRIORS, TEXTS
 from dehyst.model import Actuator
 
 # Name of the metadata, and rows in memory at a time.
@@ -101,7 +100,8 @@ def load(path: PathLike) -> Fleet:
 def _demand_columns(path: Path, schema: Any, by: Sequence[str]) -> None:
     """Raise `FileFormatError` if another program has removed a column or changed its kind."""
     known = _kinds()
-    if missing := [name for name in (*by, *known) if name not in schema.names]:
+    # Tables of version 0.1 have no places.
+    if missing := [name for name in (*by, *known) if name not in schema.names and name != PLACE]:
         raise FileFormatError(
             f"{path}: has no column '{missing[0]}', which dehyst fleet identify wrote; was the table edited? Keep all "
             "its columns, or identify the dataset again"
@@ -128,43 +128,49 @@ def actuators(path: PathLike, where: Callable[[Mapping[str, Any]], bool] | None 
     return load(path).actuators(where)
 
 
-def write_table(path: Path, by: Sequence[str], rows: Iterable[Mapping[str, Any]], about: Mapping[str, Any]) -> None:
-    """Write rows, as shards hold them, to a table: completely or not at all."""
+def write_table(
+    path: Path,
+    keys: Mapping[str, Iterable[Any]],
+    rows: Iterable[Mapping[str, Any]],
+    about: Mapping[str, Any],
+    folder: Path,
+) -> None:
+    """Write rows, as shards hold them, to a table: completely or not at all.
+
+    `keys`: values of all rows by name. `folder`: that of the draft, which the next run removes if this one is killed.
+    """
     arrow, parquet = pyarrow(), pyarrow_parquet()
-    remaining, draft = iter(rows), draft_of(path)
-    first = list(islice(remaining, _AT_A_TIME))
-    words = {"program": f"dehyst {__version__}", "by": list(by), **about}
-    schema = _schema(by, first).with_metadata({MARK: json.dumps(words).encode()})
+    remaining, draft = iter(rows), draft_of(folder / path.name)
+    words = {"program": f"dehyst {__version__}", "by": list(keys), **about}
+    kinds = {name: _kind(list(values)) for name, values in keys.items()}
+    schema = arrow.schema({**kinds, **_kinds()}).with_metadata({MARK: json.dumps(words).encode()})
+    # Keys of different kinds are text.
+    mixed = [name for name, kind in kinds.items() if kind == arrow.string()]
     try:
         with parquet.ParquetWriter(draft, schema, compression="zstd") as writer:
-            block = first
-            while block:
-                writer.write_table(arrow.Table.from_pylist([_flat(row) for row in block], schema=schema))
-                block = list(islice(remaining, _AT_A_TIME))
+            while block := list(islice(remaining, _AT_A_TIME)):
+                writer.write_table(arrow.Table.from_pylist([_flat(row, mixed) for row in block], schema=schema))
         settle_file(draft)
+        demand_alike(path, b"PAR1" + MARK)
         draft.replace(path)
+        settle_folder(path.parent)
     except OSError as error:
         raise unwritten(path, error) from error
     finally:
         draft.unlink(missing_ok=True)
 
 
-def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+def _flat(row: Mapping[str, Any], mixed: Sequence[str]) -> dict[str, Any]:
     model = row.get(MODEL)
-    return {**row, **row["keys"], MODEL: None if model is None else json.dumps(model)}
-
-
-def _schema(by: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Any:
-    """Return the columns of the table; the kind of a key is that of its values."""
-    keys = [(name, _kind([row["keys"][name] for row in rows])) for name in by]
-    return pyarrow().schema([*keys, *_kinds().items()])
+    texts = {name: text_of(row.get(name)) for name in TEXTS} | {name: str(row["keys"][name]) for name in mixed}
+    return {**row, **row["keys"], **texts, MODEL: None if model is None else json.dumps(model)}
 
 
 def _kinds() -> dict[str, Any]:
     """Return the columns beside the keys, in their order, and the kind of each."""
     arrow = pyarrow()
     kinds: dict[str, Any] = dict.fromkeys(NUMBERS, arrow.float64()) | dict.fromkeys(PRIORS[1:], arrow.float64())
-    kinds |= dict.fromkeys((*TEXTS, "prior", "version", "sha256"), arrow.string())
+    kinds |= dict.fromkeys((*TEXTS, "prior", "version", "sha256", PLACE), arrow.string())
     kinds |= dict.fromkeys(("cpu_s", "wall_s", "memory_MB"), arrow.float64())
     kinds |= {"samples": arrow.int64(), "coefficients": arrow.list_(arrow.float64())}
     return {name: kinds[name] for name in COLUMNS} | {MODEL: arrow.string()}
@@ -172,6 +178,8 @@ def _kinds() -> dict[str, Any]:
 
 def _kind(values: Sequence[Any]) -> Any:
     arrow = pyarrow()
+    if any(isinstance(value, int) and abs(value) >= 2**63 for value in values):
+        return arrow.string()
     for kind, column in ((bool, arrow.bool_()), (int, arrow.int64()), ((int, float), arrow.float64())):
         if all(isinstance(value, kind) and (kind is bool or not isinstance(value, bool)) for value in values):
             return column

@@ -14,16 +14,13 @@ import numpy as np
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError, RecordError
 from dehyst._threads import one_thread
 from dehyst._version import __version__
-from dehyst.fleet.columns import MODEL
-from dehyst.fleet.content import STAMP, stamp_of
 from dehyst.fleet.dataset import Task
-from dehyst.fleet.loops import widths
-from dehyst.fleet.options import FleetOptions
+from dehyst.fleet.drift import widths
 from dehyst.fleet.prior import identified_with_prior
-from dehyst.fleet.reader import Reader, sha256_of
-from dehyst.fleet.shards import MARKER, Shards
-from dehyst.identification import identify
-from dehyst.model import Actuator, Fit
+from dehyst.fleet.reader import STAMP, FleetOptions, Reader, sha256_of, stamp_of
+from dehyst.fleet.shards import MARKER, MODEL, PLACE, Shards
+from dehyst.identification import Fit, identify
+from dehyst.model import Actuator
 from dehyst.records import Record
 
 # A model that misses a record by this part of its standard deviation explains nothing.
@@ -41,8 +38,15 @@ class TaskRunner:
     def run(self, task: Task, *, keep: bool = False) -> dict[str, Any]:
         """Write the shard of a task; return its outcome. With `keep` one that is there stays as it is.
 
-        Raise `FileFormatError` if dataset or shards are not to be seen from here: that is no fault of the record.
+        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: it is none of the
+        record, and ends the run.
         """
+        try:
+            return self._run(task, keep)
+        except FileFormatError as error:
+            return {"fault": str(error)}
+
+    def _run(self, task: Task, keep: bool) -> dict[str, Any]:
         for path in (self._dataset, self._shards.folder / MARKER[0]):
             if not path.exists():
                 raise FileFormatError(f"{path}: is not to be seen on {platform.node()}; workers need the same folders")
@@ -59,7 +63,7 @@ class TaskRunner:
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
     """Return the row of a record, as JSON values; only a missing library or too little memory for anything raises."""
     began, wall = time.process_time(), time.perf_counter()
-    row: dict[str, Any] = {"keys": dict(task.keys), "version": __version__}
+    row: dict[str, Any] = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
     try:
         row |= _identified(reader.record(task, options), options, row)
     except MissingExtraError:
@@ -137,4 +141,5 @@ def peak_memory() -> float | None:
 
 def lost_row(task: Task, reason: str) -> Mapping[str, Any]:
     """Return the row of a record whose worker died or took too long."""
-    return {"keys": dict(task.keys), "version": __version__, "outcome": "lost", "detail": "", "reason": reason}
+    keys = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
+    return {**keys, "outcome": "lost", "detail": "", "reason": reason}

@@ -1,24 +1,30 @@
 """Identification: from records to an actuator."""
 
-from dehyst.identification.checking.changes import Change
-from dehyst.identification.checking.comparison import check
-from dehyst.identification.checking.history import CheckHistory
-from dehyst.identification.checking.recheck import Recheck, Standing
-from dehyst.identification.deadline import Deadline
+from dehyst.identification.expectation import Expectation, Readiness
+from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
-from dehyst.identification.settings import Method
+from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace, Verdict
+from dehyst.identification.settings import Deadline, Method
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.validation import state_after
+from dehyst.identification.structure import Structure
+from dehyst.identification.validation import initial_state, state_after
+from dehyst.model.identification import Outcome
 
 __all__ = [
-    "Change",
-    "CheckHistory",
+    "Check",
     "Deadline",
+    "Expectation",
+    "Fit",
     "Method",
     "Norm",
-    "Recheck",
-    "Standing",
-    "check",
+    "Outcome",
+    "Readiness",
+    "RecordErrors",
+    "RemainingError",
+    "Structure",
+    "Trace",
+    "Verdict",
     "identify",
+    "initial_state",
     "state_after",
 ]

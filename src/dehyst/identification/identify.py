@@ -1,8 +1,9 @@
-"""Records of voltage and displacement to an identified actuator."""
+"""Records of voltage and displacement to an identified actuator: the function, and its steps in order."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 from numpy.typing import ArrayLike
@@ -11,15 +12,27 @@ from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
-from dehyst.identification.deadline import Deadline
-from dehyst.identification.plain_class import identify_at_breakpoints, identify_plain
-from dehyst.identification.preprocessing.block_means import ENOUGH
-from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.run import Run
-from dehyst.identification.settings import Direction, Method, Settings
+from dehyst.identification import paper_methods
+from dehyst.identification.diagnostics import messages
+from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
+from dehyst.identification.fit import Fit
+from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, unsupported
+from dehyst.identification.preprocessing.denoising import left_of
+from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared, as_list, prepare
+from dehyst.identification.regression import nuisances
+from dehyst.identification.regression.fold_sums import least_squares_of_sums
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.rules import RULES
+from dehyst.identification.run import IdentificationRun
+from dehyst.identification.settings import Deadline, Direction, Method, Settings
 from dehyst.identification.solvers.program import Norm
-from dehyst.identification.wider_class import identify_structure
-from dehyst.model import Actuator, Fit, Outcome, Structure
+from dehyst.identification.structure import Structure
+from dehyst.identification.structure_selection import simplest
+from dehyst.identification.structured_fit import StructuredFit
+from dehyst.identification.structured_fit import refine as refine_by_simulation
+from dehyst.identification.training_data import TrainingData
+from dehyst.model import Actuator
+from dehyst.model.identification import Outcome
 from dehyst.records import Record
 
 
@@ -38,7 +51,7 @@ def identify(
     shared_datum: bool = False,
     drift: bool = True,
     branch: Direction = "descending",
-    structure: Structure | Literal["auto", "paper"] = "auto",
+    structure: Structure | Literal["auto", "maxwell_slip"] = "auto",
     refine: bool = False,
     goal: float = 1.0,
     throw: bool = True,
@@ -79,13 +92,13 @@ def identify(
         Whether a record may creep by a logarithm of the time since its start, which is then set aside.
     branch : {"descending", "ascending"}, optional
         "antisymmetric" only.
-    structure : {"auto", "paper"} or Structure, optional
+    structure : {"auto", "maxwell_slip"} or Structure, optional
         How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
-        creep, smooth elements, inertia), the paper's class, or a class that is given. What only the paper's class knows
-        (elements, breakaway, knots, another method) asks for that class.
+        creep, smooth elements, inertia), Maxwell-slip elements and a spring as in Yeh's paper, or a structure that is
+        given. Options of Maxwell-slip only (elements, breakaway, knots, another method) imply "maxwell_slip".
     refine : bool, optional
         Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
-        better on cycles held out; not for the paper's class ("paper").
+        better on cycles held out; not for "maxwell_slip".
     goal : float, optional
         Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
     throw : bool, optional
@@ -98,7 +111,7 @@ def identify(
         Another thread or a signal handler can end a `Deadline`.
     first_model : callable, optional
         Called once with a plain actuator, as soon as delay and sensor data are known; "record" only. It is a
-        least-squares fit of few samples and was not checked: its provenance has `"provisional": True`.
+        least-squares fit of few samples and was not checked: its `identification` is `provisional`.
 
     Returns
     -------
@@ -132,41 +145,43 @@ def identify(
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     counted = elements is not None or knots is not None or settings.breakaway is not None
     if structure == "auto" and (counted or method != "record"):
-        structure = "paper"
+        structure = "maxwell_slip"
     _refuse_structure(structure, settings, counted)
     _refuse_copies([*training, *held_out])
-    if refine and structure == "paper":
-        raise IdentifyError("refine: the paper's class is fitted as it is; leave refine out, or try structure='auto'")
+    if refine and structure == "maxwell_slip":
+        raise IdentifyError("refine: 'maxwell_slip' is fitted as it is; leave refine out, or try the structure 'auto'")
     report("checking the records")
-    # The paper's class takes every sample as it is.
-    most = 1.0 if structure == "paper" else sum(map(len, training)) / ENOUGH
+    # Maxwell-slip takes every sample as it is.
+    most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
     with one_thread():
-        run = Run(
-            settings,
-            [_prepared(record, most, settings.sensor_lag) for record in training],
-            [_prepared(record, most, settings.sensor_lag) for record in held_out],
-            report,
-            goal,
-            deadline,
-            first_model,
-        )
-        if structure != "paper":
-            fit = identify_structure(run, structure, refine)
-        else:
-            fit = identify_plain(run) if method == "record" else identify_at_breakpoints(run)
+
+        def prepared(*, ringing: bool) -> IdentificationRun:
+            training_, held_out_ = (
+                [_prepared(one, most, settings.sensor_lag, ringing) for one in records]
+                for records in (training, held_out)
+            )
+            return IdentificationRun(
+                settings, training_, held_out_, report, goal, deadline, first_model, ringing=ringing
+            )
+
+        run = prepared(ringing=False)
+        if any(item.record.set_aside for item in run.training):
+            # Whether the hysteresis sees what rings, the samples after it show.
+            run = min(run, prepared(ringing=True), key=IdentificationRun.plain_error)
+        fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
 
 
-def _prepared(record: Record, most: float, sensor_lag: float | None) -> Prepared:
+def _prepared(record: Record, most: float, sensor_lag: float | None, ringing: bool) -> Prepared:
     """Prepare a record, to be reduced to means of `most` samples at most; before the lag of its sensor, if given."""
-    found = prepare(record).with_block(most)
+    found = prepare(record, ringing=ringing).with_block(most)
     return found.reduced.without_lag(sensor_lag) if sensor_lag else found
 
 
 def _refuse_copies(records: list[Record]) -> None:
-    """Refuse a record given twice: cycles held out would not be unseen, nor would be a record that is."""
+    """Reject duplicate records: their held-out cycles would not be unseen."""
     seen: dict[bytes, str] = {}
     for one in records:
         key = one.displacement.tobytes() + one.voltage.tobytes()
@@ -178,12 +193,237 @@ def _refuse_copies(records: list[Record]) -> None:
 
 
 def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
-    """Refuse what is no structure, and options that have no meaning beside one."""
-    if structure == "paper":
+    """Reject an invalid `structure` and options that conflict with it."""
+    if structure == "maxwell_slip":
         return
     if structure != "auto" and not isinstance(structure, Structure):
-        raise IdentifyError(f"structure: got {structure!r}, need 'auto', 'paper' or a dehyst.model.structure.Structure")
+        raise IdentifyError(
+            argument="structure", got=repr(structure), need="'auto', 'maxwell_slip' or a dehyst.Structure"
+        )
     if settings.method != "record":
-        raise IdentifyError(f"structure: method {settings.method!r} knows the paper's class only; leave one out")
+        raise IdentifyError(f"structure: method {settings.method!r} fits 'maxwell_slip' only; leave one out")
     if counted:
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
+
+
+def _identify_structure(
+    run: IdentificationRun, structure: Structure | Literal["auto", "maxwell_slip"], refine: bool
+) -> Fit:
+    """Identify an actuator of a structure that is given, or that the records support."""
+    run.report("estimating delay and datums")
+    data = run.data(run.delay)
+    if structure == "maxwell_slip":
+        return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
+    plain = run.with_datums(run.stream(run.thresholds(), data).regression)
+    run.publish_first_model(plain)
+    frame = replace(data, inertia=run.lagging, datum=plain.datum, denoised=True)
+    if isinstance(structure, str):
+        # Without loops within loops nothing that distinguishes structures can be held out.
+        missing = messages.of_turns(probe_identifiability(run.on_axis(plain.datum), plain.rows, run.span))
+        if missing:
+            run.remarks += missing
+            return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
+        frame, structure = _chosen(run, _with_checked_drift(run, frame))
+        if structure.plain and not (frame.inertia.mass or frame.inertia.lag) and not refine:
+            rho = None if structure.spacing == 1 else structure.grid(run.span, frame.voltages, frame.times).breakaway
+            elements = structure.elements if rho is None else None
+            run.settings = replace(run.settings, elements=elements, breakaway=rho, knots=structure.knots)
+            return _completed(run, _MaxwellSlipProgram(run, run.data(run.delay)), refine=False)
+    return _completed(run, _StructureProgram(run, frame, structure), refine)
+
+
+class _StructureProgram:
+    """The convex program of a structure, on means of samples."""
+
+    def __init__(self, run: IdentificationRun, frame: TrainingData, structure: Structure) -> None:
+        self._run, self._frame, self._structure = run, frame, structure
+        run.structure = structure
+
+    @property
+    def may_be_longer(self) -> bool:
+        """Whether thresholds beyond half the stroke are tried."""
+        return self._structure.reach == 1 and self._frame.grows()
+
+    def solve(self, reach: float = 1.0) -> StructuredFit:
+        """Solve it with thresholds up to so many half strokes."""
+        frame, wanted = self._frame, replace(self._structure, reach=max(reach, self._structure.reach))
+        self._run.report(f"solving the program for {wanted.words}")
+        return self._run.solve_with_fallback(
+            lambda norm: StructuredFit.solve(frame, wanted, norm), lambda: StructuredFit.solve_quickly(frame, wanted)
+        )
+
+    def judge(self, made: StructuredFit, actuator: Actuator) -> Outcome:
+        """Return the outcome."""
+        return Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
+
+
+class _MaxwellSlipProgram:
+    """The convex program of Maxwell-slip: every sample as it is, any grid, no regularisation."""
+
+    def __init__(self, run: IdentificationRun, data: TrainingData) -> None:
+        self._run, self._data, self._rho = run, data, run.thresholds()
+        if run.settings.breakaway is None:
+            noise = left_of(max(item.noise for item in run.training), run.stroke)
+            run.remarks += messages.of_noise(float(self._rho[0]), noise)
+
+    @property
+    def may_be_longer(self) -> bool:
+        """Whether thresholds beyond half the stroke are tried."""
+        return self._run.settings.breakaway is None and self._data.grows()
+
+    def solve(self, reach: float = 1.0) -> StructuredFit:
+        """Solve it with thresholds up to so many half strokes."""
+        run, rho = self._run, reach * self._rho
+        stream = run.stream(rho, self._data)
+        regression = _with_drifts(run, run.with_datums(stream.regression))
+        run.report(f"solving the {run.settings.norm} program for {len(stream.source)} samples")
+        run.publish_first_model(regression)
+        found = run.solve_with_fallback(
+            replace(stream, regression=regression).fit_weighted, lambda: least_squares_of_sums(regression)
+        )
+        structure = Structure(elements=rho.size, knots=regression.knots.size, smoothing=0.0, reach=reach)
+        frame = replace(self._data, datum=regression.datum)
+        return StructuredFit(frame, structure, run.settings.norm, regression, found)
+
+    def judge(self, made: StructuredFit, actuator: Actuator) -> Outcome:
+        """Return the outcome; remark on directions of the stiffnesses that the records leave open."""
+        directions = identifiability(self._run.on_axis(made.regression.datum), made.regression)
+        outcome, remarks = messages.of_plain(directions, made.regression, made.found)
+        self._run.remarks += remarks
+        return outcome
+
+
+def _completed(run: IdentificationRun, program: _StructureProgram | _MaxwellSlipProgram, refine: bool) -> Fit:
+    """Solve a program, tune and refine what is not convex, and judge the actuator."""
+    made = program.solve()
+    solution = made.found.solved
+    if not solution.optimal:
+        return run.failed(solution.status)
+    if program.may_be_longer:
+        solved = made
+        made = run.deadline.attempt(lambda: _longer(run, program, solved), solved, "the trial of longer elements")
+    if made.frame.inertia.mass:
+        found = made
+        made = run.deadline.attempt(lambda: found.tune_dynamics(run.report), found, "the tuning of the resonance")
+    refined = _refined(run, made) if refine else made.actuator
+    run.delay = refined.delay + refined.lag
+    actuator = run.named(refined)
+    run.report("simulating every record")
+    outcome, solution = program.judge(made, actuator), made.found.solved
+    run.estimate_heldout_errors(made.frame, made.regression, refined)
+    return run.finish(actuator, made.regression, outcome, solution.status, solution.gap)
+
+
+def _longer(
+    run: IdentificationRun, program: _StructureProgram | _MaxwellSlipProgram, made: StructuredFit
+) -> StructuredFit:
+    """Return the fit with thresholds beyond half the stroke, if it simulates the records better."""
+    longer = program.solve(RULES.longer_reach)
+    if not longer.found.solved.optimal:
+        return made
+    before, after = (run.whole_error(one.actuator, one.regression) for one in (made, longer))
+    if after >= RULES.longer_gain * before:
+        return made
+    if run.structure is not None:
+        run.structure = longer.structure
+    run.remarks.append(messages.LONGER_ELEMENTS)
+    return longer
+
+
+def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, Structure]:
+    """Return the records with inertia if they have it, and the structure that they support."""
+    run.report("looking for inertia")
+    frame = run.deadline.attempt(lambda: still.with_inertia(run.deadline), still, "the search for inertia")
+    structure, run.trials, remarks = frame.chosen(Structure(), run.report, deadline=run.deadline)
+    run.remarks += remarks
+    if (followed := followed_at_once(frame, structure)) and not frame.inertia.mass:
+        run.remarks.append(messages.of_false_creep(followed))
+        found = run.lagging if run.settings.delay is not None else run.lag_of(replace(run.data(0.0), creepless=True))
+        still = frame = replace(still, creepless=True, inertia=found)
+        structure = _chosen_again(run, frame, replace(structure, creep=0), ("creep",), "creep") or Structure()
+    fixed: tuple[str, ...] = ()
+    while dropped := _unsupported(run, frame, still, structure):
+        run.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, run.stroke))
+        frame = still if dropped.part == "inertia" else frame
+        if dropped.part == "creep":
+            fixed, still, frame = ("creep",), replace(still, creepless=True), replace(frame, creepless=True)
+        start = replace(structure, creep=0) if dropped.part == "creep" else structure
+        again = _chosen_again(run, frame, start, fixed, dropped.part)
+        structure = again or simplest(run.trials, creep="creep" not in fixed) or Structure()
+    run.searched = structure
+    return frame, structure
+
+
+def _with_checked_drift(run: IdentificationRun, frame: TrainingData) -> TrainingData:
+    """Return the records without a drift that does not predict; remark where creep would do as well."""
+    if not frame.drifting:
+        return frame
+    predicts, creep_too = run.deadline.attempt(lambda: drift_and_creep(frame), (True, False), "the trial of creep")
+    if not predicts:
+        return replace(frame, can_drift=())
+    run.remarks += [messages.DRIFT_OR_CREEP] if creep_too else []
+    return frame
+
+
+def _chosen_again(
+    run: IdentificationRun, frame: TrainingData, start: Structure, fixed: tuple[str, ...], part: str
+) -> Structure | None:
+    """Return the structure that the records support without a part, from a structure nearby; None without time."""
+    again = run.deadline.attempt(
+        lambda: frame.chosen(start, run.report, fixed, run.deadline),
+        None,
+        f"the search for a structure without {part}",
+    )
+    if again is None:
+        return None
+    run.trials += again[1]
+    # With a part less, others may no longer be worth their parameters.
+    return simplest(again[1] if part == "inertia" else run.trials, creep="creep" not in fixed) or again[0]
+
+
+def _unsupported(
+    run: IdentificationRun, frame: TrainingData, still: TrainingData, structure: Structure
+) -> Dropped | None:
+    """Return a part that does not predict; without time plain elements stand in for the rest of the structure."""
+    if not (frame.inertia.mass or structure.creep):
+        return None
+    judged = run.deadline.attempt(
+        lambda: (unsupported(frame, still, structure, run.report),),
+        None,
+        "the prediction of time that was not trained on (plain elements stood in for the rest of the structure)",
+    )
+    return judged[0] if judged else unsupported(frame, still, Structure(creep=structure.creep), run.report)
+
+
+def _refined(run: IdentificationRun, made: StructuredFit) -> Actuator:
+    found = run.deadline.attempt(lambda: refine_by_simulation(made, run.report), None, "the refinement")
+    if found is None:
+        return made.actuator
+    what = "kept" if found.kept else "not better, and left out"
+    run.remarks.append(
+        f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
+        f"{found.before * 1e9:.4g} nm; {what}."
+    )
+    return found.actuator
+
+
+def _identify_at_breakpoints(run: IdentificationRun) -> Fit:
+    """Identify by the paper's own method, or by Remark 2's closed form."""
+    settings = run.settings
+    run.report("reading break points")
+    records = [item.record.delayed(run.delay) if run.delay else item.record for item in run.training]
+    loops = paper_methods.loops_of(records, settings.count)
+    if settings.method == "antisymmetric":
+        found = paper_methods.closed_form(loops, settings.count, settings.branch)
+    else:
+        found = paper_methods.linear_program(loops, settings.count, settings.slope_floor)
+    if found.actuator is None:
+        return run.failed(found.status)
+    run.remarks.extend(found.remarks)
+    actuator = replace(found.actuator, delay=run.delay, **run.recorded())
+    regression = _with_drifts(run, run.stream(actuator.slip.breakaway, run.data(run.delay)).regression)
+    return run.finish(actuator, regression, found.outcome, found.status, found.gap)
+
+
+def _with_drifts(run: IdentificationRun, regression: Regression) -> Regression:
+    return replace(regression, drifting=nuisances.find_drifts(regression, run.can_drift()))

@@ -12,8 +12,9 @@ from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.settings import Direction
 from dehyst.identification.solvers import highs
-from dehyst.model import Actuator, MaxwellSlip, Outcome, Spring
+from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.model.elements import parts_in_segments
+from dehyst.model.identification import Outcome
 from dehyst.records import Record
 
 
@@ -66,8 +67,9 @@ def loops_of(records: list[Record], elements: int) -> list[BreakPointLoop]:
     groups = [family for record in records for family in families(record)]
     if not groups:
         raise IdentifyError(
-            "no closed loop found: the voltage must go up, down and up again between the same two turning points. "
-            "Record two cycles, or use method='record'"
+            "no closed loop found: the voltage must go up, down and up again between the same two turning points",
+            hint="record two cycles, or use the method 'record'",
+            change=("method",),
         )
     step = max(top - bottom for _, bottom, top, _, _ in groups) / elements
     loops = [

@@ -12,48 +12,48 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
-from dehyst.identification.deadline import Deadline
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.assumptions import assumption_checks
-from dehyst.identification.diagnostics.expectation import HeldOutErrors, expectation
-from dehyst.identification.diagnostics.remaining_error import remaining_error
-from dehyst.identification.diagnostics.residuals import residual_checks
-from dehyst.identification.dynamics_search import SensedDynamics
-from dehyst.identification.extrapolation import block_error
-from dehyst.identification.path_error import disagreement, size_error
+from dehyst.identification.diagnostics.checks import model_checks
+from dehyst.identification.expectation import HeldOutErrors, expectation, remaining_error
+from dehyst.identification.fit import Fit
+from dehyst.identification.held_out import block_error, disagreement, size_error
+from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.preprocessing.denoising import disturbs
+from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import least_squares_of_sums
+from dehyst.identification.regression.fold_sums import Stream, TrainingErrors, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.regression.streaming import Stream
-from dehyst.identification.settings import Settings
+from dehyst.identification.results import RecordErrors, Trace
+from dehyst.identification.rules import RULES
+from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
+from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial
-from dehyst.identification.training_data import COARSE, TrainingData
-from dehyst.identification.validation import MOST_ROWS, Protocol, errors_of
-from dehyst.model import Actuator, Fit, Outcome, RecordErrors, Structure, Trace
-from dehyst.model.readiness import USELESS
-from dehyst.model.structure import Grid
+from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.identification.validation import MOST_ROWS, ComparisonOptions, errors_of
+from dehyst.model import Actuator, Identification
+from dehyst.model.identification import Outcome
 from dehyst.records import Record
-from dehyst.records.metrics import rms
-from dehyst.records.signals import resolution
+from dehyst.records.signals import recorded_slew_rate, resolution, rms
 
 _T = TypeVar("_T")
-# Thresholds in half strokes that records whose loops grow are also tried with, and how far they must lower the error.
-REACH, WORTH_OF_REACH = 1.25, 0.6
 # Of the spring, by default.
 _MOST_KNOTS = 41
-# A delay is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
+# Least slope of the spring in the search for a lag, as a part of the mean slope.
+_LEAST_FLOOR = 0.01
+# It is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
 _SEARCH_CYCLE = 20_000
 _SEARCH_SAMPLES = 1_000_000
+# The speed of the stage that all but noise and spikes stay below.
+_FASTEST = 0.99
 # Of the first model.
 _FIRST_ROWS = 4000
 
 
 @dataclass(eq=False)
-class Run:
+class IdentificationRun:
     """One identification: its records, and the remarks on them so far."""
 
     settings: Settings
@@ -70,15 +70,17 @@ class Run:
     steady: bool | None = None
     held_out_errors: HeldOutErrors = field(default_factory=HeldOutErrors)
     searched: Structure | None = None
+    ringing: bool = False
 
     def __post_init__(self) -> None:
         self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
+        self.remarks += [messages.STEPS] if any(item.record.set_aside for item in self.training) else []
         spans = [item.span() for item in self.training]
         self.widest = int(np.argmax([high - low for low, high in spans]))
         self.span = spans[self.widest]
         self.stroke = self.span[1] - self.span[0]
 
-    def by_norm(self, solve: Callable[[Norm], _T], quickly: Callable[[], _T]) -> _T:
+    def solve_with_fallback(self, solve: Callable[[Norm], _T], quickly: Callable[[], _T]) -> _T:
         """Solve the final program in the norm that was asked for; by least squares of fewer rows without time."""
         norm = self.settings.norm
         found = self.deadline.attempt(
@@ -89,7 +91,7 @@ class Run:
         self.settings = replace(self.settings, norm="l2")
         return quickly()
 
-    def hand_over(self, regression: Regression) -> None:
+    def publish_first_model(self, regression: Regression) -> None:
         """Give the caller a first plain actuator, once."""
         first_model, self.first_model = self.first_model, None
         if first_model is None:
@@ -97,7 +99,7 @@ class Run:
         few = regression.thinned(_FIRST_ROWS)
         found = least_squares_of_sums(few)
         if found.solved.optimal:
-            first_model(self.actuator(few, found).with_provenance(norm="l2", provisional=True))
+            first_model(self.actuator(few, found).with_identification(norm="l2", provisional=True))
 
     def whole_error(self, actuator: Actuator, regression: Regression) -> float:
         """RMS error of the training records, simulated whole [m]."""
@@ -121,29 +123,40 @@ class Run:
 
     @cached_property
     def delay(self) -> float:
-        """Seconds by which the displacement lags the voltage."""
+        """Seconds by which the displacement lags the voltage in all."""
         if self.settings.delay is not None:
             cycle = min(cleaning.cycle_time(item.record) for item in (*self.training, *self.held_out))
             if abs(self.settings.delay) > 0.25 * cycle:
                 raise IdentifyError(
-                    f"delay: got {self.settings.delay:g} s, need less than a quarter of a cycle of {cycle:.4g} s"
+                    argument="delay",
+                    got=f"{self.settings.delay:g} s",
+                    need=f"less than a quarter of a cycle of {cycle:.4g} s",
                 )
             return self.settings.delay
-        longest = 0.05 * min(cleaning.cycle_time(item.record) for item in self.training)
-        sample = min(item.reduced.record.sample_time for item in self.training)
-        # Too few elements or knots would round the turning points as a delay does, and creep would open the loop.
-        grid = self.stroke / 60 * np.arange(1.0, 31.0)
-        drifting = tuple(self.can_drift())
+        return self.lagging.delay + self.lagging.lag
 
-        data = self._data_of(0.0)
-        few = [item.reduced.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in self.training]
-        data = replace(data, training=few, floor=data.floor / self.settings.slope_floor * 0.01)
+    @cached_property
+    def lagging(self) -> SensedDynamics:
+        """Delay and first-order lag of the records, as given or as found."""
+        if self.settings.delay is not None:
+            return SensedDynamics(self.delay, 0.0, 0.0)
+        return self.lag_of(self._data_of(0.0))
 
-        def build(delay: float) -> Regression:
-            late = replace(data, inertia=SensedDynamics(delay, 0.0, 0.0))
-            return replace(self.stream(grid, late, knots=31).regression, drifting=drifting)
+    def lag_of(self, data: TrainingData) -> SensedDynamics:
+        """Return delay and lag of records without them."""
+        cycle = min(cleaning.cycle_time(item.record) for item in self.training)
+        # White noise of single samples hides a lag: means show it, even where a class takes every sample as it is.
+        most = sum(len(item.record) for item in self.training) / ENOUGH
+        means = [item.with_block(most).reduced for item in self.training]
+        few = [item.coarser(_SEARCH_CYCLE, _SEARCH_SAMPLES) for item in means]
+        # A floor would round the turning points as a delay does.
+        floor = data.floor / self.settings.slope_floor * _LEAST_FLOOR
+        return find_lag(replace(data, training=few, floor=floor, denoised=True), RULES.longest_lag * cycle, cycle)
 
-        return nuisances.find_delay(build, longest, sample)
+    def plain_error(self) -> float:
+        """RMS residual of a plain actuator in few rows of the training records [m]."""
+        rho = self.stroke / 60 * np.arange(1.0, 31.0)
+        return TrainingErrors()(self.stream(rho, self._data_of(0.0), knots=31).regression.thinned(_FIRST_ROWS))
 
     def can_drift(self) -> list[int]:
         """Return the training records that may drift."""
@@ -169,7 +182,7 @@ class Run:
             np.zeros(len(self.training)),
             self.widest,
             tuple(self.can_drift()),
-            denoised=False,
+            denoised=any(disturbs(item.reduced.noise, self.stroke) for item in self.training),
         )
 
     def stream(self, rho: Array, data: TrainingData, knots: int | None = None) -> Stream:
@@ -195,24 +208,49 @@ class Run:
         return self.named(self._data_of(self.delay).actuator_of(regression, found))
 
     def named(self, actuator: Actuator) -> Actuator:
-        """Return an actuator with its limits, name and provenance."""
-        name = self.training[self.widest].record.name
-        return replace(actuator, limits=self.limits(), name=name, provenance=self.provenance())
+        """Return an actuator with its name and what is recorded of it."""
+        return replace(actuator, **self.recorded(), name=self.training[self.widest].record.name)
 
     def limits(self) -> tuple[float, float]:
         """Voltages that were used: what glitches show, or what a gap cuts off, was not."""
         ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
         return float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
+    def recorded(self) -> dict[str, Any]:
+        """Return the voltages and their slew rate in what was used, and how it was used, as arguments of `Actuator`."""
+        speed = recorded_slew_rate((piece.time, piece.voltage) for item in self.training for piece in item.pieces)
+        settings = self.settings
+        known = Identification(
+            method=settings.method,
+            norm=settings.norm,
+            slope_floor=settings.slope_floor,
+            shared_datum=settings.shared_datum,
+            drift=settings.drift,
+            sensor_lag=settings.sensor_lag or 0.0,
+            ringing=self.ringing,
+            smoothing=None if self.structure is None else self.structure.smoothing,
+        )
+        return {
+            "limits": self.limits(),
+            "recorded_slew_rate": speed,
+            "identification": known,
+            "provenance": self.provenance(),
+        }
+
     def provenance(self) -> dict[str, Any]:
-        """Return program, options and records as JSON values."""
+        """Return program, elements and records as JSON values."""
         return {
             "program": f"dehyst {__version__}",
-            **self.settings.as_dict(),
+            "elements": self.settings.count,
             **({} if self.structure is None else {"structure": self.structure.as_dict()}),
             "records": [item.source() for item in self.training],
             "validation": [item.source() for item in self.held_out],
         }
+
+    def options(self) -> dict[str, Any]:
+        """Return what a `Fit` says of its origin: `provenance` with all settings."""
+        program, *others = self.provenance().items()
+        return dict([program, *self.settings.as_dict().items(), *others])
 
     def failed(self, status: str) -> Fit:
         """Return the result of a program without an optimum."""
@@ -225,7 +263,7 @@ class Run:
             (),
             status,
             float("nan"),
-            self.provenance(),
+            self.options(),
         )
 
     def simulated(
@@ -239,13 +277,15 @@ class Run:
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = q in regression.drifting if trained else drifts and item.can_drift
-            protocol = Protocol("training" if trained else "validation", actuator.delay, datum, drifting, self.stroke)
+            protocol = ComparisonOptions(
+                "training" if trained else "validation", actuator.delay, datum, drifting, self.stroke
+            )
             error, trace = errors_of(actuator, item, protocol)
             errors.append(error)
             traces.append(trace)
         return errors, traces
 
-    def look_beyond(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
+    def estimate_heldout_errors(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
         self.remarks += messages.of_one_ended_loops([item.record.voltage for item in (*self.training, *self.held_out)])
         self.held_out_errors = HeldOutErrors(
@@ -255,21 +295,28 @@ class Run:
             max(item.noise for item in frame.training),
         )
 
-    def doubts(self, actuator: Actuator) -> list[str]:
-        """Return reasons for care: a coarse voltage, and a lag whose cause the records do not show."""
+    def caveats(self, actuator: Actuator) -> tuple[list[str], tuple[float, float] | None]:
+        """Return reasons for care, and how far the stage moves (RMS, largest) [m] in a lag of unknown cause."""
         step = max(resolution(item.record.voltage)[1] for item in self.training)
-        doubts = [f"the voltage is recorded in steps of {100 * step:.2g} % of its range"] if step > COARSE else []
+        caveats = (
+            [f"the voltage is recorded in steps of {100 * step:.2g} % of its range"]
+            if step > RULES.coarse_voltage
+            else []
+        )
         lag = actuator.delay + actuator.lag
         if self.settings.sensor_lag is not None or self.settings.delay is not None or not lag:
-            return doubts
+            return caveats, None
         items = [item.reduced.record for item in self.training]
-        moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
+        speeds = [np.abs(np.diff(one.displacement)) / one.sample_time for one in items]
+        moved = lag * max(map(rms, speeds))
         if moved <= max(self.held_out_errors.in_time, self.held_out_errors.by_size):
-            return doubts
+            return caveats, None
         self.remarks.append(messages.of_lag(lag, moved, self.stroke))
-        return [*doubts, f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms"]
+        fastest = lag * max(float(np.quantile(speed, _FASTEST)) for speed in speeds)
+        caveats.append(f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms")
+        return caveats, (moved, fastest)
 
-    def best_words(self, actuator: Actuator) -> str:
+    def describe_result(self, actuator: Actuator) -> str:
         """Describe the structure of the result and, if it was tried, its held-out error."""
         structure = self.structure or self.searched
         if structure is None:
@@ -284,26 +331,34 @@ class Run:
         records = (*self.training, *self.held_out)
         errors, traces = self.simulated(actuator, regression, records)
         missed = max(error.largest for error in errors[: len(self.training)])
-        actuator = actuator.with_provenance(largest_error_m=missed, goal_percent=self.goal)
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
-        if actuator.wide:
-            checked = residual_checks(actuator, traces, errors)
-        else:
-            checked = assumption_checks(actuator, records, errors, floor=floor, imposed=imposed)
-        if max(error.largest_percent for error in errors) > USELESS:
+        checked = model_checks(actuator, records, traces, errors, floor=floor, imposed=imposed)
+        if max(error.largest_percent for error in errors) > RULES.useless:
             outcome = Outcome.VALIDATION_MISSED
-        if max(error.largest_percent for error in errors if error.role == "training") > USELESS:
+        if max(error.largest_percent for error in errors if error.role == "training") > RULES.useless:
             outcome = Outcome.INACCURATE
-        actuator = replace(actuator, provenance={**actuator.provenance, "outcome": outcome.name})
-        self.remarks[:0] = self.deadline.remarks(self.best_words(actuator))
+        self.remarks[:0] = messages.of_guesses(records) + self.deadline.remarks(self.describe_result(actuator))
         self.remarks += messages.of_rare_voltages(self.training, self.limits())
         self.remarks += messages.of_held_out(self.held_out, self.limits(), errors)
         sample = self.training[self.widest].record.sample_time
-        repaired = messages.repaired(errors, self.delay, sample, given=self.settings.delay is not None)
+        repaired = messages.repaired(
+            errors, self.delay, sample, given=self.settings.delay is not None, low_pass=actuator.lag
+        )
         remaining = tuple(remaining_error(trace) for trace in traces)
-        noise, doubts = max(item.noise for item in records), self.doubts(actuator)
-        options = {**self.provenance(), "delay_s": self.delay, "stroke_m": self.stroke}
+        noise, (caveats, lagging) = max(item.noise for item in records), self.caveats(actuator)
+        options = {**self.options(), "delay_s": self.delay, "stroke_m": self.stroke}
+        expected = expectation(
+            outcome, errors, checked, self.held_out_errors, remaining, noise, self.goal, caveats, lagging
+        )
+        actuator = actuator.with_identification(
+            outcome=outcome,
+            largest_error=missed,
+            goal=self.goal,
+            expected_rms=expected.rms,
+            expected_largest=expected.largest,
+            tested=expected.tested,
+        )
         return Fit(
             actuator,
             outcome,
@@ -316,6 +371,6 @@ class Run:
             options,
             checked,
             self.trials,
-            expectation(outcome, errors, checked, self.held_out_errors, remaining, noise, self.goal, doubts),
+            expected,
             remaining,
         )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dehyst._native import slip_elongations
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst.model import GradedSlip, MaxwellSlip
 from dehyst.model.elements import segment_of
 
@@ -59,6 +59,7 @@ def fit_start(
     fades: Array,
     most: Array,
     constant: float | None = None,
+    counted: Mask | None = None,
 ) -> StartState:
     """Fit the carts and what creep branches hold at the first sample.
 
@@ -75,9 +76,13 @@ def fit_start(
         The largest such voltages [V].
     constant : float, optional
         The constant, where it is known.
+    counted : (n,) bool array, optional
+        Samples whose forces count; the others move the elements only.
     """
     known = constant is not None
-    problem = _Problem(slip, np.ascontiguousarray(displacement), force - (constant or 0.0), fades * most, known)
+    problem = _Problem(
+        slip, np.ascontiguousarray(displacement), force - (constant or 0.0), fades * most, known, counted
+    )
     solutions = []
     for sign in _STARTS:
         solutions.append(problem.solved(np.append(np.full(len(slip), sign), np.zeros(most.size))))
@@ -103,6 +108,7 @@ class _Problem:
     force: Array
     fades: Array
     known: bool
+    counted: Mask | None = None
     alone: bool = False
 
     def carts(self, u: Array) -> Array:
@@ -124,7 +130,8 @@ class _Problem:
         by_cart = standing * -stiffness
         by_u = by_cart * rho if self.alone else np.cumsum(by_cart[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
         residual = self.force - held - self.fades @ u[rho.size :]
-        return residual, np.hstack([by_u, self.fades])
+        slopes = np.hstack([by_u, self.fades])
+        return (residual, slopes) if self.counted is None else (residual[self.counted], slopes[self.counted])
 
     def _alike(self) -> Array:
         """Rows that hold neighbouring carts alike, and creep at rest."""

@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.identification.deadline import Deadline
 from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
 from dehyst.identification.regression.regression import Regression
-from dehyst.model import Structure
-from dehyst.records.metrics import rms
+from dehyst.identification.rules import RULES
+from dehyst.identification.settings import Deadline
+from dehyst.identification.structure import Structure
+from dehyst.records.signals import rms
 
 Build = Callable[[Structure], Regression]
-# A part must reduce the held-out error to this share: a smaller gain may be noise.
-_WORTH = 0.97
-# A transformer bends what graded elements can bend too; cycles held out hardly show which of them does.
-_WORTH_BESIDE_GRADES = 0.8
 # Parts, tried one by one.
 PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("more elements, dense where loops are small", {"elements": 40, "spacing": 2.0, "knots": 41}),
@@ -118,7 +115,7 @@ def simplest(trials: Sequence[StructureTrial], *, creep: bool) -> Structure | No
     """
     counted = [trial for trial in trials if creep or not trial.structure.creep]
     least = min((trial.held_out for trial in counted), default=0.0)
-    near = [trial.structure for trial in counted if _WORTH * trial.held_out <= least]
+    near = [trial.structure for trial in counted if RULES.part_gain * trial.held_out <= least]
     return min(near, key=lambda structure: structure.parameters, default=None)
 
 
@@ -171,7 +168,7 @@ class _Search:
         simpler = replace(structure, transformer=0)
         known = next((tried for tried in self.done if tried.trial.structure == simpler), None)
         straight = known or self.tried(simpler, [], before=best)
-        kept = straight is None or best.trial.held_out < _WORTH_BESIDE_GRADES * straight.trial.held_out
+        kept = straight is None or best.trial.held_out < RULES.transformer_gain_with_grades * straight.trial.held_out
         return best if kept or straight is None else straight
 
     def tried(
@@ -205,7 +202,7 @@ def _most_trials(left: list[dict[str, Any]]) -> int:
 
 def _worth(structure: Structure, change: dict[str, Any]) -> float:
     """Return the share to which a change must reduce the held-out error."""
-    return _WORTH_BESIDE_GRADES if "transformer" in change and structure.grades > 1 else _WORTH
+    return RULES.transformer_gain_with_grades if "transformer" in change and structure.grades > 1 else RULES.part_gain
 
 
 def try_structure(build: Build, structure: Structure, progress: Progress, before: Tried | None = None) -> Tried:

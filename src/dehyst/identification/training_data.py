@@ -5,65 +5,135 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.deadline import Deadline
-from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
+from dehyst.identification.diagnostics import messages
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.identification.preprocessing.denoising import remove_jitter
-from dehyst.identification.preprocessing.dynamics import remove_dynamics
-from dehyst.identification.preprocessing.internal_states import InternalStates
+from dehyst.identification.preprocessing.denoising import left_of, remove_dynamics, remove_jitter, significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.preprocessing.regressors import RowSource
+from dehyst.identification.preprocessing.regressors import InternalStates, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.fold_sums import (
     FoldSums,
+    Stream,
     TrainingErrors,
     first_weights,
-    held_out_error,
     nearly_least_absolute,
 )
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.rules import RULES
+from dehyst.identification.settings import Deadline
 from dehyst.identification.solvers.program import Norm
+from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial, select
-from dehyst.model import Actuator, Structure
-from dehyst.model.structure import Grid
+from dehyst.model import Actuator, Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import energy_share, resolution, turning_points
+
+# Inertia must reduce the RMS residual to this share, or it is left out.
+_EVALUATIONS = 90
+
+
+@dataclass(frozen=True)
+class SensedDynamics:
+    """Dynamics between w, the output of the hysteresis, and y: w(t - delay) = y + damping y' + mass y''.
+
+    Attributes
+    ----------
+    delay : float
+        [s].
+    damping : float
+        2 zeta / omega [s].
+    mass : float
+        1 / omega^2 [s2].
+    lag : float
+        Time constant of the amplifier [s].
+    """
+
+    delay: float
+    damping: float
+    mass: float
+    lag: float = 0.0
+
+    @classmethod
+    def of(cls, actuator: Actuator) -> SensedDynamics:
+        """Return the dynamics of an actuator."""
+        dynamics = actuator.dynamics
+        if dynamics is None:
+            return cls(actuator.delay, 0.0, 0.0, actuator.lag)
+        omega = dynamics.frequency
+        return cls(actuator.delay, 2 * dynamics.damping / omega, 1 / omega**2, actuator.lag)
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """The dynamics as a part of an actuator; None without inertia."""
+        if not self.mass:
+            return None
+        omega = 1 / np.sqrt(self.mass)
+        return Dynamics(float(omega), float(0.5 * self.damping * omega))
+
+
+def find_dynamics(
+    error: Callable[[SensedDynamics], float], delay: float, sample_time: float, fastest: float
+) -> SensedDynamics:
+    """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
+
+    Parameters
+    ----------
+    error : callable
+        Dynamics -> RMS residual [m] of a fit of few rows.
+    delay : float
+        Delay without inertia [s]: the start of the search.
+    sample_time : float
+        [s].
+    fastest : float
+        Least duration of a cycle of the excitation [s].
+    """
+    from scipy.optimize import minimize
+
+    none = SensedDynamics(delay, 0.0, 0.0)
+    best, cost = none, error(none)
+    # Dynamics slower than a tenth of the fastest cycle would show as a resonance in it; dynamics faster than the
+    # sampling have no effect.
+    scale = max(sample_time, 0.02 * fastest)
+
+    def dynamics_at(x: Array) -> SensedDynamics:
+        delay_, damping, root = np.abs(x) * scale
+        return SensedDynamics(float(delay_), float(damping), float(root**2))
+
+    simplex = np.array(
+        [
+            [delay / scale, 0.1, 0.5],
+            [delay / scale, 0.1, 1.5],
+            [0.5 * delay / scale, 0.3, 1.0],
+            [delay / scale + 0.3, 0.0, 0.8],
+        ]
+    )
+    options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
+    least: Any = minimize
+    optimum = least(lambda x: error(dynamics_at(x)), simplex[0], method="Nelder-Mead", options=options)
+    if optimum.fun >= RULES.inertia_gain * cost:
+        return best
+    best = dynamics_at(optimum.x)
+    return replace(best, delay=significant_delay(best.delay, sample_time))
+
 
 # Rows for a trial, and for the final program.
 _FEW_ROWS = 4000
 _MOST_ROWS = 30_000
-# Cycles of which the slowest lasts this many times the fastest distinguish creep from hysteresis; a hold of a cycle
-# does, too.
-_SPEEDS = 3.0
-_HELD = 0.005
-# Steps of a voltage, as a part of its range, that are too coarse for a hold to be one, and for a model to be ready.
-COARSE = 0.002
-# The structure that shows how records drift, and by how much a straight line must lower the RMS residual.
+# The speed of a voltage is that over a few samples, which noise hardly changes.
+FEW_STEPS = 3
+# The structure that shows how records drift.
 _DRIFTING = Structure(elements=20, grades=4)
-_WORTH_OF_LINE = 0.97
-# Least part of the voltage's energy above half the frequency of a resonance.
-_EXCITED = 1e-7
-# The structure that shows whether a record began at rest, and by how much that must lower the RMS residual.
+# The structure that shows whether a record began at rest.
 _CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
-_WORTH_OF_START = 0.9
-# Inertia shows in cycles of fewer samples than this; masses [samples squared] that are tried before it is looked for.
-_SLOWEST = 1000.0
+# Masses [samples squared] that are tried before inertia is searched.
 _ROOTS = (0.7, 1.5, 3.0, 6.0)
-_WORTH_OF_MASS = 0.95
 _SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
-# Records of which a smaller part has its widest range grow: their constants are tied, and longer elements tried.
-_GROWING = 0.5
-# A delay is a false one if without it held-out cycles are missed by this part only.
-_TRAILING = replace(_SWINGING, creep=9)
-_FALSE_DELAY = 0.5
-# The structure without any part that moves in time, and the least ratio of its errors without a delay and with it.
-_PROMPT, _WORTH_OF_DELAY = Structure(elements=40, spacing=2.0, grades=8, knots=41, transformer=20), 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +206,7 @@ class TrainingData:
         return self._stream_of(structure, most).regression
 
     def _stream_of(self, structure: Structure, most: int) -> Stream:
-        grid = structure.grid(self.span, self.voltages, self.times)
+        grid = structure.grid(self.span, self.voltages, (self.fastest_creep, self.times[1]))
         # No drift where creep branches are there for that: its curves take room.
         drifts = bool(self.can_drift) and not self.supports_creep()
         return self.on_grid(grid, most, smoothing=structure.smoothing, drifts=drifts)
@@ -148,6 +218,8 @@ class TrainingData:
             for q, path in self._paths
         ]
         noise = [self.training[q].noise for q, _, _ in pieces]
+        if self.denoised:
+            noise = [left_of(one, self.stroke) for one in noise]
 
         def internal(number: int, piece: Record) -> InternalStates:
             return InternalStates(grid, piece, self.training[number].lead)
@@ -174,23 +246,7 @@ class TrainingData:
         """Whether most samples of a record come before its range is at its widest."""
         source = self.on_grid(Grid.plain(np.array([self.stroke]), np.array(self.span)), 1).source
         last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
-        return last < _GROWING * sum(len(piece) for _, piece, _ in source.pieces)
-
-    def with_checked_delay(self, structure: Structure | None = None) -> TrainingData:
-        """Return the same without a delay, if held-out cycles are then missed by far less.
-
-        Where an actuator creeps fast or friction yields gradually the displacement trails behind at every turn: a
-        delay, for plain elements. A true delay fast creep can imitate, but not so much better.
-        """
-        if not self.inertia.delay:
-            return self
-        without = replace(self, inertia=replace(self.inertia, delay=0.0))
-        late, prompt = (held_out_error(one._rows_of(structure or _TRAILING, _FEW_ROWS)) for one in (self, without))
-        if prompt < _FALSE_DELAY * late:
-            return without
-        # Nothing in graded elements can imitate a delay: if they need none, plain ones only bent to their misfit.
-        late, prompt = (held_out_error(one._rows_of(_PROMPT, _FEW_ROWS)) for one in (self, without))
-        return without if prompt < _WORTH_OF_DELAY * late else self
+        return last < RULES.growing * sum(len(piece) for _, piece, _ in source.pieces)
 
     def with_inertia(self, deadline: Deadline | None = None) -> TrainingData:
         """Return the same with the delay, damping and mass that the records ask for, if they do.
@@ -198,7 +254,7 @@ class TrainingData:
         The search is left when the deadline passes.
         """
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
-        if cycle > _SLOWEST * step:
+        if cycle > RULES.slowest_cycle * step:
             return self
 
         training_error = TrainingErrors()
@@ -210,7 +266,7 @@ class TrainingData:
 
         without = error(self.inertia)
         masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
-        if min(error(one) for one in masses) > _WORTH_OF_MASS * without:
+        if min(error(one) for one in masses) > RULES.mass_gain * without:
             return self
         found = find_dynamics(error, self.inertia.delay, step, cycle)
         excited = found.dynamics is not None and self._excites(found.dynamics.frequency / (2 * np.pi))
@@ -219,7 +275,7 @@ class TrainingData:
     def _excites(self, frequency: float) -> bool:
         """Whether a voltage has energy where a resonance [Hz] would show: without it noise is what is fitted."""
         pieces = [piece for item in self.training for piece in item.pieces]
-        return max(energy_share(piece.voltage, piece.sample_time, 0.5 * frequency) for piece in pieces) > _EXCITED
+        return max(energy_share(piece.voltage, piece.sample_time, 0.5 * frequency) for piece in pieces) > RULES.excited
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
@@ -238,7 +294,7 @@ class TrainingData:
         by_logarithm, by_time = (
             error(replace(one.on_grid(grid, _FEW_ROWS).regression, drifting=self.can_drift)) for one in (self, lines)
         )
-        return by_time < _WORTH_OF_LINE * by_logarithm
+        return by_time < RULES.steady_drift_gain * by_logarithm
 
     @cached_property
     def strained(self) -> tuple[int, ...]:
@@ -250,18 +306,28 @@ class TrainingData:
         # The one that explains most first, or a record at rest would be given what another one needs.
         for q in np.argsort(alone, kind="stable").tolist():
             trial = error(replace(regression, strained=(*kept, q)))
-            if trial < _WORTH_OF_START * cost:
+            if trial < RULES.creep_at_start_gain * cost:
                 kept, cost = (*kept, q), trial
         return tuple(sorted(kept))
 
     def supports_creep(self) -> bool:
-        """Whether there are loops at different speeds, or a hold: else creep looks like hysteresis."""
+        """Whether there are legs alike at different speeds, or a hold: else creep looks like hysteresis."""
         if self.creepless:
             return False
-        cycles = [cycle.stop - cycle.start for item in self.training for cycle in item.record.cycles()]
-        times = [item.record.sample_time for item in self.training for _ in item.record.cycles()]
-        lasting = [count * step for count, step in zip(cycles, times, strict=True)]
-        return (len(lasting) > 1 and max(lasting) > _SPEEDS * min(lasting)) or any(map(_holds, self.training))
+        return _has_two_speeds(self.training) or any(
+            longest > needed for longest, needed in map(_longest_hold, self.training)
+        )
+
+    @property
+    def fastest_creep(self) -> float:
+        """Sample time [s] by which creep branches are laid out: none follows within a twentieth of a cycle.
+
+        What follows sooner is a lag. The cycle is one of full height at the greatest speed in the records.
+        """
+        span, step = self.voltages[1] - self.voltages[0], self.times[0]
+        pieces = [piece for item in self.training for piece in item.pieces]
+        speed = max(map(_fastest, pieces))
+        return max(step, RULES.slowest_lag * 2 * span / speed / FEW_STEPS) if speed else step
 
     def actuator_of(self, regression: Regression, found: Coefficients) -> Actuator:
         """Return the actuator of coefficients, without limits and name."""
@@ -289,10 +355,8 @@ class TrainingData:
         remarks = []
         if not self.supports_creep() and not without:
             without = ("creep",)
-            remarks.append(
-                "Creep was not looked for: the records neither hold still for as long as their cycles last nor have "
-                "loops at two speeds; add a staircase or slower loops."
-            )
+            holds = map(_longest_hold, self.training)
+            remarks.append(messages.of_creep_not_tried(*max(holds, key=lambda one: one[0] - one[1])))
         best, trials = select(
             lambda one: self.regression(one, _FEW_ROWS),
             start,
@@ -304,15 +368,49 @@ class TrainingData:
         return best, trials, remarks
 
 
-def _holds(item: Prepared) -> bool:
-    """Whether the voltage stands still for as long as a cycle lasts somewhere, or for a tenth of the record."""
+def _has_two_speeds(records: Sequence[Prepared]) -> bool:
+    """Whether legs of the voltage that are alike in height differ in their speed |dv/dt|, not only in duration."""
+    span = max(float(np.ptp(item.record.voltage)) for item in records)
+    legs = [_legs(piece, RULES.least_leg * span) for item in records for piece in item.pieces]
+    height, speed = (np.concatenate(column) for column in zip(*legs, strict=True))
+    alike = height <= RULES.legs_alike * height[:, None]
+    alike &= alike.T
+    return bool(np.any(alike & (speed > RULES.speed_ratio * speed[:, None])))
+
+
+def _legs(piece: Record, least: float) -> tuple[Array, Array]:
+    """Return height [V] and mean speed [V/s] of the legs between turns, higher than `least` [V]; none with a step."""
+    turns = turning_points(piece.voltage, 0.2 * least)
+    height, seconds = np.abs(np.diff(piece.voltage[turns])), np.diff(piece.time[turns])
+    high = height > least
+    if piece.counted is not None:
+        aside = np.cumsum(~piece.counted)
+        high &= np.diff(aside[turns]) == 0
+    return height[high], height[high] / seconds[high]
+
+
+def _fastest(piece: Record) -> float:
+    """Return the greatest speed of the voltage over a few samples that count [V/s]."""
+    change = np.abs(piece.voltage[FEW_STEPS:] - piece.voltage[:-FEW_STEPS])
+    if piece.counted is not None:
+        aside = np.cumsum(~piece.counted)
+        change = change[aside[FEW_STEPS:] == aside[:-FEW_STEPS]]
+    return float(change.max(initial=0.0)) / (FEW_STEPS * piece.sample_time)
+
+
+def _longest_hold(item: Prepared) -> tuple[float, float]:
+    """Return how long the voltage stands still at most, and the least hold that shows creep [s].
+
+    That is as long as a leg lasts, or a tenth of the record.
+    """
     v, record = item.record.voltage, item.record
-    # A coarse voltage stands still wherever it moves by less than one of its steps.
-    if resolution(v)[1] > COARSE:
-        return False
-    still = np.abs(np.diff(v)) < 1e-3 * _HELD * np.ptp(v)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0) * record.sample_time
     turns = turning_points(v, 0.02 * float(np.ptp(v)))
     leg = cycle_time(record) / 2 if len(turns) > 1 else float(np.ptp(record.time))
-    return bool(longest > min(leg, 0.1 * float(np.ptp(record.time))))
+    needed = min(leg, 0.1 * float(np.ptp(record.time)))
+    # A coarse voltage stands still wherever it moves by less than one of its steps.
+    if resolution(v)[1] > RULES.coarse_voltage:
+        return 0.0, needed
+    still = np.abs(np.diff(v)) < 1e-3 * RULES.hold_span * np.ptp(v)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0)
+    return (float(longest * record.sample_time) if longest > 1 else 0.0), needed

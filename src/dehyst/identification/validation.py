@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,21 +12,19 @@ from numpy.typing import NDArray
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.preprocessing.denoising import remove_jitter
-from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
-from dehyst.identification.preprocessing.internal_states import InternalStates
+from dehyst.identification.preprocessing.denoising import derivatives, disturbs, left_of, remove_dynamics, remove_jitter
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Epoch, Moving, RowSource
+from dehyst.identification.preprocessing.regressors import Epoch, InternalStates, Moving, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.start_state import fit_start
-from dehyst.model import Actuator, Motion, RecordErrors, State, Trace
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
+from dehyst.model import Actuator, Identification, Motion, State
 from dehyst.records import Record
-from dehyst.records.metrics import largest
-from dehyst.records.signals import turning_points
+from dehyst.records.signals import largest, turning_points
 
 # Rows in memory: more are gone through in blocks.
 MOST_ROWS = 200_000
@@ -43,7 +42,7 @@ _LEAST = 0.05
 
 
 @dataclass(frozen=True)
-class Protocol:
+class ComparisonOptions:
     """How a record is compared with a model.
 
     Attributes
@@ -139,10 +138,10 @@ class RecordComparison:
         for number, own in enumerate(self.epochs):
             for epoch in own:
                 state, size = self.state_before(actuator, number, epoch), epoch.stop - epoch.start
-                (played,) = self.play(
+                runs = self.play(
                     actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), self.block * size
                 )
-                parts.append((number, epoch, played))
+                parts.append((number, epoch, tuple(map(np.concatenate, zip(*runs, strict=True)))))
         return parts
 
     def last_offsets(self) -> list[float]:
@@ -156,7 +155,7 @@ class RecordComparison:
         """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
 
         Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
-        [V].
+        [V]. Through what is set aside the displacement leads the model.
         """
         (_, piece, curve), (state, offset) = self.whole[number], begin
         last = len(piece) if span.stop == len(self.measured[number]) else span.stop * self.block
@@ -164,11 +163,15 @@ class RecordComparison:
         y, drift = piece.displacement, self.drift * curve
         level = float(drift[span].mean())
         steady = drifting = state.shifted(self.datum)
-        for start in range(span.start, span.stop, size):
+        for start, stop, counted in _runs(piece, span, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > span.start)
-            stop = min(start + size, span.stop)
             run, own = slice(start - again, stop), slice(start, stop)
+            if not counted:
+                steady, drifting = (_followed(actuator, piece, run, self.datum, one) for one in (steady, drifting))
+                moved = y[own] + self.datum
+                yield piece.time[own], without_offset(actuator, piece.voltage[own], offset), moved, moved, moved
+                continue
             one = _driven(actuator, piece, run, (offset, drift[run]), steady)
             other = _driven(actuator, piece, run, (offset, level), drifting)
             steady, drifting = one.state, other.state
@@ -202,7 +205,8 @@ class RecordComparison:
             force = force - internal[1] @ actuator.smooth.stiffness
         known = None if standing or not own else self.last_offsets()[number]
         held = force - spring - self.drift * self.pieces[number][2][places]
-        start = fit_start(actuator.slip, y, held, fades, most, known)
+        counted = None if piece.counted is None else piece.counted[places]
+        start = fit_start(actuator.slip, y, held, fades, most, known, counted)
         state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0, 0.0), start.creep)
         return replace(state, carts=start.carts - self.datum), start.constant
 
@@ -230,12 +234,13 @@ class RecordComparison:
         return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
 
 
-def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordComparison:
+def compare(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> RecordComparison:
     """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
     few, whole = record.reduced, record.delayed(0, protocol.delay, actuator.lag)
     measured = whole if record.block == 1 else few.delayed(0, protocol.delay, actuator.lag)
     pieces = [(q, _path(actuator, piece, few.noise, protocol.stroke), drift) for q, piece, drift in measured]
-    source, regression, model = _beside(actuator, few, pieces, (0,) if protocol.drifting else ())
+    noise = left_of(few.noise, protocol.stroke)
+    source, regression, model = _beside(actuator, few, pieces, (0,) if protocol.drifting else (), noise)
     datum = protocol.datum
     if datum is None:
         datum = find_datum(regression, 0, protocol.stroke, given=model)
@@ -248,13 +253,14 @@ def compare(actuator: Actuator, record: Prepared, protocol: Protocol) -> RecordC
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
     """Prepare a record as those that an actuator was identified from: before its sensor's lag, if that was given."""
-    return prepare(record).without_lag(float(actuator.provenance.get("sensor_lag") or 0.0))
+    known = actuator.identification or Identification()
+    return prepare(record, ringing=known.ringing).without_lag(known.sensor_lag)
 
 
 def compare_all(
     actuator: Actuator, records: Record | Sequence[Record]
 ) -> tuple[tuple[RecordComparison, ...], float, float]:
-    """Put the records that an actuator was identified from beside it, by the options of its provenance.
+    """Put the records that an actuator was identified from beside it, by the options of its identification.
 
     Returns
     -------
@@ -262,17 +268,20 @@ def compare_all(
         One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
     """
     prepared = [prepare_for(actuator, record) for record in as_list(records)]
-    options, spans = actuator.provenance, [high - low for low, high in (item.span() for item in prepared)]
+    known = actuator.identification or Identification()
+    spans = [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
-    datum = 0.0 if options.get("shared_datum") else None
+    datum = 0.0 if known.shared_datum else None
     # Where branches creep, a drift of the record would be counted twice.
-    drift = bool(options.get("drift", True)) and actuator.creep is None
+    drift = known.drift and actuator.creep is None
     with one_thread():
         compared = tuple(
-            compare(actuator, item, Protocol("training", actuator.delay, datum, drift and item.can_drift, stroke))
+            compare(
+                actuator, item, ComparisonOptions("training", actuator.delay, datum, drift and item.can_drift, stroke)
+            )
             for item in prepared
         )
-    return compared, stroke, float(np.ptp(widest.voltage)) / stroke * float(options.get("slope_floor", 0.2))
+    return compared, stroke, float(np.ptp(widest.voltage)) / stroke * known.slope_floor
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
@@ -288,7 +297,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
         record = prepare_for(actuator, lead)
-        beside = compare(actuator, record, Protocol("validation", actuator.delay, None, False, stroke))
+        beside = compare(actuator, record, ComparisonOptions("validation", actuator.delay, None, False, stroke))
         number, own = len(beside.pieces) - 1, beside.epochs[-1]
     except ValueError:
         own = []
@@ -305,15 +314,42 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     return state, given - held if tau is None else float(tau(given) - tau(held))
 
 
+def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
+    """Return the state in which a record began, on the model's axis, and the offset of its voltages [V].
+
+    The start from which the model's simulation is nearest to the record, as in `RecordErrors.starts`: the carts and
+    creep strains that explain its first voltages best (`fit_start`). Smooth elements are taken as not elongated.
+
+    `actuator`: the model. `record`: that began in the state. `stroke` [m]: range of the widest training loop; default
+    that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
+    """
+    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
+    beside = compare(
+        actuator, prepare_for(actuator, record), ComparisonOptions("validation", actuator.delay, None, False, stroke)
+    )
+    state, offset = beside.start_of(actuator, 0, _first_sample(beside.pieces[0][1], actuator.delay))
+    return state.shifted(beside.datum), offset
+
+
+def _first_sample(piece: Record, delay: float) -> int:
+    """Return the first sample that counts, and whose voltage is recorded: none is before the delay [s] is over."""
+    first = min(int(np.ceil(delay / piece.sample_time)), len(piece) - 1) if delay > 0 else 0
+    return first if piece.counted is None else max(first, int(np.argmax(piece.counted)))
+
+
 def _beside(
-    actuator: Actuator, record: Prepared, pieces: list[tuple[int, Record, Array]], drifting: tuple[int, ...]
+    actuator: Actuator,
+    record: Prepared,
+    pieces: list[tuple[int, Record, Array]],
+    drifting: tuple[int, ...],
+    noise: float,
 ) -> tuple[RowSource, Regression, Coefficients]:
     """Return the samples of a record, their regression on some of them, and an actuator's coefficients in it."""
     grid = Grid.of_actuator(actuator)
     source = RowSource.of(
         pieces,
         grid.breakaway,
-        [record.noise] * len(pieces),
+        [noise] * len(pieces),
         moved=lambda _, piece: InternalStates(grid, piece, record.lead),
     )
     most, floor = _FEW_ROWS, _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
@@ -327,26 +363,33 @@ def _beside(
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """Return what drives the elements of an actuator; plain ones take the measured displacement as it is."""
-    return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke) if actuator.wide else piece
+    """Return what drives the elements of an actuator; plain ones take a displacement of little noise as it is."""
+    if not actuator.wide and not disturbs(noise, stroke):
+        return piece
+    return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
 
 
-def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple[RecordErrors, Trace]:
+def errors_of(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> tuple[RecordErrors, Trace]:
     """Simulate each piece of a record whole, from the state at its first sample that suits it best, and compare.
 
     The constant, datum and drift of a record are fitted by least squares with the model held fixed.
     """
-    compared = compare(actuator, record, protocol)
+    return errors_beside(actuator, record, compare(actuator, record, protocol), protocol)
+
+
+def errors_beside(
+    actuator: Actuator, record: Prepared, compared: RecordComparison, protocol: ComparisonOptions
+) -> tuple[RecordErrors, Trace]:
+    """Do the same for a record that is put beside the model already."""
     found, regression = compared.found, compared.regression
     sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
     starts = []
     for number, (_, piece, _) in enumerate(compared.pieces):
-        # What voltage acted on the first samples, before the delay is over, is not recorded.
-        first = min(int(np.ceil(protocol.delay / piece.sample_time)), len(piece) - 1) if protocol.delay > 0 else 0
+        first = _first_sample(piece, protocol.delay)
         start = compared.start_of(actuator, number, first)
         starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
-            sums.add(played)
+            sums.add(counted_of(played, piece))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*sums.drawn, strict=True))
     trace = Trace(record.name, protocol.role, time, voltage, measured, simulated, record.start)
     slope = float(np.median(regression.slope(found)))
@@ -370,6 +413,17 @@ def errors_of(actuator: Actuator, record: Prepared, protocol: Protocol) -> tuple
     ), trace
 
 
+def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
+    """Return those of the samples that `RecordComparison.play` yields which are not set aside."""
+    if not piece.set_aside:
+        return played
+    time = played[0]
+    kept = np.ones(time.size, dtype=bool)
+    for first, last in piece.set_aside:
+        kept &= (time < first) | (time > last)
+    return tuple(column[kept] for column in played)
+
+
 class _Sums:
     """Errors of a record, steady and with its drift, added up as it is played; every step-th sample is kept."""
 
@@ -391,6 +445,25 @@ class _Sums:
             error = played[2] - simulated
             self.largest[k] = max(self.largest[k], largest(error))
             self._squares[k] += float(np.sum(error**2))
+
+
+def _runs(piece: Record, span: slice, size: int) -> Iterator[tuple[int, int, bool]]:
+    """Yield the first and one after the last sample of runs of at most `size`, and whether their samples count."""
+    edges = [span.start, span.stop]
+    if piece.counted is not None:
+        edges[1:1] = [k for k in (np.flatnonzero(np.diff(piece.counted)) + 1).tolist() if span.start < k < span.stop]
+    for first, last in pairwise(edges):
+        for start in range(first, last, size):
+            yield start, min(start + size, last), piece.counted is None or bool(piece.counted[start])
+
+
+def _followed(actuator: Actuator, piece: Record, run: slice, datum: float, state: State) -> State:
+    """Return the state after a model has followed the displacements of a piece."""
+    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
+    time = piece.time[run] if actuator.needs_time else None
+    path = piece.displacement[run] + datum
+    reached: State = actuator.compensate(path, time=time, state=state, extrapolate=True).state
+    return reached
 
 
 def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:

@@ -10,43 +10,54 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
-from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.stage import AbstractStageRig, AxisLimits, AxisSlewRates
+from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, limits_of_axes, slew_rates_of_axes
 
 _Options = dict[str, Any]
 _FORMS = (
-    "pi://host:port[/axis], epics://PREFIX, sim://play (or creep, preisach, boucwen, /path/to/model.json), "
+    "pi://host:port[/axis or axes], epics://PREFIX, sim://play (or creep, preisach, boucwen, /path/to/model.json), "
     "ni://Dev1/ao0,ai0?gain=10&scale=5 or path/to/my_rig.py:make"
 )
 
 
-def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_rate: float | None = None) -> AbstractRig:
-    """Open the rig at an address.
+def open_rig(
+    address: str,
+    axes: Sequence[str] | None = None,
+    *,
+    limits: AxisLimits = None,
+    slew_rate: AxisSlewRates = None,
+) -> AbstractRig:
+    """Open the rig at an address, of one axis or of several that move together.
 
     Parameters
     ----------
     address : str
-        ``pi://host:port`` or ``pi://host:port/axis``: a PI controller (GCS 2.0 over TCP).
+        ``pi://host:port``, ``pi://host:port/axis`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
         ``epics://PREFIX``: process variables that begin so.
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
         without a link, as fast as it computes.
         ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
-    limits : (float, float), optional
-        Allowed voltages [V]; they are narrowed to those of the device.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s]; the device's where that is lower.
+    axes : sequence of str, optional
+        Names of the axes of a controller, unless they are in the address; default: its only one.
+    limits : (float, float) or sequence of (float, float), optional
+        Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
+    slew_rate : float or sequence of float, optional
+        Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
 
     Raises
     ------
     RigError
-        If the address is not valid, or no instrument answers there.
+        If the address is not valid or names other axes, or no instrument with these axes answers there.
     MissingExtraError
         If a required package is not installed.
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     scheme, separator, rest = address.partition("://")
+    if separator and scheme.lower() == "pi":
+        return _checked(_pi(rest, axes, options), options)
+    if axes is not None:
+        raise RigError(f"{address}: cannot choose axes, or play several together; need pi://host:port/1,2,3")
     if separator:
         if scheme.lower() not in _OPENERS:
             raise RigError(f"{address}: got an unknown kind of rig, {scheme!r}; need {_FORMS}")
@@ -58,67 +69,32 @@ def open_rig(address: str, *, limits: tuple[float, float] | None = None, slew_ra
 
 
 def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
-    """Return the rig if its limits lie within the requested ones; raises RigError."""
-    allowed = getattr(rig, "limits", None)
-    if allowed is None:
+    """Return the rig if the limits of its axes lie within the requested ones; raises RigError."""
+    if getattr(rig, "axes", None) is None:
         raise RigError(f"{type(rig).__name__}: its __init__ does not call super().__init__(name, limits, ...)")
-    limits, slew_rate = options["limits"] or (allowed.low, allowed.high), options["slew_rate"] or rig.slew_rate
-    if limits[0] <= allowed.low and allowed.high <= limits[1] and rig.slew_rate <= slew_rate:
-        return rig
-    rig.close()
-    raise RigError(
-        f"{rig.name}: allows {allowed.words} and {rig.slew_rate:.6g} V/s, but {limits[0]:g} to {limits[1]:g} V and "
-        f"{slew_rate:.6g} V/s were requested; pass limits= and slew_rate= on to AbstractRig"
-    )
+    count = len(rig.axes)
+    wanted, rates = limits_of_axes(options["limits"], count), slew_rates_of_axes(options["slew_rate"], count)
+    for one, bounds, rate in zip(rig.rigs, wanted, rates, strict=True):
+        low, high = bounds or (one.limits.low, one.limits.high)
+        steepest = rate or one.slew_rate
+        if low <= one.limits.low and one.limits.high <= high and one.slew_rate <= steepest:
+            continue
+        rig.close()
+        raise RigError(
+            f"{one.name}: allows {one.limits.words} and {one.slew_rate:.6g} V/s, but {low:g} to {high:g} V and "
+            f"{steepest:.6g} V/s were requested; pass limits and slew_rate on to AbstractRig"
+        )
+    return rig
 
 
-def open_stage_rig(
-    address: str,
-    axes: Sequence[str] | None = None,
-    *,
-    limits: AxisLimits = None,
-    slew_rate: AxisSlewRates = None,
-) -> AbstractStageRig:
-    """Open several axes of the rig at an address, over one connection.
-
-    Parameters
-    ----------
-    address : str
-        ``pi://host:port`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
-    axes : sequence of str, optional
-        Names of the axes, unless they are in the address.
-    limits : (float, float) or sequence of (float, float), optional
-        Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
-    slew_rate : float or sequence of float, optional
-        Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
-
-    Raises
-    ------
-    RigError
-        If the address is not valid, names other axes, or no instrument with these axes answers there.
-    """
-    scheme, separator, rest = address.partition("://")
-    if not separator or scheme.lower() != "pi":
-        raise RigError(f"{address}: cannot play several axes together; need pi://host:port/1,2,3")
-    from dehyst.instruments.pi_stage import PiStageRig
+def _pi(rest: str, axes: Sequence[str] | None, options: _Options) -> AbstractRig:
+    from dehyst.instruments.pi import PiRig
 
     host, port, path = _pi_address(rest)
     named = [name for name in (path or "").split(",") if name]
     if axes is not None and named and list(axes) != named:
-        raise RigError(f"{address}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
-    chosen = list(axes or named)
-    if len(chosen) < 2:
-        raise RigError(f"{address}: need two axes or more, as in pi://{host}:{port}/1,2,3")
-    return PiStageRig.connect(host, port, axes=chosen, limits=limits, slew_rate=slew_rate)
-
-
-def _pi(rest: str, options: _Options) -> AbstractRig:
-    from dehyst.instruments.pi import PiRig
-
-    host, port, axis = _pi_address(rest)
-    if axis and "," in axis:
-        raise RigError(f"pi://{rest}: names several axes, which only dehyst calibrate plays together; give one")
-    return PiRig.connect(host, port, axis=axis, **options)
+        raise RigError(f"pi://{rest}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
+    return PiRig.connect(host, port, axis=list(axes or named) or None, **options)
 
 
 def _pi_address(rest: str) -> tuple[str, int, str | None]:
@@ -164,9 +140,7 @@ def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     """Run a user's file, and call its function `name`."""
     make = getattr(_module(path), name, None)
     if not callable(make):
-        raise RigError(
-            f"{path}: has no function {name!r}; need one that takes limits= and slew_rate= and returns a rig"
-        )
+        raise RigError(f"{path}: has no function {name!r}; need one that takes limits and slew_rate and returns a rig")
     try:
         rig = make(**options)
     except DehystError:
@@ -174,7 +148,7 @@ def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     # User code may raise anything.
     except Exception as error:
         raise RigError(
-            f"{path}:{name}: raised {type(error).__name__}: {error}; dehyst calls it with limits= and slew_rate="
+            f"{path}:{name}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
         ) from error
     if not isinstance(rig, AbstractRig):
         raise RigError(f"{path}:{name}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
@@ -200,7 +174,6 @@ def _module(path: Path) -> ModuleType:
 
 
 _OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {
-    "pi": _pi,
     "epics": _epics,
     "sim": _sim,
     "ni": _ni,

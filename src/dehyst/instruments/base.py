@@ -1,4 +1,4 @@
-"""The base class of all rigs, which enforces limits, slew rate and retreat."""
+"""The base class of all rigs of one or several axes, which enforces limits, slew rate and retreat."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import math
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from types import TracebackType
-from typing import Self, final
+from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,38 +19,60 @@ from dehyst._errors import DeviceError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.control.ramps import ramp_step
-from dehyst.instruments.driver_errors import arrivals, driver_errors, finite, pieces, reading_of
 from dehyst.instruments.interrupts import retreated, retreating, shielded
-from dehyst.instruments.limits import check_excitation, common_limits
-from dehyst.instruments.samples import READBACK_TOLERANCE, Inspection, Listener, Reading, Samples
-from dehyst.instruments.sensor_watch import SensorWatch
+from dehyst.instruments.samples import (
+    READBACK_TOLERANCE,
+    Inspection,
+    Listener,
+    Reading,
+    Samples,
+    SensorWatch,
+    arrivals,
+    columns_of,
+    driver_errors,
+    finite,
+    pieces,
+    reading_of,
+)
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
 
-__all__ = ["AbstractRig", "Listener", "Reading", "Samples"]
+# Of all axes, or of each; None for an axis: those of the device.
+AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
+AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 
+# Highest rate [Hz] that a host keeps with one round trip a sample.
+HIGHEST_RATE = 200.0
 # The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
-LEAST_WATCHED = 0.25
+_LEAST_WATCHED = 0.25
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
+# Seconds between two batches of samples that the host times.
+_BATCH_SECONDS = 0.2
+# Seconds for the whole range, if neither device nor user gives a slew rate.
+_SHORTEST_SWEEP = 0.1
+# Least range [V], and longest ramp through it [s].
+_LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
+# Relative slack for rates that a device rounds.
+_SLACK = 1e-6
 
 
 class AbstractRig(ABC):
-    """An amplifier and a sensor around one actuator.
+    """An amplifier and a sensor around an actuator, or around each of several that move together.
 
     A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
     the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that send a
-    voltage are final.
+    voltage are final. A rig of several axes is made of a rig of each axis, whose limits, readings, ramps and stops are
+    used; its own are `_wave`, which plays all axes from one instant, and `_close`.
 
     Parameters
     ----------
     name : str
         Name of the instrument.
-    device : VoltageLimits
-        Limits of the device; its slew rate may be None.
+    device : VoltageLimits or sequence of AbstractRig
+        Limits of the device, whose slew rate may be None; of several axes, the rigs of the axes.
     limits : (float, float), optional
         Voltages that the user allows [V]; they are narrowed to those of the device.
     slew_rate : float, optional
@@ -57,27 +80,27 @@ class AbstractRig(ABC):
     longest : int, optional
         Most samples of one `_wave`; default any number.
     axis : str
-        Of the device.
+        Of the device; of several axes their names, joined by commas.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
 
     Attributes
     ----------
-    limits, slew_rate : VoltageLimits, float
-        The limits in force: never wider than the device's or the user's, always with a slew rate [V/s].
-    safe : float
-        The voltage [V] to retreat to: the one within the limits nearest to 0 V.
+    axes : tuple of str
+        Names of the axes.
+    rigs : tuple of AbstractRig
+        The rig of each axis; of one axis, the rig itself.
 
     Raises
     ------
     RigError
-        If no voltage is allowed by both device and user.
+        If no voltage is allowed by both device and user, or two axes have one name.
     """
 
     def __init__(
         self,
         name: str,
-        device: VoltageLimits,
+        device: VoltageLimits | Sequence[AbstractRig],
         *,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
@@ -85,14 +108,47 @@ class AbstractRig(ABC):
         axis: str = "1",
         identity: str | None = None,
     ) -> None:
-        self.name, self.axis, self.longest, self.identity = name, axis, longest, identity or name
-        self.limits = common_limits(device, limits, slew_rate)
-        self.slew_rate = float(self.limits.slew_rate or math.inf)
+        self.name, self.longest, self.identity = name, longest, identity or name
+        self._limits: VoltageLimits | None = None
+        self._parts: tuple[AbstractRig, ...] = ()
+        if isinstance(device, VoltageLimits):
+            self._limits = common_limits(device, limits, slew_rate)
+        else:
+            self._parts = tuple(device)
+        self.axes: tuple[str, ...] = tuple(one.axis for one in self._parts) or (axis,)
+        self.axis: str = ",".join(self.axes)
+        if not self._limits and (len(self.axes) < 2 or len(set(self.axes)) < len(self.axes)):
+            raise RigError(
+                argument=name, got=f"the axes {', '.join(self.axes) or 'none'}", need="two or more, each once"
+            )
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
-        self.safe = self.limits.nearest(0.0)
         self._closed = False
         self._last_voltage: float | None = None
+
+    @property
+    def rigs(self) -> tuple[AbstractRig, ...]:
+        """The rig of each axis."""
+        return self._parts or (self,)
+
+    @property
+    def limits(self) -> VoltageLimits:
+        """Limits in force of the only axis: never wider than the device's or the user's, always with a slew rate.
+
+        Raise `RigError` if there are several axes: each of `rigs` has its own.
+        """
+        self._refuse_several()
+        return self._limits  # type: ignore[return-value]
+
+    @property
+    def slew_rate(self) -> float:
+        """Largest abs(dv/dt) [V/s] in force, of the only axis."""
+        return float(self.limits.slew_rate or math.inf)
+
+    @property
+    def safe(self) -> float:
+        """The voltage [V] to retreat to, of the only axis: the one within the limits nearest to 0 V."""
+        return self.limits.nearest(0.0)
 
     def __enter__(self) -> Self:
         return self
@@ -103,8 +159,8 @@ class AbstractRig(ABC):
         self.close()
 
     def __repr__(self) -> str:
-        slew = f"{self.slew_rate:.6g} V/s"
-        return f"<{type(self).__name__} '{self.name}', axis {self.axis}: {self.limits.words}, {slew}>"
+        bounds = "; ".join(f"axis {one.axis}: {one.limits.words}, {one.slew_rate:.6g} V/s" for one in self.rigs)
+        return f"<{type(self).__name__} '{self.name}', {bounds}>"
 
     @final
     def set_voltage(self, voltage: float) -> float:
@@ -132,55 +188,85 @@ class AbstractRig(ABC):
                 stacklevel=2,
             )
         with self.safely():
-            self._ramp(sent)
+            self._ramp([sent])
         return sent
 
     @final
     def read(self) -> Reading:
-        """Read the instrument once; raise `RigError` if there is no answer, or a number in it is not finite."""
+        """Read the instrument once; raise `RigError` if there is no answer, or a number in it is not finite.
+
+        Of several axes, each of `rigs` is read.
+        """
         self._refuse_closed()
+        self._refuse_several()
         return finite(self.name, self._reading())
 
     @final
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
         """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
-        Returns voltage and displacement as the device recorded them, in its own time. `listen` is called with each
-        batch of `Samples` as it arrives. After any error, in `listen` too, and on Ctrl-C or SIGTERM, the wave is
-        stopped and the voltage ramped to `safe`; `listen` has received all samples that arrived.
+        Returns voltage and displacement as the device recorded them, in its own time; several axes play together, a
+        column each. `listen` is called with each batch of `Samples` as it arrives. After any error, in `listen` too,
+        and on Ctrl-C or SIGTERM, the wave is stopped and all voltages ramped to the safe ones; `listen` has received
+        all samples that arrived.
 
         Raises
         ------
         RecordError
-            If the excitation leaves the limits or is too steep; nothing was sent.
+            If the excitation has not one voltage for each axis, leaves the limits or is too steep; nothing was sent.
         RigError
             If the device, its link or its sensor fails.
         """
         rate = self.check(excitation)
+        several = self.axes if self._parts else ()
+        spans = [one.limits.high - one.limits.low for one in self.rigs]
+        inspection = Inspection(self.name, spans if several else spans[0], several)
+        sensors = [
+            SensorWatch(max(float(np.ptp(column)), _LEAST_WATCHED * span), name)
+            for column, span, name in zip(
+                columns_of(excitation.voltage),
+                spans,
+                [f"the sensor of axis {axis}" for axis in several] or ["the sensor"],
+                strict=True,
+            )
+        ]
         batches: list[Samples] = []
-        span, (low, high) = self.limits.high - self.limits.low, excitation.voltage_range
-        inspection, sensor = Inspection(self.name, span), SensorWatch(max(high - low, LEAST_WATCHED * span))
         with self.safely():
-            self._ramp(float(excitation.voltage[0]))
+            self._ramp(np.ravel(excitation.voltage[0]).tolist())
             for piece in pieces(excitation.voltage, self.longest):
+                inspection.begin(piece)
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
-                with closing(self._piece(piece, rate, inspection)) as arriving:
+                with closing(arrivals(self.name, partial(self._wave, piece, rate), inspection)) as arriving:
                     for samples in arriving:
                         batches.append(samples)
-                        self._last_voltage = float(samples.voltage[-1])
+                        for one, last in zip(self.rigs, np.ravel(samples.voltage[-1]).tolist(), strict=True):
+                            one._last_voltage = last
                         listen(samples)
-                        sensor.observe(samples.voltage, samples.displacement)
+                        for j, sensor in enumerate(sensors):
+                            sensor.observe(columns_of(samples.voltage)[j], columns_of(samples.displacement)[j])
         times, voltage, displacement = (np.concatenate(columns) for columns in zip(*batches, strict=True))
-        return Record(times, voltage, displacement, excitation.name, {"rig": self.name, "axis": self.axis})
+        meta = {"rig": self.name, "axis": self.axis}
+        return Record(times, voltage, displacement, excitation.name, meta, axes=several)
 
     @final
     def check(self, excitation: Excitation) -> float:
         """Return the rate [Hz] at which `play` would play an `excitation`; raises its RecordError, sends nothing."""
         self._refuse_closed()
-        with driver_errors(self.name, "nearest_rate"):
-            rate = float(self.nearest_rate(excitation.sample_rate))
-        check_excitation(excitation, rate, self.limits, self.name)
-        return rate
+        columns = columns_of(excitation.voltage)
+        if len(columns) != len(self.axes) or (excitation.voltage.ndim > 1) != bool(self._parts):
+            raise RecordError(
+                f"{excitation.name}: got {len(columns)} columns of voltage, need {len(self.axes)}, one an axis; "
+                "nothing was sent"
+            )
+        rates = set()
+        for one, column in zip(self.rigs, columns, strict=True):
+            with driver_errors(self.name, "nearest_rate"):
+                rates.add(float(one.nearest_rate(excitation.sample_rate)))
+            name = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name
+            _check_voltage(column, max(rates), one, name)
+        if len(rates) > 1:
+            raise RigError(f"{self.name}: its axes play at {sorted(rates)} Hz, need one rate")
+        return rates.pop()
 
     @final
     @contextmanager
@@ -190,22 +276,32 @@ class AbstractRig(ABC):
             yield
 
     @final
-    def retreat(self) -> float:
+    def retreat(self) -> Any:
         """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
-        Raise `RigError` if the device fails.
+        Several axes ramp side by side, and their voltages (axes,) are returned; one that fails does not keep the others
+        from it. Raise `RigError` if the device fails.
         """
         self._refuse_closed()
+        errors, ramps = [], []
         with shielded(defer=True):
-            self._stop_wave()
-            self._ramp(self.safe, self._last_voltage)
-        return self.safe
+            for one in self.rigs:
+                if (error := _error_of(one._stop_wave)) is None:
+                    ramps.append(one._ramping(one.safe, one._last_voltage))
+                else:
+                    errors.append(error)
+            errors += self._ramped(ramps)
+        if errors:
+            raise errors[0]
+        return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
     @final
     def close(self) -> None:
         """Close the link and leave the voltage where it is. May be called twice."""
         if not self._closed:
             self._closed = True
+            for one in self._parts:
+                one.close()
             self._close()
 
     @final
@@ -215,7 +311,7 @@ class AbstractRig(ABC):
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
-        return sample_rate
+        return self._parts[0].nearest_rate(sample_rate) if self._parts else sample_rate
 
     @abstractmethod
     def _read(self) -> Reading:
@@ -229,7 +325,8 @@ class AbstractRig(ABC):
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         """Play voltages (n,) [V], n <= longest, at `rate` [Hz], from the present output; yield samples as they arrive.
 
-        One sample of the record for each voltage. Times continue from one call to the next.
+        One sample of the record for each voltage. Times continue from one call to the next. Of several axes, voltages
+        are (n, axes) and begin at one instant.
         """
 
     @abstractmethod
@@ -244,10 +341,30 @@ class AbstractRig(ABC):
         """Wait."""
         time.sleep(seconds)
 
-    def _ramp(self, end: float, fallback: float | None = None) -> None:
-        """Ramp as `_ramping` does."""
-        for _ in self._ramping(end, fallback):
-            self._wait(TICK)
+    def _ramp(self, ends: Sequence[float]) -> None:
+        """Ramp all axes to their voltages [V]."""
+        errors = self._ramped([one._ramping(end) for one, end in zip(self.rigs, ends, strict=True)])
+        if errors:
+            raise errors[0]
+
+    def _ramped(self, ramps: Sequence[Iterator[None]]) -> list[Exception]:
+        """Ramp axes side by side, a step of each in a tick; return the errors of those that failed."""
+        errors: list[Exception] = []
+        going = list(ramps)
+        while going:
+            left = []
+            for ramp in going:
+                try:
+                    next(ramp)
+                    left.append(ramp)
+                except StopIteration:
+                    pass
+                except Exception as error:  # of a driver's library: the other axes go on
+                    errors.append(error)
+            going = left
+            if going:
+                self.rigs[0]._wait(TICK)
+        return errors
 
     def _stop_wave(self) -> None:
         """Stop the wave, if one is playing; the voltage stays. Raise `DeviceError` if the device fails."""
@@ -272,7 +389,7 @@ class AbstractRig(ABC):
         low, high = self.limits.low, self.limits.high
         gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
-            present = ramp_step(end, present, gentle, TICK)
+            present = gentle.towards(end, present, TICK)
             # Before the first step too: a wave may have been stopped just now.
             yield
             with driver_errors(self.name, "_put"):
@@ -293,11 +410,9 @@ class AbstractRig(ABC):
         with driver_errors(self.name, "_read"):
             return reading_of(self.name, self._read())
 
-    def _piece(self, voltage: Array, rate: float, inspection: Inspection) -> Generator[Samples, None, None]:
-        """Play one piece and check its samples as they arrive."""
-        inspection.begin(voltage)
-        yield from arrivals(self.name, lambda: self._wave(voltage, rate), inspection.admit, inspection.compare)
-        inspection.end()
+    def _refuse_several(self) -> None:
+        if self._parts:
+            raise RigError(f"{self.name}: has the axes {', '.join(self.axes)}, need one; see the rig of each in rigs")
 
     def _refuse_closed(self) -> None:
         if self._closed:
@@ -305,4 +420,104 @@ class AbstractRig(ABC):
 
     def _retreated(self) -> str:
         """Retreat if the link still works, and return the outcome as a sentence."""
-        return retreated(lambda: f"{self.retreat():.6g}", f"{self.safe:.6g}", self.close)
+        words = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        return retreated(self.retreat, words, self.close, f" of the axes {', '.join(self.axes)}" if self._parts else "")
+
+
+def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
+    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
+
+    For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
+    slow, with uneven steps. The samples have the times at which they were read, by the device's clock.
+    """
+    period, readings, yielded = 1 / rate, [], time.monotonic()
+    for v in voltage:
+        rig._put(float(v))
+        # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
+        sent = time.monotonic()
+        readings.append(rig._read())
+        now = time.monotonic()
+        if now - yielded >= _BATCH_SECONDS:
+            yield Samples(*np.array(readings, dtype=np.float64).T)
+            readings, yielded = [], now
+        rig._wait(max(0.0, sent + period - time.monotonic()))
+    if readings:
+        yield Samples(*np.array(readings, dtype=np.float64).T)
+
+
+def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
+    """Return the limits that device and user both allow, always with a slew rate.
+
+    Raise `RigError` if they have less than a millivolt in common, or a ramp through them takes more than an hour. Raise
+    `ModelError` if the user's limits are not valid.
+    """
+    given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
+    low, high = max(device.low, given.low), min(device.high, given.high)
+    if not low < high:
+        raise RigError(
+            f"got {given.words}, but the device has {device.words}",
+            argument="limits",
+            hint="nothing is left, give others",
+        )
+    if high - low < _LEAST_RANGE:
+        raise RigError(
+            argument="limits",
+            got=f"{low:g} to {high:g} V",
+            need=f"a range of {_LEAST_RANGE:g} V at least",
+            hint="widen them",
+        )
+    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
+    rate = min(rates) if rates else (high - low) / _SHORTEST_SWEEP
+    if high - low > _LONGEST_RAMP * rate:
+        least = (high - low) / _LONGEST_RAMP
+        raise RigError(
+            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
+            f"give {least:.3g} V/s at least, or narrower limits"
+        )
+    return VoltageLimits(low, high, rate)
+
+
+def limits_of_axes(given: AxisLimits, count: int) -> list[tuple[float, float] | None]:
+    """Return the limits [V] that the user allows of each of `count` axes, `given` once or for each; raises RigError."""
+    pairs: list[Any] = [None] * count if given is None else list(given)
+    if len(pairs) == 2 and not any(isinstance(one, Sequence | np.ndarray) or one is None for one in pairs):
+        pairs = [tuple(pairs)]
+    pairs = pairs * count if len(pairs) == 1 else pairs
+    if len(pairs) != count:
+        raise RigError(argument="limits", got=f"{len(pairs)} pairs for {count} axes", need="one, or one for each")
+    return [None if one is None else (float(one[0]), float(one[1])) for one in pairs]
+
+
+def slew_rates_of_axes(given: AxisSlewRates, count: int) -> list[float | None]:
+    """Return the slew rate [V/s] that the user allows of each of `count` axes, `given` once or for each.
+
+    Raise `RigError` if there is another number of them.
+    """
+    rates = list(given) if isinstance(given, Sequence | np.ndarray) else [given] * count
+    if len(rates) != count:
+        raise RigError(argument="slew_rate", got=f"{len(rates)} numbers for {count} axes", need="one, or one for each")
+    return [None if one is None else float(one) for one in rates]
+
+
+def _check_voltage(voltage: Array, rate: float, rig: AbstractRig, name: str) -> None:
+    """Raise RecordError if a voltage (n,) [V] at `rate` [Hz] exceeds limits or slew rate of a rig of one axis."""
+    low, high, limits = float(voltage.min()), float(voltage.max()), rig.limits
+    if low < limits.low or high > limits.high:
+        raise RecordError(
+            f"{name}: {low:.6g} to {high:.6g} V, but {rig.name} may have {limits.words}; "
+            "request less, or widen the limits if device and actuator allow it; nothing was sent"
+        )
+    steepest = float(np.abs(np.diff(voltage)).max()) * rate
+    if steepest > rig.slew_rate * (1 + _SLACK):
+        raise RecordError(
+            f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
+            f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
+        )
+
+
+def _error_of(action: Callable[[], None]) -> Exception | None:
+    try:
+        action()
+    except Exception as error:  # a driver's library may raise anything
+        return error
+    return None

@@ -11,11 +11,11 @@ from typing import Any
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
 from dehyst._validation import number
 from dehyst.control import Compensator, VoltageLimits, shortest_homing
-from dehyst.control.ramps import homing_steps, ramp_step
-from dehyst.control.reachable import slow_actuator, state_at
+from dehyst.control.planning.played_homing import homing_steps
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.model import Actuator
+from dehyst.model.states import state_at
 
 try:
     from bluesky.plan_stubs import stop, wait_for
@@ -97,8 +97,10 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     ) -> None:
         period, settle = number(period, "period"), number(settle, "settle")
         if period <= 0 or settle < 0:
-            raise ModelError(f"period, settle: got {period} and {settle} s, need more than 0, and 0 or more")
-        self._actuator, self._period, self._settle = slow_actuator(actuator), period, settle
+            raise ModelError(
+                argument="period, settle", got=f"{period} and {settle} s", need="more than 0, and 0 or more"
+            )
+        self._actuator, self._period, self._settle = actuator.quasistatic(), period, settle
         self._given = [VoltageLimits(*ends) for ends in (limits, actuator.limits) if ends is not None]
         self._given_slew_rate = None if slew_rate is None else VoltageLimits(0.0, 1.0, slew_rate).slew_rate
         self._limits: VoltageLimits | None = None
@@ -251,7 +253,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         """Take one step towards a displacement [um], and return whether it is reached."""
         self._catch_up(compensator)
         target = limits.nearest(compensator.offer(_MICRO * value))
-        voltage = ramp_step(target, compensator.voltage, limits, self._period)
+        voltage = limits.towards(target, compensator.voltage, self._period)
         await self._send(voltage, compensator, limits, self._period)
         return voltage == target
 
@@ -292,7 +294,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         if not low < high:
             raise RigError(
                 f"{self.name}: the limits of user, actuator and IOC have no voltage in common: their largest lower one "
-                f"is {low:.6g} V, their smallest upper one {high:.6g} V; give other limits="
+                f"is {low:.6g} V, their smallest upper one {high:.6g} V; give other limits"
             )
         device = 0.0 if self.slew is None else await self.slew.get_value()
         rates = [rate for rate in (device, self._given_slew_rate) if rate]

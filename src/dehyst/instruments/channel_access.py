@@ -12,12 +12,12 @@ import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError
 from dehyst._types import Array
+from dehyst._units import COUNTS, symbol_of
 
 # ECA_TIMEOUT of Channel Access.
 _TIMED_OUT = 80
 # Characters of an answer that a message quotes.
 _QUOTED = 60
-_METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "micron": 1e-6, "microns": 1e-6, "nm": 1e-9}
 HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
 
 _Value = TypeVar("_Value")
@@ -116,11 +116,12 @@ class ChannelAccess:
         """
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
-        if unit and unit not in _METRES:
+        count = COUNTS["m"].get(symbol_of(unit))
+        if unit and count is None:
             raise LinkError(
                 f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; correct EGU in its record"
             )
-        return _METRES[unit] if unit else None
+        return 1 / count if count else None
 
     def length(self, name: str) -> int:
         """Return the capacity of an array, in elements."""

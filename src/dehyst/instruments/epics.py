@@ -11,9 +11,9 @@ from typing import Any, Self
 from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
-from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, host_timed
 from dehyst.instruments.channel_access import HINT, ChannelAccess
-from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
+from dehyst.instruments.samples import Reading, Samples
 
 # Seconds between two polls of a wave; reading samples takes this share of the time at most.
 _POLL, _SHARE = 0.1, 0.1
@@ -69,7 +69,11 @@ class PvNames:
         wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
         missing = [what for what in wanted if what not in self.waves]
         if missing and self.waves:
-            raise RigError(f"names: got none for {', '.join(missing)}; waves need all of them, or set all to None")
+            raise RigError(
+                f"got none for {', '.join(missing)}",
+                argument="names",
+                hint="waves need all of them, or set all to None",
+            )
         return not missing
 
     def without_waves(self) -> PvNames:
@@ -288,4 +292,4 @@ def _missing(link: ChannelAccess, absent: Sequence[str], count: int) -> str:
             f"{link.prefix}{absent[0]}; {HINT}"
         )
     names = ", ".join(link.prefix + name for name in absent)
-    return f"{names}: no such process variable within {link.timeout:g} s; give names=, with None for those it lacks"
+    return f"{names}: no such process variable within {link.timeout:g} s; give names, with None for those it lacks"

@@ -56,5 +56,5 @@ def sentence(number: int) -> str:
     """Return the meaning of an error number, and for limits what to try."""
     text = _SENTENCES.get(number, "see its manual's list of error codes")
     if number in LIMITS:
-        text += "; its limits are narrower than it reported, request less with limits="
+        text += "; its limits are narrower than it reported, request narrower limits"
     return f"error {number}: {text}"

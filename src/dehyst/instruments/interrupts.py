@@ -121,13 +121,14 @@ def retreating(rig: _Retreating) -> Iterator[None]:
             raise
 
 
-def retreated(retreat: Callable[[], str], safe: str, close: Callable[[], None], axes: str = "") -> str:
+def retreated(retreat: Callable[[], Any], safe: str, close: Callable[[], None], axes: str = "") -> str:
     """Retreat if the link still works, else close it; return the outcome as a sentence.
 
-    `retreat` returns the voltages that it reached; `safe` are those to be reached, `axes` are words on several.
+    `safe` are the voltages that `retreat` brings about, `axes` are words on several.
     """
     try:
-        return f"{_NOTE}{axes} was brought to {retreat()} V."
+        retreat()
+        return f"{_NOTE}{axes} was brought to {safe} V."
     except Exception as error:  # a driver's library may raise anything; the first error is the one to report
         with suppress(Exception):
             close()

@@ -14,7 +14,8 @@ import numpy as np
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
-from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.samples import Reading, Samples
 
 # Seconds between two polls, and without a new sample until the card counts as silent.
 _POLL, _PATIENCE = 0.05, 5.0

@@ -1,22 +1,31 @@
-"""A rig on a PI piezo controller with GCS 2.0: over TCP, or through a connected device object."""
+"""A rig on axes of a PI piezo controller with GCS 2.0: over TCP, or through a connected device object."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Self
+
+import numpy as np
 
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.instruments import gcs_syntax
-from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.instruments.base import (
+    HIGHEST_RATE,
+    AbstractRig,
+    AxisLimits,
+    AxisSlewRates,
+    host_timed,
+    limits_of_axes,
+    slew_rates_of_axes,
+)
 from dehyst.instruments.gcs_client import GcsClient
 from dehyst.instruments.gcs_errors import STOPPED
 from dehyst.instruments.gcs_link import AbstractGcsLink, DeviceLink, TcpLink
-from dehyst.instruments.host_timed import HIGHEST_RATE, host_timed
-from dehyst.instruments.pi_discovery import WaveTraits, discover
-from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis
+from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis, WaveTraits, discover
+from dehyst.instruments.samples import Reading, Samples
 
 PORT = 50000
 # A recorder without a new sample for this time [s] has stopped.
@@ -25,23 +34,24 @@ _STEPS_TO_STOP = 20
 
 
 class PiRig(AbstractRig):
-    """A PI controller's axis in open loop.
+    """Axes of a PI controller in open loop.
 
-    The wave generator plays and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not those of a
-    controller. Raise `DeviceError` if it cannot send voltages in open loop, or does not report its limits and none are
-    given. Raise `RigError` if it has no such axis, or its limits and the given ones have no voltage in common.
+    The wave generators play and the data recorder records; the host only fills and reads tables. Without them the host
+    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not
+    those of a controller. Raise `DeviceError` if it cannot send voltages in open loop, does not report its limits and
+    none are given, or cannot play and record several axes together. Raise `RigError` if it has no such axis, or its
+    limits and the given ones have no voltage in common.
 
     Parameters
     ----------
     link : AbstractGcsLink or GcsClient
         Usually from `connect` or `of_device`; a client may be shared by the axes of a controller.
-    axis : str, optional
-        Needed if the controller has several.
-    limits : (float, float), optional
-        Allowed voltages [V]; the controller's own where they are narrower.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s].
+    axis : str or sequence of str, optional
+        One name, or several axes that play together; needed if the controller has several.
+    limits : (float, float) or sequence of (float, float), optional
+        Allowed voltages [V], of all axes or of each; the controller's own where they are narrower.
+    slew_rate : float or sequence of float, optional
+        Largest abs(dv/dt) [V/s], of all axes or of each.
     patience : float
         Seconds without a new sample after which a recorder has stopped.
 
@@ -50,20 +60,45 @@ class PiRig(AbstractRig):
     Positions are assumed to be in micrometres. A servo that is on is switched off. No command is sent twice.
     """
 
+    waves: WaveTraits | None
+
     def __init__(
         self,
         link: AbstractGcsLink | GcsClient,
         *,
-        axis: str | None = None,
-        limits: tuple[float, float] | None = None,
-        slew_rate: float | None = None,
+        axis: str | Sequence[str] | None = None,
+        limits: AxisLimits = None,
+        slew_rate: AxisSlewRates = None,
         patience: float = PATIENCE,
     ) -> None:
         self._client = link if isinstance(link, GcsClient) else GcsClient(link)
+        self._patience, self._clock, self._opened = patience, PiClock(self._client), False
+        names = [axis] if axis is None or isinstance(axis, str) else list[str | None](axis)
+        allowed, steepest = limits_of_axes(limits, len(names)), slew_rates_of_axes(slew_rate, len(names))
+        if len(names) == 1:
+            self._open_axis(names[0], allowed[0], steepest[0])
+            return
+        self._pi_rigs = [
+            PiRig(self._client, axis=name, limits=bounds, slew_rate=rate, patience=patience)
+            for name, bounds, rate in zip(names, allowed, steepest, strict=True)
+        ]
+        longest = min(one.longest or 0 for one in self._pi_rigs)
+        super().__init__(self._client.name, self._pi_rigs, longest=longest or None, identity=self._client.identity)
+        traits = [one.waves for one in self._pi_rigs]
+        if not all(one is not None and one.tables >= 2 * len(names) for one in traits):
+            raise DeviceError(
+                f"{self.name}: cannot play and record {len(names)} axes together; it needs a wave generator an axis "
+                f"and {2 * len(names)} recorder tables; calibrate one axis at a time"
+            )
+        self.waves = traits[0]
+        for one in self._pi_rigs:
+            one._clock = self._clock
+
+    def _open_axis(self, axis: str | None, limits: tuple[float, float] | None, slew_rate: float | None) -> None:
+        """Query the properties of one axis, and set it up."""
         traits = discover(self._client, axis, limits)
-        self._waves, self._channel, self._generator = traits.waves, traits.channel, traits.generator
-        self._patience = patience
-        self._clock = PiClock(self._client)
+        self._pi_rigs, self.waves = [], traits.waves
+        self._channel, self._generator = traits.channel, traits.generator
         super().__init__(
             self._client.name,
             traits.limits,
@@ -73,12 +108,11 @@ class PiRig(AbstractRig):
             longest=traits.waves.longest if traits.waves else None,
             identity=self._client.identity,
         )
-        self._opened = False
         if traits.waves is None:
             warnings.warn(
                 f"{self.name}: {traits.missing}; the host sends the voltages instead, slowly ({HIGHEST_RATE:g} Hz) and "
                 "with jitter",
-                stacklevel=2,
+                stacklevel=3,
             )
 
     @classmethod
@@ -87,9 +121,9 @@ class PiRig(AbstractRig):
         host: str,
         port: int = PORT,
         *,
-        axis: str | None = None,
-        limits: tuple[float, float] | None = None,
-        slew_rate: float | None = None,
+        axis: str | Sequence[str] | None = None,
+        limits: AxisLimits = None,
+        slew_rate: AxisSlewRates = None,
         timeout: float = 5.0,
         patience: float = PATIENCE,
     ) -> Self:
@@ -105,9 +139,9 @@ class PiRig(AbstractRig):
         cls,
         device: Any,
         *,
-        axis: str | None = None,
-        limits: tuple[float, float] | None = None,
-        slew_rate: float | None = None,
+        axis: str | Sequence[str] | None = None,
+        limits: AxisLimits = None,
+        slew_rate: AxisSlewRates = None,
         patience: float = PATIENCE,
     ) -> Self:
         """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open."""
@@ -121,30 +155,11 @@ class PiRig(AbstractRig):
             link.close()
             raise
 
-    @property
-    def waves(self) -> WaveTraits | None:
-        """How the controller plays and records waves; None if it cannot."""
-        return self._waves
-
-    @property
-    def wave_axis(self) -> WaveAxis:
-        """The axis as its wave generator needs it."""
-        return WaveAxis(self.axis, self._channel, self._generator, self.limits.low, self.limits.high)
-
-    def share(self, clock: PiClock) -> None:
-        """Read the time from the `clock` of several axes."""
-        self._clock = clock
-
-    def make_ready(self) -> None:
-        """Switch the servo off and stop the wave generator, before a wave."""
-        self._open_loop()
-        self._halt()
-
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` of those that divide the servo's."""
-        if self._waves is None:
+        if self.waves is None:
             return min(sample_rate, HIGHEST_RATE)
-        return 1 / (self._waves.divider(sample_rate) * self._waves.servo_period)
+        return 1 / (self.waves.divider(sample_rate) * self.waves.servo_period)
 
     def _read(self) -> Reading:
         now = self._clock.now()
@@ -161,25 +176,23 @@ class PiRig(AbstractRig):
         )
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        if self._waves is None:
+        if self.waves is None:
             yield from host_timed(self, voltage, rate)
             return
-        self.make_ready()
-        player = PiWaves(
-            self._client,
-            self._waves,
-            [self.wave_axis],
-            clock=self._clock,
-            patience=self._patience,
-            wait=self._wait,
-        )
-        for times, volts, displacement in player.play(voltage[:, None], rate):
-            yield Samples(times, volts[:, 0], displacement[:, 0])
+        rigs = self._pi_rigs or [self]
+        for one in rigs:
+            one._open_loop()
+            one._halt()
+        axes = [WaveAxis(one.axis, one._channel, one._generator, one.limits.low, one.limits.high) for one in rigs]
+        player = PiWaves(self._client, self.waves, axes, clock=self._clock, patience=self._patience, wait=rigs[0]._wait)
+        for samples in player.play(np.ascontiguousarray(voltage.reshape(len(voltage), len(rigs))), rate):
+            yield samples if self._pi_rigs else samples.axis(0)
         # Otherwise the controller takes no voltages.
-        self._halt()
+        for one in rigs:
+            one._halt()
 
     def _halt(self) -> None:
-        if self._waves is None:
+        if self.waves is None:
             return
         self._client.clear()
         self._client.set(gcs_syntax.command("WGO", self._generator, 0), expect=frozenset({STOPPED}))

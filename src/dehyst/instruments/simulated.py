@@ -8,7 +8,8 @@ from typing import Any
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
-from dehyst.instruments.base import AbstractRig, Reading, Samples
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.samples import Reading, Samples
 from dehyst.model import Actuator
 from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench
 

@@ -10,24 +10,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._computable import FARTHEST, demand_result
 from dehyst._errors import ModelError
-from dehyst._io.drafts import PathLike
-from dehyst._io.json_files import read_json, write_json
-from dehyst._native import Core
+from dehyst._io import PathLike, read_json, write_json
+from dehyst._native import EMPTY, Core
 from dehyst._types import Array
-from dehyst._validation import interval, keep, number, spanned, vector
+from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import plotted
-from dehyst.model import part_checks, physical, plausibility, serialization, start_states
+from dehyst.model import checks, physical, serialization
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model.checks import Range
+from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
+from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
-from dehyst.model.plausibility import Range
 from dehyst.model.python_control import actuator_block
-from dehyst.model.smooth_slip import SmoothSlip
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -56,7 +53,9 @@ class Actuator(AbstractModel):
         Time [s] by which the measured displacement lagged the voltage. Used in comparisons with measurements only.
     name : str, optional
     provenance : Mapping, optional
-        Source of the numbers; JSON values only.
+        Source of the numbers, for people; JSON values only. Nothing is decided by it.
+    identification : Identification, optional
+        How the numbers were found, and how wrong they were then; default: not known.
     transformer : Transformer, optional
         tau; default: tau(v) = v.
     creep : Creep, optional
@@ -70,12 +69,15 @@ class Actuator(AbstractModel):
         them the one that the load meets, whatever the driver holds constant.
     smooth : SmoothSlip, optional
         Elements that yield gradually, in parallel with the others.
+    recorded_slew_rate : float, optional
+        Largest abs(dv/dt) [V/s] of the records that the numbers come from, with a margin of 5 %; default: not known.
 
     Raises
     ------
     ModelError
-        If the state does not fit the elements, the limits are no interval, graded elements leave a branch on which
-        the voltage does not rise with the displacement, or a number is too large to compute with (magnitude over 1e30).
+        If the state does not fit the elements, the limits are no interval, a slew rate is not positive, graded elements
+        leave a branch on which the voltage does not rise with the displacement, or a number is too large to compute
+        with (magnitude over 1e30).
     """
 
     slip: MaxwellSlip | GradedSlip
@@ -85,39 +87,43 @@ class Actuator(AbstractModel):
     delay: float = 0.0
     name: str = "actuator"
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    identification: Identification | None = None
     transformer: Transformer | None = None
     creep: Creep | None = None
     dynamics: Dynamics | None = None
     lag: float = 0.0
     load_stiffness: float | None = None
     smooth: SmoothSlip | None = None
+    recorded_slew_rate: float | None = None
 
     def __post_init__(self) -> None:
-        part_checks.check_kinds(self)
-        keep(self, lag=part_checks.checked_lag(self.lag))
-        keep(self, load_stiffness=part_checks.checked_load_stiffness(self.load_stiffness))
+        checks.check_kinds(self)
+        keep(self, lag=checks.checked_lag(self.lag))
+        keep(self, load_stiffness=checks.checked_load_stiffness(self.load_stiffness))
         least_slope(self.slip, self.spring)
         if self.state is None:
             keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
         self._start(self.state)
-        _ = self.model.core if self.wide else self.core  # refuses what a part alone cannot check
+        _ = self.core  # refuses what a part alone cannot check
         if self.limits is not None:
             keep(self, limits=interval(self.limits))
-        keep(self, delay=part_checks.checked_delay(self.delay))
+        keep(self, delay=checks.checked_delay(self.delay))
+        if self.recorded_slew_rate is not None:
+            keep(self, recorded_slew_rate=checks.checked_slew_rate(self.recorded_slew_rate))
 
     def __repr__(self) -> str:
-        from dehyst.model.actuator_summary import one_line
+        from dehyst.model.summary import one_line
 
         return one_line(self)
 
     def _repr_html_(self) -> str:
-        from dehyst.model.actuator_summary import as_html
+        from dehyst.model.summary import as_html
 
         return as_html(self)
 
     def summary(self) -> str:
         """Return the parts of the actuator in sentences, a line each, with their numbers."""
-        from dehyst.model.actuator_summary import lines
+        from dehyst.model.summary import lines
 
         return "\n".join(lines(self))
 
@@ -169,31 +175,30 @@ class Actuator(AbstractModel):
 
         Without limits, the first and the last knot of the spring.
         """
-        return plausibility.reach(self)
+        return checks.reach(self)
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
-        return plausibility.major_loop_ends(self, limits)
+        return checks.major_loop_ends(self, limits)
 
     @cached_property
     def voltage_range(self) -> tuple[float, float]:
         """The limits [V]; without limits, the voltages of the largest loop between the ends of the spring's knots."""
-        return plausibility.voltage_range(self)
+        return checks.voltage_range(self)
 
     @cached_property
     def plausible(self) -> Range:
         """Displacements [m] within `reach` or the knots of the spring."""
-        return plausibility.plausible_displacements(self)
+        return checks.plausible_displacements(self)
 
     @cached_property
     def _voltages(self) -> Range:
         return Range(*self.voltage_range)
 
-    @cached_property
+    @property
     def core(self) -> Core:
-        """The plain elements and the spring in C; of graded elements the spring alone."""
-        kappa = self.slip.stiffness if isinstance(self.slip, MaxwellSlip) else np.zeros(len(self.slip))
-        return Core(self.slip.breakaway, kappa, self.spring.displacement, self.spring.voltage)
+        """All parts in C."""
+        return self.model.core
 
     @cached_property
     def model(self) -> Evaluator:
@@ -243,14 +248,9 @@ class Actuator(AbstractModel):
         """
         (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
-            plausibility.check_voltages(low, high, self._voltages)
-        if self.wide:
-            y, reached = self.model.simulate(v, PathData(time, load), start, stack)
-            return Motion(voltage=v, displacement=y, state=reached)
-        part_checks.check_plain_path(time, load, v.size)
-        y, position, carts = self.core.simulate(v, start.displacement, start.carts, stack=stack)
-        demand_result(y, "displacement", FARTHEST)
-        return Motion(voltage=v, displacement=y, state=State(position, carts))
+            checks.check_voltages(low, high, self._voltages)
+        y, reached = self.model.simulate(v, PathData(time, load), start, stack)
+        return Motion(voltage=v, displacement=y, state=reached)
 
     def compensate(
         self,
@@ -293,14 +293,9 @@ class Actuator(AbstractModel):
         """
         (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
         if not extrapolate and self.plausible.is_far(low, high):
-            plausibility.check_displacements(self, y, load)
-        if self.wide:
-            v, reached = self.model.compensate(y, PathData(time, load, velocity, acceleration), start, stack)
-            return Motion(voltage=v, displacement=y, state=reached)
-        part_checks.check_plain_path(time, load, y.size)
-        v, position, carts = self.core.compensate(y, start.displacement, start.carts, stack=stack)
-        demand_result(v, "voltage")
-        return Motion(voltage=v, displacement=y, state=State(position, carts))
+            checks.check_displacements(self, y, load)
+        v, reached = self.model.compensate(y, PathData(time, load, velocity, acceleration), start, stack)
+        return Motion(voltage=v, displacement=y, state=reached)
 
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
@@ -310,8 +305,9 @@ class Actuator(AbstractModel):
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
-            plausibility.check_voltages(v, v, self._voltages)
-        return start_states.relaxed_state(self, v)
+            checks.check_voltages(v, v, self._voltages)
+        y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
+        return State(y, np.full(len(self.slip), y))
 
     def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
         """Return the state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
@@ -323,16 +319,19 @@ class Actuator(AbstractModel):
         y = number(displacement, "displacement")
         knots = self.spring.displacement
         if not extrapolate and not knots[0] <= y <= knots[-1]:
-            plausibility.check_displacements(self, np.array([y]), None)
-        return start_states.turned_state(self, y, rising=rising)
+            checks.check_displacements(self, np.array([y]), None)
+        side = 1 if rising else -1
+        smooth = () if self.smooth is None else side * self.smooth.length
+        return State(y, y - side * self.slip.breakaway, smooth=smooth)
+
+    def quasistatic(self) -> Actuator:
+        """Return the actuator without inertia and amplifier lag, which slow motions do not excite."""
+        return replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=EMPTY))
 
     def voltage(self, state: State | None = None) -> float:
         """Return the voltage [V] that holds the actuator in `state`; default ``self.state``."""
         start = self._start(state)
-        if self.wide:
-            v = self.model.core.voltage(self.model.core_state(start))
-        else:
-            v = self.core.voltage(start.displacement, start.carts)
+        v = self.core.voltage(self.model.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
         return v
 
@@ -446,12 +445,16 @@ class Actuator(AbstractModel):
         """Return a copy whose provenance also holds `entries`."""
         return replace(self, provenance={**self.provenance, **entries})
 
+    def with_identification(self, **entries: Any) -> Actuator:
+        """Return a copy whose identification holds `entries`, fields of `Identification`."""
+        return replace(self, identification=replace(self.identification or Identification(), **entries))
+
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible here; empty if they are not.
 
         A `displacement` is implausible if it lies farther outside of `plausible` and `others` than these are wide.
         """
-        return plausibility.implausibility(self, displacement, load, *others)
+        return checks.implausibility(self, displacement, load, *others)
 
     def _start(self, state: State | None) -> State:
         return self.model.complete_state(self.state if state is None else state)

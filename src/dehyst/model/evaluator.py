@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._computable import FARTHEST, demand_divisors, demand_result
 from dehyst._errors import ModelError
-from dehyst._native import EMPTY, CoreState, StepCoefficients, WideCore, strains
+from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, strains
 from dehyst._types import Array
-from dehyst._validation import vector
-from dehyst.model import start_states
+from dehyst._validation import FARTHEST, demand_divisors, demand_result, vector
 from dehyst.model.base import State
-from dehyst.model.creep import Creep, clock
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.part_checks import NO_LOAD_STIFFNESS
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model.dynamics import Creep, Dynamics, clock
+from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 
 # Relative rounding error of a slope that is the difference of two.
 _ROUNDING = 1e-9
@@ -60,13 +55,13 @@ class Evaluator:
         return self.dynamics is not None or self.lag > 0
 
     @cached_property
-    def core(self) -> WideCore:
+    def core(self) -> Core:
         """All parts in C."""
         slip, tau, dynamics = self.slip, self.transformer, self.dynamics
         graded = isinstance(slip, GradedSlip)
         s = self.smooth
         smooth = (EMPTY,) * 3 if s is None else (s.length, s.closing, s.stiffness)
-        return WideCore(
+        return Core(
             slip.breakaway,
             np.zeros(len(slip)) if graded else slip.stiffness,
             self.spring.displacement,
@@ -84,7 +79,8 @@ class Evaluator:
         """Return the displacement (n,) [m] and the state reached; `start` is complete."""
         steps, push = self._steps(path.time, voltage.size), self._push(path.load, voltage.size)
         state = self.core_state(start)
-        voltage = self._amplified(voltage, path.time, self.core.voltage(state))
+        if self.lag:
+            voltage = self._amplified(voltage, path.time, self.core.voltage(state))
         demand_result(voltage, "acting voltage")
         y, reached = self.core.simulate(voltage, steps, state, load=push if self.dynamics else EMPTY, stack=stack)
         y = y if self.dynamics or not push.size else y + push
@@ -124,11 +120,29 @@ class Evaluator:
         return State(core.w, core.carts, core.strains[:branches], motion, core.strains[branches:])
 
     def complete_state(self, start: State) -> State:
-        """Return a complete state, see `start_states.complete_state`; raise `ModelError` if it does not fit."""
-        return start_states.complete_state(self, start)
+        """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
+
+        Raise `ModelError` if it is not a state of these parts.
+        """
+        if not isinstance(start, State):
+            raise ModelError(f"state: got {type(start).__name__}, need a State, such as that of a Motion")
+        if start.carts.size != len(self.slip):
+            raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
+        start = _with_motion(self, start)
+        rho = self.slip.breakaway
+        excess = np.abs(start.displacement - start.carts) - rho
+        worst = int(np.argmax(excess)) if excess.size else 0
+        if excess.size and excess[worst] > 1e-9 * (rho[worst] + abs(start.displacement)):
+            raise ModelError(
+                f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
+                f"elongation {rho[worst]:.3g} m"
+            )
+        if not excess.size or excess[worst] <= 0:
+            return start
+        return replace(start, carts=np.clip(start.carts, start.displacement - rho, start.displacement + rho))
 
     def clock(
-        self, time: ArrayLike | None, samples: int, remedy: str = "give time= [s], one a sample"
+        self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
     ) -> tuple[NDArray[np.int64], Array]:
         """Return runs of equal steps, see `dehyst._native.steps`; without time one run of duration 0.
 
@@ -140,7 +154,11 @@ class Evaluator:
         if self.needs_time:
             parts = {"creeps": self.creep, "has inertia": self.dynamics, "lags": self.lag}
             verbs = " and ".join(verb for verb, part in parts.items() if part)
-            raise ModelError(f"this actuator {verbs}, so that the answer depends on time; {remedy}")
+            raise ModelError(
+                f"this actuator {verbs}, so that the answer depends on time",
+                hint=remedy,
+                change=("time", "sample_rate"),
+            )
         return np.array([0, samples]), np.zeros(1)
 
     def _steps(self, time: ArrayLike | None, samples: int) -> StepCoefficients:
@@ -190,7 +208,12 @@ class Evaluator:
         if load is None:
             return EMPTY
         if self.load_stiffness is None:
-            raise ModelError(NO_LOAD_STIFFNESS)
+            raise ModelError(
+                "the load stiffness of this actuator is not known",
+                argument="load",
+                hint="give it [N/m]",
+                change=("load_stiffness",),
+            )
         force = vector(load, "load")
         if force.size != samples:
             raise ModelError(f"load: got {force.size} values for {samples} samples, need one a sample")
@@ -201,7 +224,7 @@ class Evaluator:
 
     def _amplified(self, command: Array, time: ArrayLike | None, before: float) -> Array:
         """Return the output of a lagging amplifier, from its present voltage, to a command straight between samples."""
-        if not self.lag or not command.size or time is None:
+        if not command.size or time is None:
             return command
         bounds, durations = clock(time, command.size)
         difference = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
@@ -225,7 +248,9 @@ class Evaluator:
                 continue
             given = vector(values, what)
             if given.size != displacement.size:
-                raise ModelError(f"{what}: got {given.size} values for {displacement.size} samples, need one a sample")
+                raise ModelError(
+                    argument=what, got=f"{given.size} values for {displacement.size} samples", need="one a sample"
+                )
             columns.append(given)
         return columns[0], columns[1]
 
@@ -265,3 +290,34 @@ def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
             )
         least.append(float(slope.min()))
     return min(least)
+
+
+def _with_motion(parts: Evaluator, state: State) -> State:
+    """Return the state with creep strains, smooth elongations and motion, at rest where they were left out."""
+    branches, moving = 0 if parts.creep is None else len(parts.creep), 0 if parts.dynamics is None else 2
+    if state.creep.size not in (0, branches):
+        raise ModelError(f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches")
+    if state.motion.size > moving:
+        raise ModelError("state: got a motion, this actuator has no dynamics")
+    if state.creep.size < branches:
+        state = replace(state, creep=np.zeros(branches))
+    state = _with_elongations(parts, state)
+    return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
+
+
+def _with_elongations(parts: Evaluator, state: State) -> State:
+    length = EMPTY if parts.smooth is None else parts.smooth.length
+    if state.smooth.size not in (0, length.size):
+        raise ModelError(
+            f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
+        )
+    if state.smooth.size < length.size:
+        return replace(state, smooth=np.zeros(length.size))
+    excess = np.abs(state.smooth) - length
+    worst = int(np.argmax(excess / length)) if excess.size else 0
+    if excess.size and excess[worst] > 1e-9 * length[worst]:
+        raise ModelError(
+            f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
+            f"{length[worst]:.3g} m"
+        )
+    return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state

@@ -90,7 +90,7 @@ def _positive(ratio: float, km: float, ke: float) -> list[float]:
     for value, name in zip((ratio, km, ke), names, strict=True):
         checked.append(number(value, name))
         if checked[-1] <= 0:
-            raise ModelError(f"{name}: got {value}, need a positive number")
+            raise ModelError(argument=name, got=value, need="a positive number")
     return checked
 
 

@@ -12,8 +12,8 @@ from dehyst._native import CoreError, Loop
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.model.base import State
+from dehyst.model.checks import Range, voltage_error
 from dehyst.model.evaluator import Evaluator
-from dehyst.model.plausibility import Range, voltage_error
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -32,9 +32,11 @@ def actuator_block(
     """Return the block of `dehyst.Actuator.to_control`; `start` is complete; voltages far out of `allowed` raise."""
     period = None if period is None else number(period, "period")
     if period is not None and period <= 0:
-        raise ModelError(f"period: got {period}, need a positive number of seconds")
+        raise ModelError(argument="period", got=period, need="a positive number of seconds")
     if period is None and model.needs_time:
-        raise ModelError("creep, inertia or a lag need the time between samples; give period= [s]")
+        raise ModelError(
+            "creep, inertia or a lag need the time between samples", hint="give the period [s]", change=("period",)
+        )
     seconds = 0.0 if period is None else period
     steps = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
     numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
@@ -77,7 +79,7 @@ def _block(
         raise MissingExtraError.of("python-control", "control", "A block for python-control") from error
 
     if not isinstance(name, str) or not name:
-        raise ModelError(f"name: got {name!r}, need a word, such as 'stage'")
+        raise ModelError(argument="name", got=repr(name), need="a word, such as 'stage'")
 
     def update(_t: float, x: Any, u: Any, _params: Any) -> Array:
         return np.asarray(_evaluate(next_state, x, u, signals[0], allowed))
@@ -105,7 +107,7 @@ def _evaluate(function: Callable[[Array, float], Any], x: Any, u: Any, signal: s
     if given.size != 1 or not np.isfinite(given[0]):
         raise ModelError(f"block: got {signal} = {np.ravel(u).tolist()}, need one finite number")
     if allowed is not None and (got := allowed.far_ends(given)) is not None:
-        raise ModelError(f"block: {voltage_error(got, allowed)}; or make the block with extrapolate=True")
+        raise ModelError(f"block: {voltage_error(got, allowed)}; or let the block extrapolate")
     try:
         return function(state, float(given[0]))
     except CoreError as error:

@@ -12,16 +12,15 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.model.base import State
-from dehyst.model.creep import Creep
-from dehyst.model.dynamics import Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model.smooth_slip import SmoothSlip
+from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model.identification import Identification
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
 FORMAT = "dehyst-actuator"
-VERSION = 2
+VERSION = 3
 # The keys of a part's fields, in their order.
 _SPRING = ("displacement_m", "voltage_V")
 _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
@@ -31,7 +30,11 @@ _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
 }
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s"}
+# Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
+DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
+# Of the limits; one of them may be missing.
+_LIMITS = ("voltage_V", "recorded_slew_rate_V_per_s")
+_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s", "identification"}
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
@@ -51,10 +54,18 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
         "load_stiffness_N_per_m": actuator.load_stiffness,
         "lag_s": actuator.lag,
         "state": state_dict(actuator.state),
-        "limits": None if actuator.limits is None else {"voltage_V": list(actuator.limits)},
+        "limits": _limits_dict(actuator),
         "delay_s": actuator.delay,
+        "identification": None if actuator.identification is None else actuator.identification.as_dict(),
         "provenance": dict(actuator.provenance),
     }
+
+
+def _limits_dict(actuator: Actuator) -> dict[str, Any] | None:
+    """Return the voltages and the speed of the records, as far as they are known."""
+    voltage = None if actuator.limits is None else list(actuator.limits)
+    given = zip(_LIMITS, (voltage, actuator.recorded_slew_rate), strict=True)
+    return {key: value for key, value in given if value is not None} or None
 
 
 def _values(part: Any, keys: tuple[str, ...]) -> dict[str, Any] | None:
@@ -80,29 +91,44 @@ def state_dict(state: State) -> dict[str, Any]:
 
 
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the arguments of `Actuator`, by name. Version 1 has plain elements and a spring only.
+    """Read the arguments of `Actuator`, by name.
+
+    Version 1 has plain elements and a spring only; versions 1 and 2 hold what is known of the identification among the
+    entries of "provenance".
 
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
     version = data.get("version")
-    if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
+    if data.get("format") != FORMAT or type(version) is not int or version not in (1, 2, VERSION):
         raise ModelError(
-            f"got format {data.get('format')!r} version {data.get('version')!r}, need {FORMAT!r} version 1 or {VERSION}"
+            f"got format {data.get('format')!r} version {version!r}, need {FORMAT!r} version 1, 2 or {VERSION}"
         )
-    demand_keys(data, _PLAIN if version == 1 else _KEYS, "model")
+    demand_keys(data, {1: _PLAIN, 2: _KEYS - {"identification"}}.get(version, _KEYS), "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
     spring = _part(data, "spring", set(_SPRING))
-    limits = None if data["limits"] is None else _part(data, "limits", {"voltage_V"})["voltage_V"]
+    known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
+    given = {} if data["limits"] is None else _part(data, "limits", known or set(_LIMITS[:1]))
+    limits, slew_rate = (given.get(key) for key in _LIMITS)
     plain = {
         "slip": _slip(data, graded=version > 1),
         "spring": Spring(*_columns(spring, "spring", *_SPRING)),
         "limits": None if limits is None else _pair(limits),
+        "recorded_slew_rate": None if slew_rate is None else number(slew_rate, _LIMITS[1]),
         "delay": number(data["delay_s"], "delay_s"),
         "name": data["name"],
         "provenance": data["provenance"],
+        "identification": _identification(data),
     }
     return {**plain, "state": _state(data, set())} if version == 1 else {**plain, **_further_parts(data)}
+
+
+def _identification(data: Mapping[str, Any]) -> Identification | None:
+    if "identification" not in data:
+        return Identification.from_entries(data["provenance"])
+    if data["identification"] is None:
+        return None
+    return Identification.from_dict(_part(data, "identification", set(Identification().as_dict())))
 
 
 def _further_parts(data: Mapping[str, Any]) -> dict[str, Any]:

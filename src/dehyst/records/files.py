@@ -1,10 +1,9 @@
-"""Reading of measurements in every format of `loaders`, and writing of CSV, NPZ and HDF5."""
+"""Reading of measurements in every format, and writing of CSV, NPZ and HDF5."""
 
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
@@ -14,26 +13,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io.archives import packed
-from dehyst._io.drafts import PathLike, write_atomically
-from dehyst._io.marks import marked
-from dehyst._io.reading import named, reading_errors
+from dehyst._io import PathLike, named, packed, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import demand
 from dehyst.records import hdf5
-from dehyst.records.column_choice import Choice, chosen
-from dehyst.records.column_names import renamed
-from dehyst.records.formats.columns import TEXT, UNITS, Table, listed
+from dehyst.records.formats.columns import TEXT, UNITS, Column, Table, listed, scale_of
+from dehyst.records.formats.containers import MEMBER, line_of, stated
 from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
-from dehyst.records.formats.loaders import LOADERS
-from dehyst.records.formats.reader_process import load
-from dehyst.records.formats.units import scale_of
-from dehyst.records.joined_tables import joined
+from dehyst.records.formats.reader_process import LOADERS, load
+from dehyst.records.formats.table_layout import SIGNS
 from dehyst.records.record import Record
+from dehyst.records.tables import AxisColumns, Choice, ColumnsError, axis_columns, chosen, joined, renamed
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
 _MEASURED = ("voltage", "displacement")
+# Kinds of files whose numbers are text.
+_WITH_SIGNS = (*TEXT, ".lvm", ".asc", ".xlsx")
 
 
 def read(
@@ -47,8 +43,10 @@ def read(
     displacement_scale: str | None = None,
     columns: str | None = None,
     join: PathLike | None = None,
+    decimal: str | None = None,
     name: str | None = None,
     units: str | None = None,
+    axes: str | None = None,
     max_bytes: float = MOST,
 ) -> Record:
     """Read a record from a file whose kind follows from its suffix.
@@ -56,10 +54,11 @@ def read(
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms or .npz. A named pipe is read once; without a
-        suffix its first bytes determine the format.
+        .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms .npz or .npy. A named pipe is read once;
+        without a suffix its first bytes determine the format.
     time, voltage, displacement : str, optional
-        Columns, see `Table.column`.
+        Columns, as "NAME" or "NAME:UNIT"; a "?" at the end marks a guess, which the record keeps in
+        ``meta["guesses"]``.
     sample_rate : float, optional
         Samples a second [Hz], for a file without a time column.
     voltage_scale : str, optional
@@ -71,10 +70,16 @@ def read(
     join : path, optional
         A second file of the same measurement. Its columns are aligned on time, or on the sample if one of the files
         has no time.
+    decimal : str, optional
+        "," or ".": the decimal sign of a text file whose numbers do not show it; the other sign groups digits.
     name : str, optional
         The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
     units : str, optional
         Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
+    axes : str, optional
+        For a record of several axes, instead of `voltage` and `displacement`: the columns of each axis, as
+        "vx_V:x_um vy_V:y_um". An axis has the name of its displacement, without the unit, or the one given:
+        "x=vx_V:x_um".
     max_bytes : float
         Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
         are read.
@@ -83,7 +88,7 @@ def read(
     ------
     FileFormatError
         An argument is of another kind, the file or a column cannot be read, both a time column and a sample rate are
-        given, or the file states another unit than `units`.
+        given, the file states another unit than `units`, or `axes` does not name two columns for each of two axes.
     RecordError
         The columns make no record.
     MissingExtraError
@@ -92,16 +97,34 @@ def read(
     path = named(path)
     counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
     demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
-    table, stored = _load(path, max_bytes, with_meta=True)
-    table = named_and_joined(table, columns, join, time, sample_rate, max_bytes)
+    several = () if axes is None else axis_columns(axes)
+    if several and (voltage or displacement or units):
+        raise FileFormatError(
+            "got it with voltage, displacement or units", argument="axes", hint="columns and units are those in axes"
+        )
+    table, stored = _load(path, max_bytes, decimal, with_meta=True)
+    table = named_and_joined(
+        table,
+        columns,
+        join,
+        time=time,
+        displacement=several[0].displacement if several else displacement,
+        sample_rate=sample_rate,
+        decimal=decimal,
+        max_bytes=max_bytes,
+    )
     displacement = displacement if units is None else _in_units(table, displacement, units)
     choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
-    record = record_of(table, choice, sample_rate, name or (stored.name if stored else path.stem))
+    record = record_of(table, choice, sample_rate, name or (stored.name if stored else path.stem), several)
     return _with_stored_meta(record, stored) if stored else record
 
 
-def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str) -> Record:
-    """Return the record in a table, see `read`."""
+def record_of(
+    table: Table, choice: Choice, sample_rate: float | None, name: str, axes: Sequence[AxisColumns] = ()
+) -> Record:
+    """Return the record in a table, see `read`; of several axes if there are `axes`."""
+    if axes:
+        return _record_of_axes(table, choice, sample_rate, name, axes)
     timed = ("time",) if sample_rate is None else ()
     found = chosen(table, choice, (*timed, "voltage", "displacement"))
     if sample_rate is not None:
@@ -110,39 +133,77 @@ def record_of(table: Table, choice: Choice, sample_rate: float | None, name: str
     return Record(found["time"], found["voltage"], found["displacement"], name, meta)
 
 
+def _record_of_axes(
+    table: Table, choice: Choice, sample_rate: float | None, name: str, axes: Sequence[AxisColumns]
+) -> Record:
+    records = []
+    for one in axes:
+        own = choice._replace(voltage=one.voltage, displacement=one.displacement)
+        try:
+            records.append(record_of(table, own, sample_rate, f"{name} ({one.name})"))
+        except ColumnsError as error:
+            # Options for one voltage and one displacement do not help here.
+            raise FileFormatError(
+                f"{error.reason.split(' Select ')[0].rstrip('.')}. Axis {one.name} needs its columns by the names in "
+                "the file, with units; where the file has none, name all columns in their order, as "
+                '"time:s,vx_V,vy_V,x_um,y_um"',
+                change=("columns",),
+            ) from error
+    guesses = {
+        quantity if quantity == "time" else f"{quantity} of {one.name}": words
+        for one, record in zip(axes, records, strict=True)
+        for quantity, words in record.meta.get("guesses", {}).items()
+    }
+    meta = {"source": table.source, "sha256": table.sha256, "axes": [one.text for one in axes]}
+    return Record(
+        records[0].time,
+        np.column_stack([record.voltage for record in records]),
+        np.column_stack([record.displacement for record in records]),
+        name,
+        {**meta, **({"guesses": guesses} if guesses else {})},
+        axes=tuple(one.name for one in axes),
+    )
+
+
 def _with_stored_meta(record: Record, stored: hdf5.Stored) -> Record:
-    """Return a record with the meta that its file stores, and the scales that were given now."""
-    scales = {"scales": record.meta["scales"]} if "scales" in record.meta else {}
-    return replace(record, meta={**stored.meta, **scales})
+    """Return a record with the meta that its file stores, and what the options of now add to it."""
+    added = {name: record.meta[name] for name in ("scales", "guesses", "remarks") if name in record.meta}
+    return replace(record, meta={**stored.meta, **added})
 
 
 def named_and_joined(
     table: Table,
     columns: str | None,
     join: PathLike | None,
-    time: str | None,
-    sample_rate: float | None,
+    *,
+    time: str | None = None,
+    displacement: str | None = None,
+    sample_rate: float | None = None,
+    decimal: str | None = None,
     max_bytes: float = MOST,
 ) -> Table:
     """Return a table with the names in `columns`, and joined to the file `join`, see `read`."""
     if columns is not None:
         table = renamed(table, columns)
-    return (
-        table
-        if join is None
-        else joined(table, read_table(named(join, "join"), max_bytes=max_bytes), time, sample_rate)
-    )
+    if join is None:
+        return table
+    path = named(join, "join")
+    own = decimal if path.suffix.lower() in _WITH_SIGNS else None
+    return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), time, sample_rate, displacement)
 
 
 def _meta(table: Table, choice: Choice, sample_rate: float | None) -> dict[str, Any]:
-    """Return the origin of a record: file, hash, columns, and the scales if there are any."""
+    """Return the origin of a record: file, hash, columns, and the scales and guesses if there are any."""
     names = {quantity: table.find(quantity, getattr(choice, quantity))[0].name for quantity in _MEASURED}
     clock = table.find("time", choice.time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
     scales = {q: scale_of(q, text).words for q in _MEASURED if (text := choice.scale(q)) is not None}
     words = "".join(f", {quantity} {scale}" for quantity, scale in scales.items())
     meta: dict[str, Any] = {"source": f"{table.source}{words}", "sha256": table.sha256}
     meta["columns"] = {**names, "time": clock}
-    return {**meta, "scales": scales} if scales else meta
+    timed = ("time",) if sample_rate is None else ()
+    guesses = table.guesses({quantity: getattr(choice, quantity) for quantity in (*timed, *_MEASURED)})
+    added = {"scales": scales, "guesses": guesses, "remarks": list(table.remarks)}
+    return meta | {name: value for name, value in added.items() if value}
 
 
 def _in_units(table: Table, wanted: str | None, units: str) -> str:
@@ -161,32 +222,46 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
     """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
     if sample_rate is None:
         return table.column("time", wanted)
-    if wanted is not None or (table.has("time") and table.find("time")[1] in UNITS["time"]):
+    if wanted is not None or (table.has("time") and _is_usable(*table.find("time"))):
         column = wanted or table.find("time")[0].name
-        raise FileFormatError(f"{table.source}: got sample_rate= and the time column '{column}'; leave one of them out")
+        raise FileFormatError(
+            f"{table.source}: got a sample rate and the time column '{column}'",
+            hint="leave one of them out",
+            change=("sample_rate",),
+        )
     if not 0 < sample_rate < float("inf"):
         raise FileFormatError(f"{table.source}: sample_rate is {sample_rate} Hz; give a number above 0")
     return np.arange(samples) / sample_rate
 
 
-def read_table(path: PathLike, *, max_bytes: float = MOST) -> Table:
+def _is_usable(time: Column, unit: str) -> bool:
+    return unit in UNITS["time"] and not time.fault
+
+
+def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:
     """Read all numeric columns of a file whose kind follows from its suffix; raise as `read` does.
 
-    `path` is the file's. `max_bytes` bounds the file and its numbers.
+    `path` is the file's. `decimal` is the decimal sign of its text, "," or ".". `max_bytes` bounds the file and its
+    numbers.
     """
-    return _load(named(path), max_bytes, with_meta=False)[0]
+    return _load(named(path), max_bytes, decimal, with_meta=False)[0]
 
 
-def _load(path: Path, max_bytes: float, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:
+def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:
     """Read a file once; return its columns and, if `with_meta` and dehyst wrote the file, name and meta."""
     most = bytes_allowed(max_bytes)
+    demand(decimal in (None, *SIGNS), "decimal", decimal, "one of '.' and ','", error=FileFormatError)
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
             raise FileFormatError(
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, most)
+        content = content_of(path, most)._replace(decimal=decimal)
+    if decimal is not None and content.suffix not in _WITH_SIGNS:
+        raise FileFormatError(
+            f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
+        )
     columns, stored = load(content, most, with_meta)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
@@ -197,8 +272,9 @@ def write_record(path: PathLike, record: Record) -> None:
     """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
     CSV has the columns time_s, voltage_V and displacement_um, a `path` that ends in .npz the arrays time_s, voltage_V
-    and displacement_m. An existing file is replaced. The new file is a measurement, not an output: no command replaces
-    it without --force.
+    and displacement_m; of several axes they are called vx_V, x_um and so on. What was guessed when it was read
+    (``record.meta["guesses"]``) is kept, in a comment above the table or in an array beside the others. An existing
+    file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
 
     Raises
     ------
@@ -209,11 +285,17 @@ def write_record(path: PathLike, record: Record) -> None:
         raise FileFormatError(
             f"record: got {type(record).__name__}, need a Record; give the path first, then the record"
         )
-    columns = {"time_s": record.time, "voltage_V": record.voltage}
+    of_axes = {
+        f"{'voltage' if one.role == 'drive' else 'displacement'} of {one.axis}": one.name for one in record.channels
+    }
+    known = record.meta.get("guesses")
+    guesses = stated({of_axes.get(k, k): v for k, v in known.items()} if isinstance(known, Mapping) else known)
     if Path(path).suffix.lower() == ".npz":
-        write_atomically(path, packed({**columns, "displacement_m": record.displacement}))
+        kept = {MEMBER: np.array(guesses)} if guesses else {}
+        write_atomically(path, packed({**record.columns("m"), **kept}))
         return
-    write_atomically(path, "\n".join([*_lines(path, {**columns, "displacement_um": record.displacement * 1e6}), ""]))
+    lines = _lines(path, record.columns())
+    write_atomically(path, "\n".join([*line_of(guesses), *lines, ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:
@@ -232,12 +314,14 @@ def write_hdf5(path: PathLike, record: Record) -> None:
     """
     if Path(path).suffix.lower() not in hdf5.SUFFIXES:
         raise FileFormatError(f"{path}: HDF5 needs the suffix .h5 or .hdf5; rename it")
+    if record.axes:
+        raise FileFormatError(f"{path}: HDF5 takes a record of one axis; write each of record.by_axis()")
     columns = record.time, record.voltage, record.displacement
     write_atomically(path, hdf5.pack(columns, record.name, record.meta, path))
 
 
 def write_columns(path: PathLike, columns: Mapping[str, ArrayLike], *, digits: int | None = None) -> None:
-    """Write named (n,) arrays as CSV, marked as an output of dehyst (`dehyst._io.marks`).
+    """Write named (n,) arrays as CSV.
 
     `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
     as many as give the same numbers when read; rounding never widens the range of a column.
@@ -247,11 +331,7 @@ def write_columns(path: PathLike, columns: Mapping[str, ArrayLike], *, digits: i
     FileFormatError
         The suffix is not one of text, the columns differ in length, or the file cannot be written.
     """
-    lines = _lines(path, columns, digits)
-    if len(lines) > 1:
-        first, *rest = re.split(r"([,\t])", lines[1], maxsplit=1)
-        lines[1] = "".join([marked(first), *rest])
-    write_atomically(path, "\n".join([*lines, ""]))
+    write_atomically(path, "\n".join([*_lines(path, columns, digits), ""]))
 
 
 def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:

@@ -1,9 +1,10 @@
-"""Checks of the quality of a record: errors that refuse it or its use, and remarks."""
+"""Butterfly loops, in which the displacement both falls and rises with rising voltage: a switching ferroelectric."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,28 +12,110 @@ from numpy.typing import NDArray
 from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.records.butterfly import butterfly_of
-from dehyst.records.formats.columns import shortened
-from dehyst.records.formats.units import HIGHEST_VOLTAGE
+from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, shortened
 from dehyst.records.glitches import glitch_sentences, glitches
-from dehyst.records.signals import noise_span, resolution, white_noise
+from dehyst.records.signals import noise_span, resolution, turning_points, white_noise
+from dehyst.records.transients import transients
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
+
+# Only legs over this share of the range of the voltage count, in so many bins of it.
+_WHOLE = 0.9
+_BINS = 32
+# A fall or a rise counts from this share of the stroke on, and from so many times the noise of a bin's mean on.
+_LEAST, _LOUD = 0.1, 8.0
+
+
+class Butterfly(NamedTuple):
+    """Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V]."""
+
+    fall: float
+    rise: float
+    low: float
+    high: float
+
+
+def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
+    """Find a fall and a rise on the line midway between the rising and the falling legs; return None without both.
+
+    On that line hysteresis, a delay, creep and a drift from leg to leg take opposite signs and cancel.
+    """
+    span = float(np.ptp(voltage))
+    turns = turning_points(voltage, _WHOLE * span)
+    legs = [slice(begin, end + 1) for begin, end in pairwise([0, *turns.tolist(), len(voltage) - 1])]
+    rises = [float(voltage[leg.stop - 1] - voltage[leg.start]) for leg in legs]
+    edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
+    (up, up_counts), (down, down_counts) = (
+        _means(
+            voltage,
+            displacement,
+            edges,
+            [leg for leg, rise in zip(legs, rises, strict=True) if sign * rise >= _WHOLE * span],
+        )
+        for sign in (1, -1)
+    )
+    filled = (up_counts > 0) & (down_counts > 0)
+    if np.count_nonzero(filled) < _BINS // 2:
+        return None
+    up, down, places = up[filled], down[filled], (0.5 * (edges[1:] + edges[:-1]))[filled]
+    middle = 0.5 * (up + down)
+    noise = white_noise(displacement) / sqrt(min(up_counts[filled].min(), down_counts[filled].min()))
+    least = max(_LEAST * float(np.ptp(displacement)), _LOUD * noise)
+    fall = float(np.max(np.maximum.accumulate(middle) - middle))
+    climbed = middle - np.minimum.accumulate(middle)
+    if min(fall, float(climbed.max())) < least:
+        return None
+    top = int(np.argmax(climbed))
+    bottom = int(np.argmin(middle[: top + 1]))
+    # Before the rise the falling legs turn last, after it the rising ones do.
+    low = float(places[int(np.argmin(down[: top + 1]))]) if bottom else float(voltage.min())
+    last = places.size - 1
+    high = float(places[bottom + int(np.argmax(up[bottom:]))]) if top < last else float(voltage.max())
+    return Butterfly(fall, float(climbed.max()), low, high)
+
+
+def _means(voltage: Array, displacement: Array, edges: Array, legs: list[slice]) -> tuple[Array, Array]:
+    """Return the mean displacement [m] of legs in bins of the voltage, and the number of samples in each bin."""
+    if not legs:
+        return np.zeros(_BINS), np.zeros(_BINS)
+    bins = np.concatenate([np.clip(np.searchsorted(edges, voltage[leg]) - 1, 0, _BINS - 1) for leg in legs])
+    counts = np.bincount(bins, minlength=_BINS).astype(np.float64)
+    sums = np.bincount(bins, np.concatenate([displacement[leg] for leg in legs]), _BINS)
+    return np.divide(sums, counts, out=np.zeros(_BINS), where=counts > 0), counts
+
 
 # Larger numbers [V, m, s] and shorter time steps [s] are no measurement, and computations with them overflow.
 LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] below any sensor's resolution: the size of an atomic nucleus.
 _LEAST_STROKE = 1e-15
+# A stroke [m] of no piezo actuator; amplified ones reach millimetres.
+_LONGEST_STROKE = 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
 # Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
+# Most transients that are named.
+_SHOWN = 5
 
 
 def problems(record: Record) -> tuple[str, ...]:
     """Return sentences about what is suspicious but allowed, see `Record.problems`."""
-    return (*_problems_of_times(record), *_problems_of_samples(record), *_problems_of_units(record))
+    remarks = record.meta.get("remarks", ())
+    return (
+        *guesses(record),
+        *_problems_of_times(record),
+        *_problems_of_samples(record),
+        *_problems_of_units(record),
+        *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
+    )
+
+
+def guesses(record: Record) -> tuple[str, ...]:
+    """Return a sentence about each guess with which a record was read."""
+    guessed = record.meta.get("guesses")
+    guessed = guessed if isinstance(guessed, dict) else {}
+    return tuple(f"The {quantity} is guessed, verify: {words}." for quantity, words in guessed.items())
 
 
 def _problems_of_times(record: Record) -> list[str]:
@@ -71,6 +154,7 @@ def _problems_of_samples(record: Record) -> list[str]:
             f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
             f"{record.time[spikes[0]]:.6g} s: remove such spikes, they distort range and fit."
         )
+    sentences += [f"The displacement does not settle at once: {one.words}." for one in transients(record)[:_SHOWN]]
     glitch_remarks = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
     return sentences + [remark[0].upper() + remark[1:] for remark in glitch_remarks]
 
@@ -95,7 +179,7 @@ def _problems_of_units(record: Record) -> list[str]:
     if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
         sentences.append(
             f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
-            'actuator, give its scale, voltage_scale="100 V/V" for instance.'
+            f'actuator, give its scale, voltage scale "{GAIN} V/V" with its gain for {GAIN}.'
         )
     return sentences
 
@@ -105,6 +189,8 @@ def _spikes(record: Record) -> NDArray[np.intp]:
     y = record.displacement
     steps = np.abs(np.diff(y))
     away = np.minimum(steps[:-1], steps[1:])
+    for one in transients(record):
+        away[one.start : one.stop] = 0.0
     usual = max(20 * record.noise, 10 * float(np.quantile(steps, 0.9)))
     return np.flatnonzero((away > usual) & (np.abs(y[2:] - y[:-2]) < 0.3 * away)) + 1
 
@@ -114,6 +200,7 @@ def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
     if len(record) < min_samples:
         raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
     refuse_constant(record)
+    refuse_other_unit(record)
     cycles = record.cycles()
     if len(cycles) < min_cycles:
         raise RecordError(
@@ -147,6 +234,15 @@ def refuse_implausible(values: Array, column: str, unit: str, name: str) -> None
         )
 
 
+def refuse_other_unit(record: Record) -> None:
+    """Raise when the stroke is that of no piezo actuator by orders of magnitude: its unit is another."""
+    if record.stroke > _LONGEST_STROKE:
+        raise RecordError(
+            f"record '{record.name}': got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is "
+            'the displacement in micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
+        )
+
+
 def refuse_not_rising(time: Array, name: str) -> None:
     """Raise when a time [s] is not above the one before."""
     steps = np.diff(time)
@@ -163,7 +259,7 @@ def refuse_not_rising(time: Array, name: str) -> None:
     if (lost := rounding(time)) > 1e-9:
         advice = (
             f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
-            "sample before they are saved, or give sample_rate="
+            "sample before they are saved, or give a sample rate"
         )
     raise RecordError(
         f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "

@@ -6,19 +6,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._units import per_metre, plain
+from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records.formats.columns import Column, Table, without_groups
-from dehyst.records.quality import problems, refuse_implausible, refuse_not_finite, refuse_not_rising, refuse_unusable
+from dehyst.records.quality import (
+    problems,
+    refuse_implausible,
+    refuse_not_finite,
+    refuse_not_rising,
+    refuse_other_unit,
+    refuse_unusable,
+)
 from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -27,32 +35,64 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-__all__ = ["Array", "Record", "Span", "white_noise"]
+__all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 
 Span: TypeAlias = "slice[int, int, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
 
 
+class Channel(NamedTuple):
+    """A measured quantity of a record.
+
+    Attributes
+    ----------
+    name : str
+        "voltage" and "displacement" of one axis; of several "vx" and "x", by the names of the axes.
+    unit : str
+        Of `values`: "V" or "m".
+    role : str
+        "drive" is sent to the actuator, "displacement" is its answer.
+    axis : str
+        Name of the axis; empty if there is only one.
+    values : (n,) array
+    """
+
+    name: str
+    unit: str
+    role: Literal["drive", "displacement"]
+    axis: str
+    values: Array
+
+
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Record:
-    """One measurement of an actuator; wrong input is refused at construction.
+    """One measurement of an actuator, or of several that move together; wrong input is refused at construction.
+
+    A record of one axis has one-dimensional arrays, one of several axes a column an axis. The latter is sliced and
+    resampled as a whole; what concerns one voltage and one displacement is asked of `axis`.
 
     Parameters
     ----------
-    time, voltage, displacement : (n,) array_like
-        Seconds (strictly rising), volts and metres, n >= 2, all finite and at most 1e30; kept as read-only
-        float64 copies (read-only arrays, as another record's, are shared). Quantities with units are converted.
+    time : (n,) array_like
+        [s], strictly rising, n >= 2.
+    voltage, displacement : (n,) or (n, axes) array_like
+        Volts and metres, all finite and at most 1e30; kept as read-only float64 copies (read-only arrays, as another
+        record's, are shared). Quantities with units are converted.
     name : str
         Used in messages.
     meta : mapping
-        Origin of the record: source file, sha256, columns.
+        Origin of the record: source file, sha256, columns, scales; `guesses`, by quantity, what was guessed.
+    set_aside : tuple of (float, float)
+        First and last time [s] of stretches that do not count in a fit or an error.
+    axes : sequence of str
+        Names of the axes, one a column; default: x, y, z. Empty for a record of one axis.
 
     Raises
     ------
     RecordError
-        Not one-dimensional, not numbers, masked, of another unit, of different lengths, fewer than 2 samples, NaN, inf
-        or beyond 1e30, or the time does not rise.
+        Of another shape, not numbers, masked, of another unit, of different lengths, fewer than 2 samples, NaN, inf
+        or beyond 1e30, the time does not rise, or the axes are not different names, one a column.
     """
 
     time: Array
@@ -60,11 +100,14 @@ class Record:
     displacement: Array
     name: str = "record"
     meta: Mapping[str, Any] = field(default_factory=dict)
+    set_aside: tuple[tuple[float, float], ...] = ()
+    axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:
             object.__setattr__(self, column, _frozen_column(getattr(self, column), column, self.name))
         object.__setattr__(self, "meta", dict(self.meta))
+        object.__setattr__(self, "axes", self._named_axes())
         sizes = {column: len(getattr(self, column)) for column in _COLUMNS}
         if len(set(sizes.values())) > 1:
             got = ", ".join(f"{column} {size}" for column, size in sizes.items())
@@ -74,29 +117,60 @@ class Record:
                 f"record '{self.name}': {counted(len(self), 'sample')}, at least 2 are needed; check the row range"
             )
         for column, unit in _COLUMNS.items():
-            refuse_not_finite(getattr(self, column), column, unit, self.name)
-            refuse_implausible(getattr(self, column), column, unit, self.name)
+            values = getattr(self, column)
+            several = values.ndim > 1
+            for j, one in enumerate(values.T if several else [values]):
+                name = f"{self.name} ({self.axes[j]})" if several else self.name
+                refuse_not_finite(one, column, unit, name)
+                refuse_implausible(one, column, unit, name)
         refuse_not_rising(self.time, self.name)
+
+    def _named_axes(self) -> tuple[str, ...]:
+        """Return the names of the axes; raise if they or the shapes do not fit."""
+        shapes = self.voltage.shape, self.displacement.shape
+        if self.voltage.ndim == self.displacement.ndim == 1:
+            if self.axes:
+                raise RecordError(f"record '{self.name}': axes: got {self.axes!r} for one voltage, need none")
+            return ()
+        if self.voltage.ndim == self.displacement.ndim and (shapes[0][1] > 1 or self.axes):
+            if shapes[0] != shapes[1] or len(self.time) != shapes[0][0]:
+                raise RecordError(
+                    f"record '{self.name}': got {self.time.size} times, voltages {shapes[0]} and displacements "
+                    f"{shapes[1]}; need one row a sample and one column an axis in both"
+                )
+            count = shapes[0][1]
+            return axis_names(self.axes or DEFAULT_AXES[:count], count, f"record '{self.name}'", RecordError)
+        column = "voltage" if self.voltage.ndim > 1 else "displacement"
+        raise RecordError(
+            f"record '{self.name}': {column} has shape {getattr(self, column).shape}; give one dimension, try "
+            ".ravel(), or one column an axis in both voltage and displacement"
+        )
 
     def __len__(self) -> int:
         return len(self.time)
 
     def __repr__(self) -> str:
+        head = f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s"
+        if self.axes:
+            return f"{head}, axes {', '.join(self.axes)}>"
         (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
-        return (
-            f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s, "
-            f"{v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um>"
-        )
+        return f"{head}, {v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um>"
 
     def _repr_html_(self) -> str:
-        (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
-        rows = [
+        rows: list[tuple[str, object]] = [
             ("samples", len(self)),
             ("time", f"{self.time[-1] - self.time[0]:.6g} s, every {self.sample_time:.4g} s"),
-            ("voltage", f"{v0:.4g} to {v1:.4g} V"),
-            ("displacement", f"{y0 * 1e6:.6g} to {y1 * 1e6:.6g} µm"),
         ]
-        return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", self.problems()))
+        for channel in self.channels:
+            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit)
+            low, high = (scale * float(end) for end in (channel.values.min(), channel.values.max()))
+            rows.append((channel.name, f"{low:.6g} to {high:.6g} {unit}"))
+        remarks = [
+            f"{f'{axis}: ' if axis else ''}{sentence}"
+            for axis, one in zip(self.axes or ("",), self.by_axis(), strict=True)
+            for sentence in one.problems()
+        ]
+        return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", remarks))
 
     def __getitem__(self, span: Span) -> Record:
         if not isinstance(span, slice) or span.step not in (None, 1):
@@ -130,14 +204,16 @@ class Record:
         Raises
         ------
         RecordError
-            If the unit is not known, or the arrays make no record.
+            If the unit is not known, the arrays make no record, or the stroke is over 0.1 m: another unit.
         """
         counts = per_metre(units, error=RecordError)
         try:
             lengths = np.asarray(plain(displacement, "displacement", units, error=RecordError), dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
-        return cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
+        record = cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
+        refuse_other_unit(record)
+        return record
 
     @classmethod
     def from_dataframe(
@@ -147,6 +223,8 @@ class Record:
         time: str | None = None,
         voltage: str | None = None,
         displacement: str | None = None,
+        voltage_scale: str | None = None,
+        displacement_scale: str | None = None,
         name: str | None = None,
     ) -> Record:
         """Make a record from a pandas DataFrame, whose columns are found as those of a file are.
@@ -155,9 +233,11 @@ class Record:
         ----------
         frame : pandas.DataFrame
             With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
-            column. Dates and durations are seconds.
+            column. Dates and durations are seconds; an index of them without a name is the time, unless a column is.
         time, voltage, displacement : str, optional
             Columns, as in `dehyst.read`: "NAME" or "NAME:UNIT".
+        voltage_scale, displacement_scale : str, optional
+            As in `dehyst.read`: "100 V/V", "10 um/V".
         name : str, optional
             The record's name; default: that of `DataFrame.attrs`, else "record".
 
@@ -168,10 +248,13 @@ class Record:
         RecordError
             If it is no DataFrame, or the columns make no record.
         """
-        found = Table("DataFrame", "", tuple(without_groups(Column(*column)) for column in tables.columns_of(frame)))
+        columns = (Column(one.name, one.data, one.unit, foreign=one.foreign) for one in tables.columns_of(frame))
+        found = Table("DataFrame", "", tuple(map(without_groups, columns)))
         chosen = {"time": time, "voltage": voltage, "displacement": displacement}
-        numbers = {quantity: found.column(quantity, wanted) for quantity, wanted in chosen.items()}
-        return cls(name=name or str(frame.attrs.get("name", "record")), **numbers)  # type: ignore[arg-type]
+        scales = {"voltage": voltage_scale, "displacement": displacement_scale}
+        when, volts, moved = (found.column(quantity, one, scales.get(quantity)) for quantity, one in chosen.items())
+        meta = {"guesses": guesses} if (guesses := found.guesses(chosen)) else {}
+        return cls(when, volts, moved, name or str(frame.attrs.get("name", "record")), meta)
 
     @classmethod
     def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
@@ -186,20 +269,22 @@ class Record:
         return cls(**numbers, name=name or str(dataset.attrs.get("name", "record")))
 
     def to_dataframe(self) -> DataFrame:
-        """Return the columns time_s, voltage_V and displacement_um as a pandas DataFrame.
+        """Return time_s and the channels, as voltage_V and displacement_um, as a pandas DataFrame.
 
         Raise `MissingExtraError` if pandas is not installed.
         """
-        columns = {"time_s": self.time, "voltage_V": self.voltage, "displacement_um": self.displacement * 1e6}
-        return tables.frame(columns, name=self.name)
+        return tables.frame(self.columns(), name=self.name)
 
     def to_xarray(self, units: str = "um") -> Dataset:
-        """Return voltage [V] and displacement over time [s] as an xarray Dataset, with their units as attributes.
+        """Return the channels, as voltage [V] and displacement, over time [s] as an xarray Dataset with units.
 
-        `units`: of the displacement. Raise `MissingExtraError` if xarray is not installed.
+        `units`: of displacements. Raise `MissingExtraError` if xarray is not installed.
         """
-        lengths = self.displacement * per_metre(units, error=RecordError)
-        variables = {"voltage": (self.voltage, "V"), "displacement": (lengths, units)}
+        counts = per_metre(units, error=RecordError)
+        variables = {
+            one.name: (one.values * counts, units) if one.unit == "m" else (one.values, one.unit)
+            for one in self.channels
+        }
         return tables.dataset(self.time, variables, name=self.name)
 
     def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
@@ -208,7 +293,82 @@ class Record:
         `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
         `MissingExtraError` if matplotlib is not installed.
         """
-        return plotted("record", self, kind, ax)
+        return plotted("record", self.one_axis(), kind, ax)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All measured quantities: the voltage and the displacement of each axis in turn."""
+        if not self.axes:
+            return (
+                Channel("voltage", "V", "drive", "", self.voltage),
+                Channel("displacement", "m", "displacement", "", self.displacement),
+            )
+        return tuple(
+            channel
+            for j, axis in enumerate(self.axes)
+            for channel in (
+                Channel(f"v{axis}", "V", "drive", axis, self.voltage[:, j]),
+                Channel(axis, "m", "displacement", axis, self.displacement[:, j]),
+            )
+        )
+
+    def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
+        """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
+
+        `lengths`: unit of displacements.
+        """
+        counts = per_metre(lengths, error=RecordError)
+        channels = {
+            f"{one.name}_{lengths if one.unit == 'm' else one.unit}": one.values * counts
+            if one.unit == "m" and counts != 1
+            else one.values
+            for one in self.channels
+        }
+        return {"time_s": self.time, **channels}
+
+    def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:
+        """Return one axis as a record of its own.
+
+        Parameters
+        ----------
+        axis : str or int
+            Its name or index. A record of one axis has index 0.
+        displacement : (n,) array_like, optional
+            Another displacement [m] of this axis.
+
+        Raises
+        ------
+        RecordError
+            If there is no such axis.
+        """
+        names: list[object] = [*self.axes] if self.axes else [""]
+        j = names.index(axis) if axis in names else axis
+        if not isinstance(j, int) or not 0 <= j < len(names):
+            words = ", ".join(map(str, self.axes)) if self.axes else "0"
+            raise RecordError(f"record '{self.name}': axis: got {axis!r}, need one of {words}")
+        if not self.axes:
+            return self if displacement is None else replace(self, displacement=displacement)  # type: ignore[arg-type]
+        moved = self.displacement[:, j] if displacement is None else displacement
+        return replace(
+            self,
+            voltage=self.voltage[:, j],
+            displacement=moved,  # type: ignore[arg-type]
+            name=f"{self.name} ({self.axes[j]})",
+            axes=(),
+        )
+
+    def by_axis(self) -> tuple[Record, ...]:
+        """Return each axis as a record of its own; of one axis the record itself."""
+        return tuple(map(self.axis, range(max(len(self.axes), 1))))
+
+    def one_axis(self) -> Record:
+        """Return the record; raise `RecordError` if it has several axes."""
+        if self.axes:
+            raise RecordError(
+                f"record '{self.name}': has the axes {', '.join(self.axes)}, need a record of one; take "
+                f"record.axis({self.axes[0]!r}), or the functions for a Stage"
+            )
+        return self
 
     @property
     def sample_time(self) -> float:
@@ -218,22 +378,32 @@ class Record:
     @property
     def voltage_range(self) -> tuple[float, float]:
         """Lowest and highest voltage [V]."""
-        return float(self.voltage.min()), float(self.voltage.max())
+        return float(self.one_axis().voltage.min()), float(self.voltage.max())
 
     @property
     def displacement_range(self) -> tuple[float, float]:
         """Lowest and highest displacement [m]."""
-        return float(self.displacement.min()), float(self.displacement.max())
+        return float(self.one_axis().displacement.min()), float(self.displacement.max())
 
     @property
     def stroke(self) -> float:
         """Displacement peak to peak [m]."""
-        return float(np.ptp(self.displacement))
+        return float(np.ptp(self.one_axis().displacement))
 
     @property
     def noise(self) -> float:
         """Standard deviation of the sensor's white noise [m]."""
-        return white_noise(self.displacement)
+        return white_noise(self.one_axis().displacement)
+
+    @property
+    def counted(self) -> Mask | None:
+        """Whether each sample counts (n,); None if all do."""
+        if not self.set_aside:
+            return None
+        kept = np.ones(len(self), dtype=bool)
+        for first, last in self.set_aside:
+            kept[np.searchsorted(self.time, first) : np.searchsorted(self.time, last, side="right")] = False
+        return kept
 
     def gaps(self) -> list[tuple[int, float]]:
         """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
@@ -258,7 +428,7 @@ class Record:
         """
         if signal not in ("voltage", "displacement"):
             raise RecordError(f"record '{self.name}': no signal '{signal}'; try 'voltage' or 'displacement'")
-        values: Array = getattr(self, signal)
+        values: Array = getattr(self.one_axis(), signal)
         if band is None:
             band = max(0.02 * float(np.ptp(values)), noise_span(values))
         if not (isfinite(band) and band >= 0.0):
@@ -307,19 +477,24 @@ class Record:
         if kind not in ("linear", "pchip"):
             raise RecordError(f"record '{self.name}': no interpolation '{kind}'; try 'linear' or 'pchip'")
         grid = np.minimum(self.time[0] + dt * np.arange(int(span / dt + 1e-9) + 1), self.time[-1])
-        v = interpolate(self.time, self.voltage, grid, kind)
-        return replace(self, time=grid, voltage=v, displacement=interpolate(self.time, self.displacement, grid, kind))
+
+        def moved(values: Array) -> Array:
+            if values.ndim > 1:
+                return np.column_stack([moved(column) for column in values.T])
+            return interpolate(self.time, values, grid, kind)
+
+        return replace(self, time=grid, voltage=moved(self.voltage), displacement=moved(self.displacement))
 
     def delayed(self, delay: float) -> Record:
         """Return the record with voltage(t - `delay`), delay in s: shape-preserving, constant beyond the ends."""
         if not isfinite(delay):
             raise RecordError(f"record '{self.name}': delay is {delay} s; give a finite number of seconds")
         times = np.clip(self.time - delay, self.time[0], self.time[-1])
-        return replace(self, voltage=interpolate(self.time, self.voltage, times, "pchip"))
+        return replace(self, voltage=interpolate(self.time, self.one_axis().voltage, times, "pchip"))
 
     def problems(self) -> tuple[str, ...]:
         """Return sentences about everything suspicious that does not prevent the record's use; empty if nothing is."""
-        return problems(self)
+        return problems(self.one_axis())
 
     def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
         """Refuse a record from which no hysteresis loop can be identified.
@@ -329,9 +504,10 @@ class Record:
         Raises
         ------
         RecordError
-            Too few samples or cycles, constant voltage or displacement, inverted or clipped sensor, swapped columns.
+            Too few samples or cycles, constant voltage or displacement, a stroke over 0.1 m, inverted or clipped
+            sensor, swapped columns.
         """
-        refuse_unusable(self, min_samples, min_cycles)
+        refuse_unusable(self.one_axis(), min_samples, min_cycles)
 
 
 def _frozen_column(raw: object, column: str, name: str) -> Array:
@@ -340,10 +516,10 @@ def _frozen_column(raw: object, column: str, name: str) -> Array:
     except ModelError as error:
         raise RecordError(f"record '{name}': {error}") from error
     try:
-        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64)
+        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
-    if values.ndim != 1:
+    if values.ndim != 1 and (values.ndim != 2 or column == "time"):
         raise RecordError(f"record '{name}': {column} has shape {values.shape}; give one dimension, try .ravel()")
     values.flags.writeable = False
     return values

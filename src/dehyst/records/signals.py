@@ -1,14 +1,34 @@
-"""Properties of one sampled signal: noise, turning points, resolution, interpolation."""
+"""Sampled signals: errors between them, noise, turning points, resolution, interpolation and slew rate."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import comb, log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
+
+# Largest value of white noise, in standard deviations.
+NOISE_PEAK = 4.0
+
+
+def largest(error: ArrayLike) -> float:
+    """Return the largest absolute error; 0 without any."""
+    return float(np.abs(error).max(initial=0.0))
+
+
+def rms(error: ArrayLike) -> float:
+    """Return the root of the mean square error; 0 without any."""
+    values = np.asarray(error, dtype=np.float64)
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def percent(error: float, stroke: float) -> float:
+    """Return an error in % of the stroke."""
+    return 100 * error / stroke
+
 
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
@@ -152,3 +172,58 @@ def bandwidth(signal: Array, sample_time: float, share: float) -> float:
     above = np.cumsum(power[::-1])[::-1]
     within = np.flatnonzero(above > share * above[0])
     return float((within[-1] + 1 if within.size else 1) / (signal.size * sample_time))
+
+
+# A speed is the mean over a window of at least this many intervals, in which the voltage changes by at least this many
+# standard deviations of its noise, and steps of its converter.
+_INTERVALS, _DEVIATIONS, _CODES = 4, 50.0, 20.0
+# Largest share of that change in one interval: what changes at once is a step or a glitch, whose speed is not known.
+_AT_ONCE = 0.4
+# Share of all travel that does not exceed the speed of the records, and a margin for what windows average away.
+_TRAVEL, MARGIN = 0.95, 1.05
+# A longer record is read in longer intervals.
+_MOST = 1 << 18
+
+
+def recorded_slew_rate(parts: Iterable[tuple[Array, Array]]) -> float | None:
+    """Return the largest abs(dv/dt) [V/s] at which voltages were recorded; None if they hold only steps and rests.
+
+    It is the speed that 95 % of the travel do not exceed, and a margin of 5 %: a rare glitch or step does not count.
+
+    `parts`: time (n,) [s] and voltage (n,) [V] of each record.
+    """
+    found = [_speeds(time, voltage) for time, voltage in parts]
+    speed, travel = (np.concatenate(column) for column in zip(*found, strict=True)) if found else (np.zeros(0),) * 2
+    if not speed.size:
+        return None
+    order = np.argsort(speed)
+    within = np.searchsorted(np.cumsum(travel[order]), _TRAVEL * float(travel.sum()))
+    return MARGIN * float(speed[order[min(int(within), speed.size - 1)]])
+
+
+def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
+    """Return the speeds [V/s] of the shortest windows that show one, and how far the voltage goes in a sample [V]."""
+    noise = max(_DEVIATIONS * white_noise(voltage), _CODES * resolution(voltage)[0])
+    rows = slice(None, None, 1 + voltage.size // _MOST)
+    time, voltage = time[rows], voltage[rows]
+    steps = np.abs(np.diff(voltage))
+    least = max(noise, 1e-9 * float(np.ptp(voltage)))
+    window, largest = _INTERVALS, _running_maximum(steps, _INTERVALS)
+    waiting, speeds, travel = np.arange(largest.size), [np.zeros(0)], [np.zeros(0)]
+    while waiting.size:
+        change = np.abs(voltage[waiting + window] - voltage[waiting])
+        shown = (change > least) & (largest[waiting] <= _AT_ONCE * change)
+        at = waiting[shown]
+        speeds.append(change[shown] / (time[at + window] - time[at]))
+        travel.append(change[shown] / window)
+        largest = np.maximum(largest[:-window], largest[window:])
+        window *= 2
+        waiting = waiting[~shown]
+        waiting = waiting[waiting < largest.size]
+    return np.concatenate(speeds), np.concatenate(travel)
+
+
+def _running_maximum(values: Array, window: int) -> Array:
+    """Return the largest of `window` values, from each on that has so many."""
+    size = max(values.size - window + 1, 0)
+    return np.max([values[k : k + size] for k in range(window)], axis=0) if size else np.zeros(0)

@@ -1,9 +1,7 @@
 """Reports: HTML pages and plots; the only room that uses matplotlib."""
 
-from dehyst.report.check_history import write_check_history
 from dehyst.report.comparison_section import write_comparison
-from dehyst.report.record_page import write_record_page
-from dehyst.report.report import render, write_calibration, write_report
+from dehyst.report.report import render, write_calibration, write_check_history, write_record_page, write_report
 from dehyst.report.uncertainty_section import write_insight
 
 __all__ = [

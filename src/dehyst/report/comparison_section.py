@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from os import PathLike
 
-from dehyst._io.drafts import write_atomically
+from dehyst._io import write_atomically
 from dehyst.baselines import ModelComparison
-from dehyst.baselines.scores import OURS, RecordScore
+from dehyst.baselines.comparison import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
 

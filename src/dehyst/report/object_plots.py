@@ -12,15 +12,17 @@ from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordErr
 from dehyst._text import escaped
 from dehyst._types import Array
 from dehyst._validation import choice
-from dehyst.model import Actuator, Fit, GradedSlip, State, Trace
+from dehyst.identification import Fit, Trace
+from dehyst.model import Actuator, GradedSlip, State
 from dehyst.records import Record
-from dehyst.report.part_plots import draw_creep, draw_slopes
 from dehyst.report.plots import (
     FALLING,
     INK,
     MEASURED,
     RISING,
     draw_both,
+    draw_creep,
+    draw_slopes,
     length_unit,
     points,
     rising,
@@ -28,13 +30,13 @@ from dehyst.report.plots import (
     stems,
     thinned,
 )
-from dehyst.report.uncertainty_plots import (
+from dehyst.report.uncertainty_section import (
     draw_band,
     draw_loop_interval,
     draw_singular_values,
     draw_stiffness_intervals,
 )
-from dehyst.uncertainty import Insight
+from dehyst.trust import Insight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +62,9 @@ def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
         "creep": draw_creep,
     }
     if kind == "creep" and not found.creep:
-        raise ModelError(f"kind: got 'creep' of an actuator without creep, '{found.name}'; try kind='loop'")
+        raise ModelError(
+            f"got 'creep' of an actuator without creep, '{found.name}'", argument="kind", hint="try 'loop'"
+        )
     return _drawn(found, kinds, kind, ax, found.name, ModelError)
 
 
@@ -82,10 +86,10 @@ def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     kinds: dict[str, Callable[[Axes, Insight], None]] = {
         "directions": lambda ax, found: draw_singular_values(ax, found.identifiability)
     }
-    if not found.structured:
-        kinds["stiffnesses"] = draw_stiffness_intervals
     if found.loop is not None:
         kinds["loop"] = draw_loop_interval
+    if found.feasible_set is not None or (found.intervals is None and not found.actuator.wide):
+        kinds["stiffnesses"] = draw_stiffness_intervals
     if (band := found.band) is not None:
         kinds["band"] = lambda ax, found: draw_band(ax, band, found.evidence.stroke)
     return _drawn(found, kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)

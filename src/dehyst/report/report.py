@@ -1,27 +1,54 @@
-"""The report of an identification: one self-contained HTML file."""
+"""Pages: the report of an identification, a record, a calibration, and the history of checks."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dehyst._io.drafts import PathLike, write_atomically
+import numpy as np
+
+from dehyst._errors import IdentifyError, ModelError
+from dehyst._io import GENERATOR, PathLike, write_atomically
 from dehyst.baselines import ModelComparison
-from dehyst.control import TrackedPath
-from dehyst.model import Actuator, Fit, Structure
+from dehyst.identification import Fit, Structure
+from dehyst.model import Actuator
+from dehyst.records import Record
+from dehyst.report.actuator_section import followed_sections, made_of, numbers, path_trial, slip_and_spring
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.fit_section import assumptions, constants, errors_table, remaining_error, structures, verdict
-from dehyst.report.html import bullets, document, escape, length, number, spelled, table
-from dehyst.report.parts_section import made_of, numbers, slip_and_spring
-from dehyst.report.path_section import path_trial
-from dehyst.report.record_charts import before_and_after, loops, residuals
-from dehyst.report.tracking_section import followed_sections
+from dehyst.report.fit_section import (
+    assumptions,
+    before_and_after,
+    constants,
+    errors_table,
+    loops,
+    remaining_error,
+    residuals,
+    structures,
+    verdict,
+)
+from dehyst.report.html import (
+    Row,
+    bullets,
+    document,
+    escape,
+    figure,
+    length,
+    number,
+    panel,
+    reproduction,
+    spelled,
+    table,
+)
+from dehyst.report.plots import INK, MEASURED, SIMULATED, inline, length_unit, line, svg_file
 from dehyst.report.uncertainty_section import sections
-from dehyst.uncertainty import Insight
+from dehyst.trust import CheckHistory, Insight
+from dehyst.trust.history import ControlChart
 
 if TYPE_CHECKING:
-    from dehyst.instruments.calibration import Calibration
+    from matplotlib.axes import Axes
+
+    from dehyst.calibration import Calibration, TrackedPath
 
 NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
@@ -76,6 +103,8 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
 
     `path`, `command` and errors are as in `write_report`; the `calibration` has all else.
     """
+    if not isinstance(calibration.fit, Fit):
+        raise ModelError("calibration: got one of several axes, need one axis; use write_stage_report")
     followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
     write_report(path, calibration.fit, command=command, insight=calibration.insight, followed=followed)
 
@@ -176,3 +205,137 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+# Points of a line that are drawn; between them nothing is visible at the size of the page.
+_MOST = 20_000
+
+
+def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
+    """Write a record to one HTML file that loads nothing from outside.
+
+    `record`: the record. `columns`: quantity, column and range, in words. `path`, `command` and errors are as in
+    `write_report`.
+    """
+    every = record.by_axis()
+    parts = [
+        f"<h1>{escape(record.name)}</h1>",
+        table(("quantity", "column", "range"), columns, 3),
+        bullets("Notes", [escape(spelled(problem)) for one in every for problem in one.problems()]),
+        figure(
+            "Against time",
+            "Check that the voltage is that of the actuator, not of a monitor.",
+            [panel((one.name, ""), _in_time(one), "time") for one in every],
+        ),
+        figure(
+            "Loop",
+            "A piezo actuator's loop runs counterclockwise.",
+            [panel((one.name, ""), _loop(one), "loop") for one in every],
+        ),
+        reproduction(command),
+    ]
+    write_atomically(path, document(f"{record.name}: record", [part for part in parts if part]))
+
+
+def _in_time(record: Record) -> str:
+    factor, unit = length_unit(record.stroke)
+    rows = _drawn(record)
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        line(upper, record.time[rows], record.voltage[rows], color=MEASURED)
+        line(lower, record.time[rows], record.displacement[rows] * factor, color=MEASURED)
+        upper.set(ylabel="voltage (V)")
+        lower.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
+
+    return inline(f"{record.name}-time", draw, rows=2, height=4.2)
+
+
+def _loop(record: Record) -> str:
+    factor, unit = length_unit(record.stroke)
+    rows = _drawn(record)
+
+    def draw(ax: Axes) -> None:
+        ax.plot(record.voltage[rows], record.displacement[rows] * factor, color=MEASURED, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
+
+    return inline(f"{record.name}-loop", draw)
+
+
+def _drawn(record: Record) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    return np.unique(np.linspace(0, len(record) - 1, min(len(record), _MOST)).astype(np.intp))
+
+
+# Height of one panel [in], and of what is around all of them.
+_PANEL, _AROUND = 1.15, 0.5
+# So many labels fit below.
+_MOST_LABELS = 8
+_GREY = "#999999"
+
+
+def write_check_history(path: PathLike, history: CheckHistory) -> None:
+    """Draw a history to an SVG file: the errors with the goal, then each kind of change with its control limits.
+
+    Points are single checks, lines their exponentially weighted moving averages.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced if it exists; never left half written.
+    history : CheckHistory
+        One check at least.
+
+    Raises
+    ------
+    IdentifyError
+        If there is no check.
+    MissingExtraError
+        If matplotlib is not installed.
+    FileFormatError
+        If the file cannot be written.
+    """
+    if not history.checks:
+        raise IdentifyError(f"{history.folder}: got no check of this model, need one at least; run dehyst check first")
+    charts = history.charts()
+
+    def draw(first: Axes, *others: Axes) -> None:
+        _errors(first, history)
+        for ax, chart in zip(others, charts, strict=True):
+            _chart(ax, chart)
+        _dates((others or (first,))[-1], history)
+
+    rows = 1 + len(charts)
+    height = _AROUND + _PANEL * rows
+    write_atomically(path, svg_file("checks", draw, rows=rows, height=height, creator=GENERATOR))
+
+
+def _errors(ax: Axes, history: CheckHistory) -> None:
+    """Draw the largest error of each check, its average and the goal."""
+    numbers, errors = np.arange(1, len(history.checks) + 1), [one.error for one in history.checks]
+    goals = [one.goal for one in history.checks]
+    ax.plot(numbers, goals, color=_GREY, lw=0.8, ls="--")
+    ax.plot(numbers, history.average_error(), color=SIMULATED, lw=1)
+    ax.plot(numbers, errors, color=MEASURED, ls="none", marker="o", ms=3)
+    ax.set_ylabel("error\n(% of stroke)")
+    ax.set_ylim(0, 1.15 * max(*errors, *goals))
+
+
+def _chart(ax: Axes, chart: ControlChart) -> None:
+    """Draw one kind of change in standard deviations: checks, average and its limits, sums beyond theirs as crosses."""
+    numbers = chart.places + 1
+    ax.axhline(0, color=INK, lw=0.6)
+    for sign in (-1, 1):
+        ax.plot(numbers, sign * chart.limits, color=_GREY, lw=0.8, ls="--")
+    ax.plot(numbers, chart.average, color=SIMULATED, lw=1)
+    ax.plot(numbers, chart.scores, color=MEASURED, ls="none", marker="o", ms=3)
+    alarms = chart.alarms
+    ax.plot(numbers[alarms], chart.scores[alarms], color=SIMULATED, ls="none", marker="o", ms=6.5, mfc="none")
+    ax.margins(y=0.12)
+    ax.set_ylabel(f"{chart.name}\n(deviations)")
+
+
+def _dates(ax: Axes, history: CheckHistory) -> None:
+    """Write the dates of some checks below."""
+    count = len(history.checks)
+    shown = np.arange(0, count, -(-count // _MOST_LABELS))
+    ax.set_xticks(shown + 1, [f"{k + 1}\n{history.checks[k].checked:%m-%d}" for k in shown])
+    ax.set_xlabel(f"check and day, {history.checks[0].checked:%Y-%m-%d} to {history.checks[-1].checked:%Y-%m-%d}")

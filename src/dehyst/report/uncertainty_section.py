@@ -1,19 +1,188 @@
-"""The assessment of a model, as a section of the report or as a page of its own."""
+"""The assessment of a model: figures, and a section of the report or a page of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io import PathLike, write_atomically
+from dehyst._types import Array
 from dehyst.control import Homing
-from dehyst.report import uncertainty_plots
+from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, spelled, table
-from dehyst.uncertainty import Insight
-from dehyst.uncertainty.part_identifiability import SHARP
-from dehyst.uncertainty.precision import NOISE_BIAS
-from dehyst.uncertainty.prediction_band import ERRORS
+from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
+from dehyst.trust import Insight
+from dehyst.trust.bootstrap import Intervals
+from dehyst.trust.identifiability import SHARP
+from dehyst.trust.precision import NOISE_BIAS
+from dehyst.trust.prediction_band import ERRORS, PredictionBand
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FREE = "#BBBBBB"
+# Singular values below this are rounding; drawn at the foot of the scale.
+_FOOT = 1e-5
+
+
+def _by_noise(noise: Intervals) -> str:
+    return f"{100 * noise.level:.0f} % by noise"
+
+
+def singular_values(identifiability: Identifiability, *, name: str) -> str:
+    """Draw the singular value of each direction, filled if the records determine it, hollow if not."""
+    return inline(name, lambda ax: draw_singular_values(ax, identifiability))
+
+
+def draw_singular_values(ax: Axes, identifiability: Identifiability) -> None:
+    """Draw what `singular_values` shows on axes."""
+    values = identifiability.values
+    number, known = np.arange(1, values.size + 1), np.arange(values.size) < identifiability.determined
+    shown = np.maximum(values, _FOOT)
+    for some, face, label in ((known, MEASURED, "determined"), (~known, "white", "open")):
+        if some.any():
+            style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.5, "mfc": face, "mec": MEASURED}
+            ax.plot(number[some], shown[some], label=label, clip_on=False, **style)
+    ax.set(yscale="log", xlabel="direction", ylabel="singular value (V/V)")
+    ax.set_ylim(bottom=min(_FOOT, float(shown.min())))
+    ax.set_xlim(0.5, values.size + 0.5)
+    ax.locator_params(axis="x", integer=True)
+    ax.legend(loc="lower left")
+
+
+def stiffness_intervals(found: Insight, *, name: str) -> str:
+    """Draw each stiffness with its interval by noise, and behind it its range among compatible models."""
+    return inline(name, lambda ax: draw_stiffness_intervals(ax, found))
+
+
+def draw_stiffness_intervals(ax: Axes, found: Insight) -> None:
+    """Draw what `stiffness_intervals` shows on axes."""
+    slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
+    factor, unit = length_unit(float(slip.breakaway[-1]))
+    rho = slip.breakaway * factor
+    if free is not None:
+        ax.vlines(rho, *free.stiffness * 1e-6, color=_FREE, lw=5, label="compatible")
+    if noise is not None and alone.any():
+        low, high = noise.stiffness[:, alone] * 1e-6
+        ax.vlines(rho[alone], low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
+    ax.plot(rho, slip.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model", clip_on=False)
+    ax.set(xlabel=f"breakaway elongation ({unit})", ylabel="stiffness (V/µm)")
+    ax.set_xlim(0, 1.05 * float(rho[-1]))
+    ax.set_ylim(bottom=0)
+    ax.legend(loc="upper right")
+
+
+def spring_intervals(found: Insight, *, name: str) -> str:
+    """Draw the uncertainty of the spring's voltage at its knots, by noise and among compatible models."""
+    spring, noise, free = found.actuator.spring, found.intervals, found.feasible_set
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
+    centre = spring.voltage - spring.voltage[0]
+
+    def draw(ax: Axes) -> None:
+        y = spring.displacement * factor
+        if free is not None:
+            ax.fill_between(y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="compatible")
+        if noise is not None:
+            low, high = (end - centre for end in noise.spring)
+            ax.fill_between(y, low, high, color=SIMULATED, alpha=0.6, lw=0, label=_by_noise(noise))
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def loop_interval(found: Insight, *, name: str) -> str:
+    """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
+    return inline(name, lambda ax: draw_loop_interval(ax, found))
+
+
+def draw_loop_interval(ax: Axes, found: Insight) -> None:
+    """Draw what `loop_interval` shows on axes."""
+    loop = found.loop
+    if loop is None:
+        return
+    low, high = (loop.noise - loop.displacement) * 1e9
+    top = int(np.argmax(loop.voltage))
+    for branch, colour, label in ((slice(0, top + 1), RISING, "rising"), (slice(top, None), FALLING, "falling")):
+        ax.fill_between(loop.voltage[branch], low[branch], high[branch], color=colour, alpha=0.5, lw=0, label=label)
+    ax.axhline(0, color=INK, lw=0.8)
+    ax.set(xlabel="voltage (V)", ylabel="displacement, off the model's (nm)")
+    bottom, upper = ax.get_ylim()
+    ax.set_ylim(bottom, upper + 0.25 * (upper - bottom))
+    ax.legend(loc="upper left", ncols=2)
+
+
+def drive_interval(found: Insight, *, name: str) -> str:
+    """Draw the uncertainty of tau at its knots by noise."""
+    tau, noise = found.actuator.transformer, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if tau is not None and noise is not None and noise.drive is not None:
+            low, high = noise.drive - tau.drive
+            ax.fill_between(
+                tau.voltage, low, high, color=SIMULATED, alpha=0.6, lw=0, label=f"{100 * noise.level:.0f} % by noise"
+            )
+        ax.axhline(0, color=INK, lw=0.8)
+        ax.set(xlabel="voltage (V)", ylabel="tau, off the model's (V)")
+        ax.legend(loc="upper left")
+
+    return inline(name, draw)
+
+
+def creep_intervals(found: Insight, *, name: str) -> str:
+    """Draw the stiffness of each creep branch with its interval by noise."""
+    creep, noise = found.actuator.creep, found.intervals
+
+    def draw(ax: Axes) -> None:
+        if creep is None:
+            return
+        if noise is not None and noise.creep is not None:
+            low, high = noise.creep * 1e-6
+            ax.vlines(creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
+        ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
+        ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
+        low, high = ax.get_ylim()
+        ax.set_ylim(0, 1.3 * high)
+        ax.legend(loc="upper left", ncols=2)
+
+    return inline(name, draw)
+
+
+def band(found: PredictionBand, stroke: float, *, name: str) -> str:
+    """Draw the error to expect along a trajectory, part by part, and the trajectory above."""
+    factor, unit = length_unit(float(np.ptp(found.displacement)))
+
+    def draw(upper: Axes, lower: Axes) -> None:
+        upper.plot(np.arange(found.displacement.size), found.wanted * factor, color=MEASURED, lw=1)
+        upper.set_ylabel(f"displacement ({unit})")
+        draw_band(lower, found, stroke)
+
+    return inline(name, draw, rows=2, height=4.4)
+
+
+def draw_band(ax: Axes, found: PredictionBand, stroke: float) -> None:
+    """Draw the error to expect along a trajectory, part by part [% of a stroke in m], on axes."""
+    sample = np.arange(found.displacement.size)
+
+    def fill(low: Array, high: Array, colour: str, label: str) -> None:
+        low, high = (100 * (edge - found.wanted) / stroke for edge in (low, high))
+        ax.fill_between(sample, low, high, color=colour, lw=0, label=label)
+
+    fill(found.lowest, found.highest, "#E5E5E5", "all")
+    if found.likely is not None:
+        fill(found.likely[0], found.likely[1], "#CFD8E6", f"{100 * found.level:g} %")
+    if found.open is not None:
+        fill(found.open[0], found.open[1], "#AAAAAA", "compatible with the records")
+    fill(found.noise[0], found.noise[1], SIMULATED, "noise")
+    ax.axhline(0, color=FALLING, lw=0.6)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.35 * (high - low))
+    ax.set(xlabel="sample", ylabel="error (% of stroke)")
+    ax.legend(loc="upper left", ncols=4)
+
 
 _MOST_SENTENCES = 24
 
@@ -36,57 +205,37 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
 
 def sections(found: Insight) -> list[str]:
     """Return the page's sections, which the report can contain too."""
-    share = number(100 * found.misfit / found.evidence.stroke)
-    if found.structured:
-        good = f"The largest error of the model on these records is {share} % of their range, and there is no warning."
-        good = f"{good} {_known(found)}".strip()
-        parts = (
-            _verdict(found, "No warnings", good),
-            _parts(found),
-            _part_intervals(found),
-            _trajectory(found),
-            f'<h2>Not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>',
-            _state(found),
-        )
-    else:
-        parts = (
-            _verdict(found, *_good(found)),
-            _directions(found),
-            _intervals(found),
-            _trajectory(found),
-            _next(found),
-            _state(found),
-        )
+    beside = f'<h2>Not judged</h2>\n<p class="muted">{escape(found.not_judged)}</p>' if found.not_judged else ""
+    parts = (
+        _verdict(found),
+        _directions(found),
+        _parts(found),
+        _part_intervals(found),
+        _intervals(found),
+        _trajectory(found),
+        _next(found),
+        beside,
+        _state(found),
+    )
     return [part for part in parts if part]
-
-
-def _good(found: Insight) -> tuple[str, str]:
-    """Return the good verdict on a plain model, a word and a sentence."""
-    if found.precision is not None:
-        return "Known", _known(found)
-    determined = "The records determine every direction of the stiffnesses that loops can."
-    return "Determined", f"{determined} How precisely was not judged: there are no intervals."
-
-
-def _known(found: Insight) -> str:
-    return "" if found.precision is None else found.precision.sentence
 
 
 def _directions(found: Insight) -> str:
     directions = found.identifiability
-    sentences = directions.sentences()
+    sentences = () if found.actuator.wide else directions.sentences()
     items = [escape(spelled(_subscripts(sentence))) for sentence in sentences[:_MOST_SENTENCES]]
     if len(sentences) > _MOST_SENTENCES:
         items.append(f"and {len(sentences) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
+    of = "ten plain elements" if found.actuator.wide else "the stiffnesses"
     caption = (
-        f"The turning points of the records determine {directions.determined} of {directions.of} directions of the "
-        "stiffnesses, with the spring and each record's constant free. A singular value is the RMS voltage that one "
+        f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
+        f"{of}, with the spring and each record's constant free. A singular value is the RMS voltage that one "
         "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
-    drawn = panel(("Singular values", ""), uncertainty_plots.singular_values(directions, name="singular"), "")
+    drawn = panel(("Singular values", ""), singular_values(directions, name="singular"), "")
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
-    return figure("What the records determine of the stiffnesses", caption, [drawn, body])
+    return figure("What the turning points determine", caption, [drawn, body] if items else [drawn])
 
 
 def _subscripts(sentence: str) -> str:
@@ -99,8 +248,8 @@ def _subscripts(sentence: str) -> str:
 def _intervals(found: Insight) -> str:
     if found.intervals is None or found.feasible_set is None or found.precision is None:
         return ""
-    stiffness = panel(("Stiffnesses", ""), uncertainty_plots.stiffness_intervals(found, name="stiffnesses"), "")
-    spring = panel(("Parallel spring", ""), uncertainty_plots.spring_intervals(found, name="spring-interval"), "")
+    stiffness = panel(("Stiffnesses", ""), stiffness_intervals(found, name="stiffnesses"), "")
+    spring = panel(("Parallel spring", ""), spring_intervals(found, name="spring-interval"), "")
     slip = found.actuator.slip
     rows: list[Row] = [
         (str(i), number(rho * 1e6, 4), number(kappa * 1e-6, 4), *_ranges(found, i - 1))
@@ -172,8 +321,6 @@ def _parts(found: Insight) -> str:
     ]
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     caption = (
-        f"The turning points of the records determine {found.identifiability.determined} of {found.identifiability.of} "
-        "directions of plain elements; this shows whether there are enough inner loops. "
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
         f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
         "A combination that is not known by itself may be accurate together with other parts: what counts for a motion "
@@ -205,28 +352,35 @@ def _part_intervals(found: Insight) -> str:
         return ""
     panels = []
     if found.loop is not None:
-        panels.append(panel(("The major loop", ""), uncertainty_plots.loop_interval(found, name="loop-interval"), ""))
+        panels.append(panel(("The major loop", ""), loop_interval(found, name="loop-interval"), ""))
     if found.actuator.transformer is not None:
-        panels.append(panel(("Transformer", ""), uncertainty_plots.drive_interval(found, name="drive-interval"), ""))
+        panels.append(panel(("Transformer", ""), drive_interval(found, name="drive-interval"), ""))
     if found.actuator.creep is not None:
-        panels.append(panel(("Creep", ""), uncertainty_plots.creep_intervals(found, name="creep-interval"), ""))
+        panels.append(panel(("Creep", ""), creep_intervals(found, name="creep-interval"), ""))
     level = f"{100 * found.intervals.level:.0f} %"
     caption = (
         f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
         f"the same structure. {_bias(found)}The largest "
         f"error on the records, {length(found.misfit)}, comes on top: this structure cannot follow it. Single "
-        "stiffnesses and the spring compensate one another, and are accurate only together."
+        "stiffnesses and the spring compensate one another: together they are more accurate."
     )
-    return figure("How accurate the numbers are", caption, panels)
+    return figure("How accurate the parts are", caption, panels)
 
 
-def _verdict(found: Insight, word: str, good: str) -> str:
+def _verdict(found: Insight) -> str:
     """Return the warnings, or the good verdict if there are none."""
     warnings = found.warnings()
-    if not warnings:
-        return f'<p class="outcome green"><strong>{word}</strong> {good}</p>'
-    lines = "<br>".join(escape(spelled(warning)) for warning in warnings)
-    return f'<p class="outcome amber"><strong>Warning</strong> {lines}</p>'
+    if warnings:
+        lines = "<br>".join(escape(spelled(warning)) for warning in warnings)
+        return f'<p class="outcome amber"><strong>Warning</strong> {lines}</p>'
+    share = number(100 * found.misfit / found.evidence.stroke)
+    word, known = "No warnings", "How precisely its numbers are known was not judged: there are no intervals."
+    if found.precision is not None:
+        word, known = "Known", found.precision.sentence
+    return (
+        f'<p class="outcome green"><strong>{word}</strong> {known} The largest error of the model on these records is '
+        f"{share} % of their range.</p>"
+    )
 
 
 def _trajectory(found: Insight) -> str:
@@ -239,7 +393,7 @@ def _trajectory(found: Insight) -> str:
         for key, error in errors.items()
         if error or key != "clamped"
     ]
-    drawn = panel(("Along the trajectory", ""), uncertainty_plots.band(found.band, stroke, name="band"), "")
+    drawn = panel(("Along the trajectory", ""), band(found.band, stroke, name="band"), "")
     body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
     caption = f"{caption} {found.band.sentence(stroke)}".strip()

@@ -11,14 +11,11 @@ from scipy.stats import norm
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst.identification import Recheck, check
-from dehyst.stages.coupling.matrix import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
-from dehyst.stages.coupling.play_columns import PlayColumns
-from dehyst.stages.decoupling import apply
-from dehyst.stages.record import StageRecord
-from dehyst.stages.stage import Stage
-from dehyst.stages.summary import matrix_lines
-from dehyst.uncertainty import Insight, insight
+from dehyst.records import Record
+from dehyst.stages.coupling import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
+from dehyst.stages.regressors import PlayColumns
+from dehyst.stages.stage import Stage, apply, matrix_lines
+from dehyst.trust import Insight, Recheck, check, insight
 
 # Of the range of a voltage in a hundredth of the record: it moves if it moves by more.
 _MOVING, _WINDOWS = 0.02, 200
@@ -78,13 +75,13 @@ class StageInsight:
         }
 
 
-def stage_insight(stage: Stage, records: Sequence[StageRecord], *, level: float = 0.9, **options: Any) -> StageInsight:
+def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9, **options: Any) -> StageInsight:
     """Assess a stage by the records it was identified from.
 
     Parameters
     ----------
     stage : Stage
-    records : sequence of StageRecord
+    records : sequence of Record
     level : float, optional
         Confidence level of the intervals.
     **options
@@ -140,7 +137,7 @@ class StageRecheck:
         }
 
 
-def check_stage(stage: Stage, record: StageRecord, *, goal: float | None = None) -> StageRecheck:
+def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageRecheck:
     """Check whether a stage is still true, by a new record: each actuator, and the coupling.
 
     The coupling by plays of the new record counts as changed where it differs by more than 0.005 and by more than three
@@ -149,7 +146,7 @@ def check_stage(stage: Stage, record: StageRecord, *, goal: float | None = None)
     Parameters
     ----------
     stage : Stage
-    record : StageRecord
+    record : Record
     goal : float, optional
         As in `dehyst.check`.
     """
@@ -168,11 +165,11 @@ def check_stage(stage: Stage, record: StageRecord, *, goal: float | None = None)
     return StageRecheck(stage.axes, rechecks, found.matrix, found.uncertainty, tuple(changes))
 
 
-def _decoupled(stage: Stage, records: Sequence[StageRecord], j: int) -> list[Any]:
-    return [one.with_displacement(j, apply(stage.decoupling, one.displacement)[:, j]) for one in records]
+def _decoupled(stage: Stage, records: Sequence[Record], j: int) -> list[Any]:
+    return [one.axis(j, apply(stage.decoupling, one.displacement)[:, j]) for one in records]
 
 
-def _refuse_other_axes(stage: Stage, records: Sequence[StageRecord]) -> None:
+def _refuse_other_axes(stage: Stage, records: Sequence[Record]) -> None:
     for one in records:
         if one.axes != stage.axes:
             raise RecordError(
@@ -180,7 +177,7 @@ def _refuse_other_axes(stage: Stage, records: Sequence[StageRecord]) -> None:
             )
 
 
-def _alone(records: Sequence[StageRecord]) -> list[str]:
+def _alone(records: Sequence[Record]) -> list[str]:
     """Return which axes never moved while all others stood."""
     alone, count = np.zeros(len(records[0].axes)), 0
     for record in records:
@@ -200,7 +197,7 @@ def _alone(records: Sequence[StageRecord]) -> list[str]:
     ]
 
 
-def _repeating(records: Sequence[StageRecord]) -> list[str]:
+def _repeating(records: Sequence[Record]) -> list[str]:
     """Return which axes have periods that soon repeat together."""
     remarks = []
     for record in records:
@@ -223,7 +220,7 @@ def _period(voltage: Array) -> float:
     return len(voltage) / max(int(np.argmax(power[1:])) + 1, 1)
 
 
-def _together(record: StageRecord, i: int, j: int) -> bool:
+def _together(record: Record, i: int, j: int) -> bool:
     """Return whether two axes move at the same time for most of the time that they move."""
     moving = np.abs(np.diff(record.voltage[:, [i, j]], axis=0)) > 1e-6 * np.ptp(record.voltage[:, [i, j]], axis=0)
     return float(moving.all(axis=1).sum()) > 0.8 * float(moving.any(axis=1).sum())

@@ -5,23 +5,30 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._types import Array
+from dehyst._native import EMPTY, Loop
+from dehyst._types import Array, Mask
 from dehyst._validation import interval, vector
-from dehyst.control import ClampWarning, Compensator, Snapshot, VoltageLimits
-from dehyst.control.clamping import Clamps, stray_sentence
+from dehyst.control import ClampWarning, Command, Compensator, Snapshot, VoltageLimits
+from dehyst.control.limits import Clamps, stray_sentence
+from dehyst.control.loop import step_numbers
 from dehyst.model import Actuator, State
-from dehyst.stages.axis_compensator import AxisCompensator
-from dehyst.stages.decoupling import apply, dot, reachable
-from dehyst.stages.stage import Limits, SlewRates, Stage
-from dehyst.stages.stage_trace import StageTrace
-from dehyst.stages.starts import start_within
-from dehyst.stages.whole_path import follow
+from dehyst.stages.stage import Limits, SlewRates, Stage, StageTrace, apply, dot, reachable
+
+# Passes over the path in which clamped axes correct the free ones.
+_PASSES = 12
+# Of the stroke: changes that are rounding.
+_SETTLED = 1e-12
+# Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
+NEAR = 0.01
+# After so many loops every element repeats; and so many of the longest times of creep are a rest.
+_LOOPS, _REST = 30, 1e9
 
 
 class StageCompensator:
@@ -146,6 +153,20 @@ class StageCompensator:
             one.commit(value)
         return np.array(voltage)
 
+    def run(self, displacement: ArrayLike) -> Array:
+        """Return the voltages (n, axes) [V] of n steps for a `displacement` (n, axes) [m], and commit them.
+
+        Raises and warns as `step`; after an error the memory is unchanged.
+        """
+        wanted = self.stage.columns(displacement, "displacement", "m")
+        voltage = np.empty_like(wanted)
+        with self._unchanged_by_errors():
+            for k, row in enumerate(wanted):
+                voltage[k] = self._offered(row)
+                for one, value in zip(self._axes, voltage[k].tolist(), strict=True):
+                    one.commit(value)
+        return voltage
+
     def offer(self, displacement: ArrayLike) -> Array:
         """Return the voltages (axes,) [V] for a `displacement` (axes,) [m], not committed.
 
@@ -245,13 +266,18 @@ class StageCompensator:
         before = self.snapshot()
         try:
             yield
-        except ModelError:
+        except (ModelError, ClampWarning):
             for one, snapshot in zip(self._axes, before, strict=True):
                 one.restore(snapshot)
             raise
 
     def trajectory(
-        self, displacement: ArrayLike, *, time: ArrayLike | None = None, extrapolate: bool = False
+        self,
+        displacement: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        present: ArrayLike | None = None,
+        extrapolate: bool = False,
     ) -> StageTrace:
         """Compute the voltages of a whole path, known ahead; the loop's memory is unchanged.
 
@@ -263,6 +289,8 @@ class StageCompensator:
             Wanted displacements [m].
         time : (n,) array_like, optional
             [s], as in `Compensator.trajectory`.
+        present : (axes,) array_like, optional
+            Voltages [V] before the first sample, as in `Compensator.trajectory`.
         extrapolate : bool, optional
             As in `Compensator.trajectory`.
 
@@ -273,13 +301,61 @@ class StageCompensator:
         """
         wanted = self.stage.columns(displacement, "displacement", "m")
         if not len(wanted):
-            raise ModelError("displacement: got no samples, need one at least")
-        return follow(self.stage, self._axes, wanted, time, extrapolate)
+            raise ModelError(argument="displacement", got="no samples", need="one at least")
+        count = len(self._axes)
+        before = [None] * count if present is None else self._values(present, "present")
+        commands: list[Command] = []
+
+        def command(j: int) -> Command:
+            # After the first pass the targets are in the neighbourhood of those that were checked.
+            stray = extrapolate or len(commands) == count
+            try:
+                return self._axes[j].trajectory(targets[:, j], time=time, present=before[j], extrapolate=stray)
+            except ModelError as error:
+                raise ModelError(f"axis {self.stage.axes[j]}: {error}") from error
+
+        targets = apply(self.stage.decoupling, wanted)
+        commands.extend(command(j) for j in range(count))
+        clamped = np.column_stack([one.clamped for one in commands])
+        settled = _SETTLED * max(float(np.ptp(wanted)), np.finfo(np.float64).tiny)
+        for _ in range(_PASSES if clamped.any() and count > 1 else 0):
+            reached = np.column_stack([one.displacement for one in commands])
+            corrected = self._corrected(targets, wanted, reached, clamped)
+            if np.abs(corrected - targets).max() <= settled:
+                break
+            changed, targets = (corrected != targets).any(axis=0), corrected
+            commands = [command(j) if changed[j] else commands[j] for j in range(count)]
+            clamped |= np.column_stack([one.clamped for one in commands])
+        return self._trace(wanted, commands)
+
+    def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
+        """Return targets with which the axes that are free reach what is wanted of them."""
+        corrected = targets.copy()
+        for i in np.flatnonzero(clamped.any(axis=1)).tolist():
+            known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
+            moved = reachable(self._table, wanted[i].tolist(), known)
+            for j, row in enumerate(self._table):
+                if j not in known:
+                    corrected[i, j] = dot(row, moved)
+        return corrected
+
+    def _trace(self, wanted: Array, commands: Sequence[Command]) -> StageTrace:
+        reached = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
+        exact = all(one.followed for one in commands)
+        return StageTrace(
+            voltage=np.column_stack([one.voltage for one in commands]),
+            displacement=wanted if exact else reached,
+            states=tuple(one.state for one in commands),
+            clamped=np.column_stack([one.clamped for one in commands]),
+            missed=np.zeros(len(commands)) if exact else np.abs(wanted - reached).max(axis=0, initial=0.0),
+            remarks=tuple(one.warnings for one in commands),
+            followed=exact,
+        )
 
     def _values(self, values: ArrayLike, what: str) -> list[float]:
         numbers = vector(values, what)
         if numbers.size != len(self._axes):
-            raise ModelError(f"{what}: got {numbers.size} values, need {len(self._axes)}, one an axis")
+            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{len(self._axes)}, one an axis")
         return list(numbers.tolist())
 
 
@@ -287,7 +363,7 @@ def _each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
     if values is None:
         return [None] * count
     if isinstance(values, int | float | str) or len(values) != count:
-        raise ModelError(f"{what}: got {values!r}, need {count} entries, one for each axis")
+        raise ModelError(argument=what, got=repr(values), need=f"{count} entries, one for each axis")
     return values
 
 
@@ -309,3 +385,54 @@ def _named(axis: str, make: Callable[[], Compensator]) -> Compensator:
         return make()
     except ModelError as error:
         raise ModelError(f"axis {axis}: {error}") from error
+
+
+class AxisCompensator(Compensator):
+    """A `Compensator` without `ClampWarning` in steps.
+
+    It receives targets that are corrected for the other axes. The stage warns, of the displacement that is wanted.
+    """
+
+    def __reduce__(self) -> tuple[Callable[..., AxisCompensator], tuple[object, ...]]:
+        """Return how to copy and unpickle the compensator, with its memory."""
+        return _again, super().__reduce__()[1]
+
+    def _new_loop(self) -> Loop:
+        pace, numbers = step_numbers(self.actuator, self._limits, self.period)
+        return self.actuator.model.core.loop(pace, self._lookahead.taps, np.array(numbers), _silent, self.start())
+
+
+def _silent(slewed: bool, displacement: float, voltage: float) -> None:
+    pass
+
+
+def _again(options: tuple[Any, ...], memory: Snapshot | None) -> AxisCompensator:
+    actuator, limits, slew_rate, period, state, preview, units = options
+    axis = AxisCompensator(actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units)
+    if memory is not None:
+        axis.restore(memory)
+    return axis
+
+
+def start_within(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
+    """Return a state, or if its voltage lies outside the limits [V], the state after major loops between them.
+
+    The loops end at the limit next to the state. Of a state beyond the limits, the elements have slid farther than any
+    voltage between them makes them slide: no play within the limits leads to it.
+    """
+    low, high = limits
+    held, near = actuator.voltage(state), NEAR * (high - low)
+    if low - near <= held <= high + near:
+        return state
+    return looped(actuator, limits, rising=held > high)
+
+
+def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
+    """Return the state after slow major loops between limits [V], at the upper one if `rising`, creep at rest."""
+    slow = actuator.quasistatic()
+    voltage = np.tile(limits if rising else limits[::-1], _LOOPS)
+    rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
+    time = np.arange(voltage.size) * rest if slow.needs_time else None
+    reached = slow.simulate(voltage, time=time, extrapolate=True).state
+    # The state of a slow motion has none of a mass.
+    return actuator.model.complete_state(replace(reached, motion=EMPTY))

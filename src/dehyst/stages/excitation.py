@@ -9,8 +9,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import keep
-from dehyst.stages.record import DEFAULT_AXES, axis_names
+from dehyst._validation import DEFAULT_AXES, axis_names, keep
 from dehyst.waveforms import Sampling, descending_tops, homing
 
 # Periods of the axes moving together, in those of the first one: powers of the plastic number repeat never.

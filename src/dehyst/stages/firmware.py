@@ -6,50 +6,30 @@ import re
 from itertools import permutations
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
 
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._io.drafts import PathLike, path_of
+from dehyst._io import PathLike, path_of
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports import Footprint
-from dehyst.exports.firmware import bytes_table, fill_folder, footprints_of, write_files
-from dehyst.exports.model_header import NUMBERS, SIZES, numbers, size_macros
+from dehyst.exports import Exported
+from dehyst.exports.firmware import CONFIG, CORE, bytes_table, fill_folder, footprints_of, write_files
+from dehyst.exports.model_header import NUMBERS, SIZES, config_header, numbers, size_macros
 from dehyst.exports.naming import demand_name, in_comment, printable, text_of
 from dehyst.exports.shipped import shipped
 from dehyst.exports.start import ExportedStart
-from dehyst.stages.compensator import StageCompensator
+from dehyst.stages.compensator import NEAR, StageCompensator, looped
 from dehyst.stages.golden import stage_golden_trace, stage_trace_header
-from dehyst.stages.starts import NEAR, looped
 
 STAGE_NAME = "stage"
 _AXES, _MEMBERS = "/* axes */\n", "/* members */\n"
-_OWN = re.compile(r"\b(model|copy_loop)(?=_[a-z]|[.,(]| =)")
 _IDENTIFIER = re.compile(r"[A-Za-z0-9]\w{0,15}", re.ASCII)
 _CALL = re.compile(r"\bpiezo_(\w+)")
 # Carts [m] of one state, but for rounding.
 _SAME = 1e-13
 _UNASKED = "not asked for"
-
-
-class ExportedStage(NamedTuple):
-    """An exported folder.
-
-    Attributes
-    ----------
-    folder : Path
-    footprints : dict of str to Footprint
-        Bytes by processor, for each compiler that was found.
-    unmeasured : str or None
-        Why bytes were not measured on this computer; None if they were.
-    """
-
-    folder: Path
-    footprints: dict[str, Footprint]
-    unmeasured: str | None
 
 
 def stage_code(compensator: StageCompensator, name: str = STAGE_NAME) -> dict[str, str]:
@@ -65,13 +45,14 @@ def stage_code(compensator: StageCompensator, name: str = STAGE_NAME) -> dict[st
     header, source = (text_of(shipped(file), name) for file in ("stage.h", "stage.c"))
     macros = text_of(f"#define MODEL_AXES {len(loops)}\n#define MODEL_PERIOD {compensator.period or 0.0!r}\n", name)
     members = [f"    {kind} axis{j};\n" for j, kind in enumerate(types)]
-    spare = f"    union {{\n    {'    '.join(members)}    }} spare; /* to try where a clamped voltage leads */\n"
+    largest = max(2 * one.start().carts.size + one.start().strains.size + one.tables()["tap"].size for one in loops)
+    spare = f"    dehyst_real spare[{largest}]; /* to try where a clamped voltage leads */\n"
     header = header.replace(SIZES, macros).replace(_MEMBERS, "".join(members) + spare)
     header = header.replace(_AXES, "".join(_axis_header(one, kind) for one, kind in zip(loops, types, strict=True)))
-    bodies = "".join(_axis_source(one, kind, j) for j, (one, kind) in enumerate(zip(loops, types, strict=True)))
+    bodies = "".join(_axis_source(one, kind) for one, kind in zip(loops, types, strict=True))
     source = source.replace(_AXES, bodies).replace(NUMBERS, text_of(_tables(compensator, types), name))
     files = {f"{name}.c": title + source, f"{name}.h": title + header}
-    return files | {file: shipped(file) for file in ("dehyst.c", "dehyst.h")}
+    return files | {file: shipped(file) for file in CORE} | {CONFIG: config_header("double")}
 
 
 def export_stage(
@@ -81,10 +62,10 @@ def export_stage(
     force: bool = False,
     name: str = STAGE_NAME,
     measure: bool = True,
-) -> ExportedStage:
+) -> Exported:
     """Write the compensator of a stage as C: the whole folder, or nothing.
 
-    Four files go into a firmware: the core, `dehyst.c` and `dehyst.h`, byte for byte the one that Python runs; the
+    Six files go into a firmware: the core, `dehyst.c` and three headers, byte for byte the one that Python runs; the
     stage, stage.c and stage.h, with the coupling matrix, the numbers of each axis and the calls. Beside them are a
     golden trace that ``make check`` replays, and a README.
 
@@ -118,10 +99,10 @@ def export_stage(
         "trace.h": stage_trace_header(trace),
     }
 
-    def fill(draft: Path) -> ExportedStage:
+    def fill(draft: Path) -> Exported:
         write_files(draft, files)
         footprints, unmeasured = footprints_of(draft, "double") if measure else ({}, _UNASKED)
-        result = ExportedStage(folder, footprints, unmeasured)
+        result = Exported(folder, footprints, None, unmeasured)
         write_files(draft, {"README.md": _readme(compensator, result, len(trace.rows), name)})
         return result
 
@@ -147,10 +128,10 @@ def _axis_header(compensator: Compensator, kind: str) -> str:
     return text_of(body.strip("\n") + "\n\n", kind)
 
 
-def _axis_source(compensator: Compensator, kind: str, j: int) -> str:
-    """Return numbers and calls of axis `j`, with constants of its own."""
-    _, _, text = shipped("piezo.c").partition('#include "piezo.h"\n')
-    text = _OWN.sub(rf"\g<1>{j}", text.replace(NUMBERS, numbers(compensator, "double")))
+def _axis_source(compensator: Compensator, kind: str) -> str:
+    """Return numbers and calls of one axis."""
+    _, _, text = shipped("piezo.c").partition('#include "dehyst_model.h"\n')
+    text = text.replace(NUMBERS, numbers(compensator, "double"))
     return text_of(text.strip("\n") + "\n\n", kind)
 
 
@@ -163,16 +144,14 @@ def _tables(compensator: StageCompensator, types: list[str]) -> str:
         return "".join([*rows, f"    default: {last.format(j=count - 1, kind=types[-1])}\n"])
 
     loop = "return &p->axis{j}.loop;"
-    trial = "{kind}_copy(&p->spare.axis{j}, &p->axis{j}); loop = &p->spare.axis{j}.loop; break;"
-    moved = "return p->axis{j}.loop.state.memory.y;"
+    memory = "return p->axis{j}.memory;"
+    moved = "return p->axis{j}.loop.w;"
     begins = "".join(
         f"    if (status == DEHYST_OK) status = {kind}_begin(&p->axis{j});\n" for j, kind in enumerate(types)
     )
-    copies = "".join(f"    {kind}_copy(&to->axis{j}, &from->axis{j});\n" for j, kind in enumerate(types))
-    points = "".join(f"    {kind}_point(&p->axis{j});\n" for j, kind in enumerate(types))
     return f"""{_matrix("decoupling", stage.decoupling)}
 {_matrix("coupling", stage.coupling)}
-static const dehyst_compensator *const models[MODEL_AXES] = {{{", ".join(f"&model{j}" for j in range(count))}}};
+static const dehyst_model *const models[MODEL_AXES] = {{{", ".join(f"&{kind}_model" for kind in types)}}};
 
 dehyst_loop *piezo_loop(piezo *p, int axis)
 {{
@@ -180,14 +159,39 @@ dehyst_loop *piezo_loop(piezo *p, int axis)
 {cases(loop, last=loop)}    }}
 }}
 
-/* Return where a voltage on offer leads: it is committed on a copy. */
+static dehyst_real *memory_of(piezo *p, int axis)
+{{
+    switch (axis) {{
+{cases(memory, last=memory)}    }}
+}}
+
+/* Return where a voltage on offer leads: it is committed on a copy, number by number, which needs no library. */
 static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
 {{
-    dehyst_loop *loop;
-    switch (axis) {{
-{cases(trial, last=trial)}    }}
-    dehyst_loop_commit(models[axis], loop, voltage);
-    return loop->state.memory.y;
+    const dehyst_loop *from = piezo_loop(p, axis);
+    const dehyst_real *numbers = memory_of(p, axis);
+    const unsigned long size = dehyst_memory_size(models[axis]);
+    dehyst_loop loop;
+    unsigned long i;
+    loop.w = from->w;
+    loop.y = from->y;
+    loop.rate = from->rate;
+    loop.input = from->input;
+    loop.sent = from->sent;
+    loop.acting = from->acting;
+    loop.intended[0] = from->intended[0];
+    loop.intended[1] = from->intended[1];
+    loop.wanted = from->wanted;
+    loop.target = from->target;
+    loop.candidate = from->candidate;
+    loop.voltage = from->voltage;
+    loop.offer = from->offer;
+    loop.segment = from->segment;
+    loop.half = from->half;
+    loop.limited = loop.slewed = loop.refused = 0;
+    for (i = 0; i < size; i++) p->spare[i] = numbers[i];
+    dehyst_loop_commit(models[axis], &loop, p->spare, voltage);
+    return loop.w;
 }}
 
 static dehyst_real moved_by(const piezo *p, int axis)
@@ -203,17 +207,6 @@ dehyst_status piezo_begin(piezo *p)
 {begins}    for (j = 0; j < MODEL_AXES; j++) p->clamped[j] = 0;
     return status;
 }}
-
-void piezo_copy(piezo *to, const piezo *from)
-{{
-    int j;
-    if (to == from) return;
-{copies}    for (j = 0; j < MODEL_AXES; j++) to->clamped[j] = from->clamped[j];
-}}
-
-void piezo_point(piezo *p)
-{{
-{points}}}
 """
 
 
@@ -236,7 +229,7 @@ def _way(loop: Compensator) -> str:
     return ""
 
 
-def _readme(compensator: StageCompensator, result: ExportedStage, rows: int, name: str) -> str:
+def _readme(compensator: StageCompensator, result: Exported, rows: int, name: str) -> str:
     table = []
     parts = zip(compensator.stage.axes, compensator.compensators, strict=True)
     for axis, loop in parts:

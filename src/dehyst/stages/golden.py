@@ -14,9 +14,9 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.control import ClampWarning
-from dehyst.control.clamping import Clamps
+from dehyst.control.limits import Clamps
 from dehyst.stages.compensator import StageCompensator
-from dehyst.stages.decoupling import apply
+from dehyst.stages.stage import apply
 
 # How far turning points may lie beyond the reach of each actuator, as a share of it: such displacements are clamped.
 _BEYOND = 0.2

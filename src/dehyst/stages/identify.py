@@ -12,23 +12,21 @@ from dehyst._errors import IdentifyError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
-from dehyst.identification import identify
-from dehyst.model import Fit
-from dehyst.stages.coupling.axis_checks import refuse_still_or_equal, refuse_unmoved
-from dehyst.stages.coupling.axis_traces import AxisTraces
-from dehyst.stages.coupling.cross_talk import cross_talk
-from dehyst.stages.coupling.matrix import (
+from dehyst.identification import Fit, identify
+from dehyst.records import Record
+from dehyst.stages.coupling import (
     Coupling,
     coupling_by_models,
     coupling_by_plays,
     refuse_inseparable,
+    refuse_still_or_equal,
+    refuse_unmoved,
     separate_motion,
 )
-from dehyst.stages.coupling.play_columns import PlayColumns
-from dehyst.stages.decoupling import apply, inverse
+from dehyst.stages.cross_talk import cross_talk
 from dehyst.stages.fit import AxisError, CrossTalk, StageFit
-from dehyst.stages.record import StageRecord
-from dehyst.stages.stage import Stage
+from dehyst.stages.regressors import AxisTraces, PlayColumns
+from dehyst.stages.stage import Stage, apply, inverse
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
 _MOST_PASSES, _SETTLED = 3, 2e-4
@@ -36,9 +34,9 @@ _SPANS = 24
 
 
 def identify_stage(
-    records: StageRecord | Sequence[StageRecord],
+    records: Record | Sequence[Record],
     *,
-    validate: StageRecord | Sequence[StageRecord] = (),
+    validate: Record | Sequence[Record] = (),
     progress: Progress | None = None,
     **options: Any,
 ) -> StageFit:
@@ -50,9 +48,9 @@ def identify_stage(
 
     Parameters
     ----------
-    records : StageRecord or sequence of StageRecord
+    records : Record or sequence of Record
         Training records, in which axes move one after the other, together, or both.
-    validate : StageRecord or sequence of StageRecord, optional
+    validate : Record or sequence of Record, optional
         Records that are only simulated.
     progress : callable, optional
         Called with a few words at each step.
@@ -69,7 +67,7 @@ def identify_stage(
     if not training:
         raise IdentifyError("got no records, need one of all axes at least")
     _refuse_other_axes([*training, *held_out])
-    names, strokes = training[0].axes, np.max([record.strokes for record in training], axis=0)
+    names, strokes = training[0].axes, np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
     refuse_still_or_equal(training)
     report("coupling of the axes")
     with one_thread():
@@ -96,8 +94,9 @@ def identify_stage(
             "records": [{"name": one.name, **one.meta} for one in training],
             "passes": found.passes,
             "coupling_uncertainty": found.coupling.uncertainty.tolist(),
-            "is_matrix": not bool(talk.beyond.any()),
         },
+        is_matrix=not bool(talk.beyond.any()),
+        recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
     remarks += _talk_remarks(talk, names)
     uncertainty, share = found.coupling.uncertainty, found.coupling.share
@@ -117,8 +116,8 @@ class _InTurn(NamedTuple):
 
 
 def _in_turn(
-    training: Sequence[StageRecord],
-    held_out: Sequence[StageRecord],
+    training: Sequence[Record],
+    held_out: Sequence[Record],
     coupling: Coupling,
     strokes: Array,
     options: dict[str, Any],
@@ -141,8 +140,8 @@ def _in_turn(
 
 
 def _axis_fits(
-    training: Sequence[StageRecord],
-    held_out: Sequence[StageRecord],
+    training: Sequence[Record],
+    held_out: Sequence[Record],
     coupling: Array,
     options: dict[str, Any],
     report: Callable[[str, str], None],
@@ -150,10 +149,7 @@ def _axis_fits(
     """Identify each axis on its decoupled displacement."""
     table, fits = inverse(coupling), []
     for j, axis in enumerate(training[0].axes):
-        alone = [
-            [one.with_displacement(j, apply(table, one.displacement)[:, j]) for one in some]
-            for some in (training, held_out)
-        ]
+        alone = [[one.axis(j, apply(table, one.displacement)[:, j]) for one in some] for some in (training, held_out)]
         try:
             fits.append(
                 identify(
@@ -226,16 +222,22 @@ def _failed(found: _InTurn, own: Array, names: tuple[str, ...], remarks: list[st
     )
 
 
-def _listed(records: StageRecord | Sequence[StageRecord]) -> list[StageRecord]:
-    single = isinstance(records, StageRecord) or not isinstance(records, Sequence)
+def _listed(records: Record | Sequence[Record]) -> list[Record]:
+    single = isinstance(records, Record) or not isinstance(records, Sequence)
     found: list[Any] = [records] if single else list(records)  # type: ignore[arg-type]
     for one in found:
-        if not isinstance(one, StageRecord):
-            raise RecordError(f"records: got {type(one).__name__}, need a StageRecord; dehyst.read_stage reads a file")
+        if not isinstance(one, Record) or not one.axes:
+            got = "a record of one axis" if isinstance(one, Record) else type(one).__name__
+            raise RecordError(
+                argument="records",
+                got=got,
+                need="records of several axes",
+                hint="dehyst.read(path, axes=...) reads one",
+            )
     return found
 
 
-def _refuse_other_axes(records: Sequence[StageRecord]) -> None:
+def _refuse_other_axes(records: Sequence[Record]) -> None:
     first = records[0]
     for other in records[1:]:
         if other.axes != first.axes:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst._io.drafts import PathLike, write_atomically
+from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
+from dehyst.records import Record
 from dehyst.report.html import bullets, document, escape, figure, panel, reproduction, spelled, table
 from dehyst.report.plots import MEASURED, inline, line
 from dehyst.stages.fit import StageFit
-from dehyst.stages.record import StageRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 _MOST = 8000
 
 
-def write_stage_report(
-    path: PathLike, fit: StageFit, records: Sequence[StageRecord], *, command: str | None = None
-) -> None:
+def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:
     """Write a report of a stage to one HTML file that loads nothing from outside.
 
     Parameters
@@ -30,7 +28,7 @@ def write_stage_report(
     path : path-like
         Replaced if it exists; never left half written.
     fit : StageFit
-    records : sequence of StageRecord
+    records : sequence of Record
         Those of the identification, training first.
     command : str, optional
         The command line to show.
@@ -105,7 +103,7 @@ def _errors(fit: StageFit) -> str:
     return f"<h2>Errors of simulating each record</h2>{table(head, rows, 3)}" if rows else ""
 
 
-def _axes(fit: StageFit, records: Sequence[StageRecord]) -> list[str]:
+def _axes(fit: StageFit, records: Sequence[Record]) -> list[str]:
     parts = []
     for i, axis in enumerate(fit.axes):
         panels = [panel((axis, ""), _loops(fit, records, i), "loops")]
@@ -122,13 +120,13 @@ def _axes(fit: StageFit, records: Sequence[StageRecord]) -> list[str]:
     return parts
 
 
-def _residuals(fit: StageFit, records: Sequence[StageRecord]) -> list[Array]:
-    from dehyst.stages.coupling.axis_traces import AxisTraces
+def _residuals(fit: StageFit, records: Sequence[Record]) -> list[Array]:
+    from dehyst.stages.regressors import AxisTraces
 
     return [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
 
 
-def _loops(fit: StageFit, records: Sequence[StageRecord], i: int) -> str:
+def _loops(fit: StageFit, records: Sequence[Record], i: int) -> str:
     def draw(ax: Axes) -> None:
         for record in records:
             rows = _drawn(len(record))
@@ -138,7 +136,7 @@ def _loops(fit: StageFit, records: Sequence[StageRecord], i: int) -> str:
     return inline(f"stage-{fit.axes[i]}-loops", draw)
 
 
-def _beside(fit: StageFit, records: Sequence[StageRecord], i: int, j: int) -> str:
+def _beside(fit: StageFit, records: Sequence[Record], i: int, j: int) -> str:
     left = _residuals(fit, records)
 
     def draw(ax: Axes) -> None:

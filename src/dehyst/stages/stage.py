@@ -2,28 +2,151 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._io.drafts import PathLike
-from dehyst._io.json_files import read_json, write_json
-from dehyst._types import Array
-from dehyst._validation import keep, matrix
+from dehyst._io import PathLike, read_json, write_json
+from dehyst._text import counted
+from dehyst._types import Array, Mask
+from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
 from dehyst.model import Actuator, State
 from dehyst.model.serialization import demand_keys, numbers
-from dehyst.stages.decoupling import apply, checked_coupling, inverse
-from dehyst.stages.record import DEFAULT_AXES, axis_names
-from dehyst.stages.stage_trace import StageTrace
+
+# A stage whose inverse multiplies errors by more is no stage that can be driven.
+_WORST_CONDITION = 1e3
+
+
+def checked_coupling(coupling: object, count: int) -> Array:
+    """Return a coupling matrix (axes, axes); raise `ModelError` unless it is square, regular and 1 on its diagonal."""
+    table = matrix(coupling, "coupling")  # type: ignore[arg-type]
+    if table.shape != (count, count):
+        raise ModelError(
+            argument="coupling", got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes", need="one a pair"
+        )
+    if np.any(np.diag(table) != 1):
+        raise ModelError(
+            argument="coupling", got=f"the diagonal {np.diag(table).tolist()}", need="1 for each axis itself"
+        )
+    condition = float(np.linalg.cond(table))
+    if not condition < _WORST_CONDITION:
+        raise ModelError(
+            argument="coupling",
+            got=f"a matrix of condition {condition:.3g}",
+            need=f"one below {_WORST_CONDITION:g}: its axes cannot be distinguished",
+        )
+    return table
+
+
+def inverse(coupling: Array) -> Array:
+    """Return the inverse (axes, axes) of a coupling matrix."""
+    return np.ascontiguousarray(np.linalg.inv(coupling))
+
+
+def apply(table: Array, columns: Array) -> Array:
+    """Return ``columns @ table.T`` (n, axes), summed from the first axis to the last; the identity changes no bit."""
+    result = np.empty_like(columns)
+    for i, row in enumerate(table):
+        total = row[0] * columns[:, 0]
+        for j in range(1, len(row)):
+            total = total + row[j] * columns[:, j]
+        result[:, i] = total
+    return result
+
+
+def dot(row: Sequence[float], values: Sequence[float]) -> float:
+    """Return the sum of products, from the first to the last."""
+    total = row[0] * values[0]
+    for j in range(1, len(row)):
+        total += row[j] * values[j]
+    return total
+
+
+def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: dict[int, float]) -> list[float]:
+    """Return the displacements of all axes if some actuators are clamped and the other axes move as wanted.
+
+    With D the inverse coupling `table`, w = D y. For the axes K in `known`, w_k is given and y_k follows:
+    ``sum_l in K D_kl y_l = w_k - sum_f not in K D_kf y_f``, solved by elimination without pivoting in the order of the
+    axes. The displacement of every other axis stays as wanted.
+
+    Parameters
+    ----------
+    table : (axes, axes) nested sequence of float
+        Inverse of the coupling matrix.
+    wanted : (axes,) sequence of float
+        Wanted displacements y [m].
+    known : dict
+        For axes whose actuator is clamped, the displacement w_k [m] of its actuator.
+    """
+    axes, result = sorted(known), list(wanted)
+    free = [j for j in range(len(result)) if j not in known]
+    rows = [[table[k][m] for m in axes] for k in axes]
+    right = []
+    for k in axes:
+        total = known[k]
+        for f in free:
+            total -= table[k][f] * result[f]
+        right.append(total)
+    size = len(axes)
+    for p in range(size):
+        for q in range(p + 1, size):
+            factor = rows[q][p] / rows[p][p]
+            for r in range(p, size):
+                rows[q][r] -= factor * rows[p][r]
+            right[q] -= factor * right[p]
+    for p in reversed(range(size)):
+        for q in range(p + 1, size):
+            right[p] -= rows[p][q] * right[q]
+        right[p] /= rows[p][p]
+    for k, y in zip(axes, right, strict=True):
+        result[k] = y
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class StageTrace:
+    """Voltages and displacements of a stage that belong together.
+
+    Attributes
+    ----------
+    voltage, displacement : (n, axes) array
+        [V] and [m].
+    states : tuple of State
+        State of each actuator after the last sample.
+    clamped : (n, axes) bool array
+        Samples whose voltage was changed by limits or slew rate.
+    missed : (axes,) array
+        Largest distance [m] of the displacement of each axis from the wanted path; 0 for a simulation.
+    remarks : tuple of tuple of str
+        For each axis what was clamped, in sentences; empty for a simulation.
+    followed : bool
+        Whether nothing was clamped and no axis misses its path for another reason.
+    """
+
+    voltage: Array
+    displacement: Array
+    states: tuple[State, ...]
+    clamped: Mask
+    missed: Array
+    remarks: tuple[tuple[str, ...], ...] = ()
+    followed: bool = True
+
+    def __repr__(self) -> str:
+        count = int(self.clamped.any(axis=1).sum())
+        clamps = f"{count} clamped" if count else "nothing clamped"
+        return f"<StageTrace: {counted(len(self.voltage), 'sample')} of {self.voltage.shape[1]} axes, {clamps}>"
+
 
 FORMAT = "dehyst-stage"
-VERSION = 1
-_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance"}
+VERSION = 2
+_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "is_matrix", "recorded_columns"}
+# Those that files of version 1 lack, which have them among the entries of "provenance".
+_LATER = {"is_matrix", "recorded_columns"}
 
 Limits = Sequence[tuple[float, float] | None] | None
 SlewRates = Sequence[float | None] | None
@@ -43,7 +166,11 @@ class Stage:
         Names of the axes; default: x, y, z.
     name : str, optional
     provenance : Mapping, optional
-        Source of the numbers; JSON values only.
+        Source of the numbers, for people; JSON values only. Nothing is decided by it.
+    is_matrix : bool, optional
+        Whether a matrix was all of the coupling as the stage was identified.
+    recorded_columns : tuple of str, optional
+        Columns of the records that it was identified from, such as "vx_V:x_um", one entry an axis; default: not known.
 
     Raises
     ------
@@ -56,6 +183,8 @@ class Stage:
     axes: tuple[str, ...] = DEFAULT_AXES
     name: str = "stage"
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    is_matrix: bool = True
+    recorded_columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         actuators = tuple(self.actuators)
@@ -94,6 +223,14 @@ class Stage:
         """Whether `simulate` and `compensate` need the time of each sample."""
         return any(one.needs_time for one in self.actuators)
 
+    def summary(self) -> str:
+        """Return the coupling matrix and the summary of each actuator, in lines."""
+        lines = [f"Stage '{self.name}' of the axes {', '.join(self.axes)}, condition {self.condition:.4g}"]
+        lines += matrix_lines(self.axes, self.coupling)
+        for axis, one in zip(self.axes, self.actuators, strict=True):
+            lines += [f"Axis {axis}:", *(f"  {line}" for line in one.summary().split("\n"))]
+        return "\n".join(lines)
+
     def axis_index(self, axis: str | int) -> int:
         """Return the index of an `axis`, given by its name or index; raise `ModelError` if there is none."""
         names: list[Any] = [*self.axes]
@@ -101,7 +238,7 @@ class Stage:
             return names.index(axis)
         if isinstance(axis, int) and 0 <= axis < len(names):
             return axis
-        raise ModelError(f"axis: got {axis!r}, need one of {', '.join(self.axes)}")
+        raise ModelError(argument="axis", got=repr(axis), need=f"one of {', '.join(self.axes)}")
 
     def simulate(
         self,
@@ -130,19 +267,8 @@ class Stage:
             As `Actuator.simulate`, the axis named, or if the columns do not fit the axes.
         """
         v = self.columns(voltage, "voltage", "V")
-        moved, reached = np.empty_like(v), []
-        for j, (actuator, state) in enumerate(zip(self.actuators, self._starts(states), strict=True)):
-            try:
-                motion = actuator.simulate(
-                    v[:, j], time=self._time(actuator, time), state=state, extrapolate=extrapolate
-                )
-            except ModelError as error:
-                raise ModelError(f"axis {self.axes[j]}: {error}") from error
-            moved[:, j] = motion.displacement
-            reached.append(motion.state)
-        return StageTrace(
-            v, apply(self.coupling, moved), tuple(reached), np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1])
-        )
+        moved, reached = self._each("simulate", v, time, states, extrapolate)
+        return StageTrace(v, apply(self.coupling, moved), reached, np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1]))
 
     def compensate(
         self,
@@ -150,11 +276,11 @@ class Stage:
         *,
         time: ArrayLike | None = None,
         states: Sequence[State | None] | None = None,
-        limits: Limits = None,
-        slew_rate: SlewRates = None,
         extrapolate: bool = False,
     ) -> StageTrace:
         """Return the voltages with which all axes follow their displacements, ``v = h^-1(coupling^-1 y)``.
+
+        They are not limited: see `StageCompensator`.
 
         Parameters
         ----------
@@ -162,11 +288,6 @@ class Stage:
             Wanted displacements [m].
         time, states, extrapolate
             As in `simulate`.
-        limits : sequence of (float, float), optional
-            Lowest and highest voltage [V] of each axis. With limits or slew rates, voltages are clamped and the free
-            axes corrected, see `StageCompensator`; by default voltages are not limited.
-        slew_rate : sequence of float, optional
-            Largest abs(dv/dt) [V/s] of each axis; needs `time`.
 
         Returns
         -------
@@ -178,33 +299,32 @@ class Stage:
         ModelError
             As `Actuator.compensate`, the axis named, or if the columns do not fit the axes.
         """
-        if limits is not None or slew_rate is not None:
-            from dehyst.stages.compensator import StageCompensator
-
-            compensator = StageCompensator(self, limits=limits, slew_rate=slew_rate, states=states)
-            return compensator.trajectory(displacement, time=time, extrapolate=extrapolate)
         y = self.columns(displacement, "displacement", "m")
-        wanted, v, reached = apply(self.decoupling, y), np.empty_like(y), []
-        for j, (actuator, state) in enumerate(zip(self.actuators, self._starts(states), strict=True)):
+        v, reached = self._each("compensate", apply(self.decoupling, y), time, states, extrapolate)
+        return StageTrace(v, y, reached, np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1]))
+
+    def _each(
+        self,
+        what: Literal["simulate", "compensate"],
+        given: Array,
+        time: ArrayLike | None,
+        states: Sequence[State | None] | None,
+        extrapolate: bool,
+    ) -> tuple[Array, tuple[State, ...]]:
+        """Return what each actuator makes of its column (n,) of displacements or voltages, and its last state."""
+        starts = [None] * len(self.actuators) if states is None else states
+        if len(starts) != len(self.actuators):
+            raise ModelError(f"states: got {len(starts)}, need {len(self.actuators)}, one an axis")
+        found, reached = np.empty_like(given), []
+        for j, (actuator, state) in enumerate(zip(self.actuators, starts, strict=True)):
+            when = time if actuator.needs_time else None
             try:
-                motion = actuator.compensate(
-                    wanted[:, j], time=self._time(actuator, time), state=state, extrapolate=extrapolate
-                )
+                motion = getattr(actuator, what)(given[:, j], time=when, state=state, extrapolate=extrapolate)
             except ModelError as error:
                 raise ModelError(f"axis {self.axes[j]}: {error}") from error
-            v[:, j] = motion.voltage
+            found[:, j] = motion.displacement if what == "simulate" else motion.voltage
             reached.append(motion.state)
-        return StageTrace(v, y, tuple(reached), np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1]))
-
-    def permuted(self, order: Sequence[int]) -> Stage:
-        """Return the same stage with its axes in another `order`."""
-        rows = list(order)
-        return replace(
-            self,
-            actuators=tuple(self.actuators[j] for j in rows),
-            coupling=self.coupling[np.ix_(rows, rows)],
-            axes=tuple(self.axes[j] for j in rows),
-        )
+        return found, tuple(reached)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
@@ -215,6 +335,8 @@ class Stage:
             "axes": list(self.axes),
             "coupling": self.coupling.tolist(),
             "actuators": [one.as_dict() for one in self.actuators],
+            "is_matrix": self.is_matrix,
+            "recorded_columns": list(self.recorded_columns),
             "provenance": dict(self.provenance),
         }
 
@@ -225,11 +347,11 @@ class Stage:
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         version = data.get("version")
-        if data.get("format") != FORMAT or type(version) is not int or version != VERSION:
+        if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
             raise ModelError(
-                f"got format {data.get('format')!r} version {version!r}, need {FORMAT!r} version {VERSION}"
+                f"got format {data.get('format')!r} version {version!r}, need {FORMAT!r} version 1 or {VERSION}"
             )
-        demand_keys(data, _KEYS, "stage")
+        demand_keys(data, _KEYS - _LATER if version == 1 else _KEYS, "stage")
         lists = all(isinstance(data[key], list) for key in ("axes", "coupling", "actuators"))
         if not lists or not all(isinstance(one, Mapping) for one in data["actuators"]):
             raise ModelError("stage: axes, coupling and actuators must be lists, and each actuator an object")
@@ -237,9 +359,20 @@ class Stage:
             raise ModelError("stage: name must be text and provenance an object")
         rows = [numbers(row, f"coupling[{i}]") for i, row in enumerate(data["coupling"])]
         if len({row.size for row in rows}) > 1:
-            raise ModelError(f"coupling: got rows of {[row.size for row in rows]} numbers, need rows of one length")
+            raise ModelError(
+                argument="coupling", got=f"rows of {[row.size for row in rows]} numbers", need="rows of one length"
+            )
         actuators = tuple(Actuator.from_dict(one) for one in data["actuators"])
-        return cls(actuators, np.array(rows), tuple(data["axes"]), data["name"], data["provenance"])
+        matrix_only, columns = (data.get(key) for key in ("is_matrix", "recorded_columns"))
+        if version == 1:
+            matrix_only, given = data["provenance"].get("is_matrix") is not False, data["provenance"].get("axes")
+            columns = list(map(str, given)) if isinstance(given, list) else []
+        if not isinstance(columns, list) or not all(isinstance(one, str) for one in columns):
+            raise ModelError(f"stage: recorded_columns: got {columns!r}, need a list of text")
+        if not isinstance(matrix_only, bool):
+            raise ModelError(f"stage: is_matrix: got {matrix_only!r}, need true or false")
+        described = data["name"], data["provenance"], matrix_only, tuple(columns)
+        return cls(actuators, np.array(rows), tuple(data["axes"]), *described)
 
     def save(self, path: PathLike) -> None:
         """Write the stage file (JSON) to `path`, completely or not at all.
@@ -274,18 +407,20 @@ class Stage:
         table = matrix(values, what, unit)
         if table.shape[1] != len(self.actuators):
             raise ModelError(
-                f"{what}: got {table.shape[1]} columns, need {len(self.actuators)}, one for each of the axes "
-                f"{', '.join(self.axes)}"
+                argument=what,
+                got=f"{table.shape[1]} columns",
+                need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
             )
         return table
 
-    def _starts(self, states: Sequence[State | None] | None) -> Sequence[State | None]:
-        if states is None:
-            return [None] * len(self.actuators)
-        if len(states) != len(self.actuators):
-            raise ModelError(f"states: got {len(states)}, need {len(self.actuators)}, one an axis")
-        return states
 
-    @staticmethod
-    def _time(actuator: Actuator, time: ArrayLike | None) -> ArrayLike | None:
-        return time if actuator.needs_time else None
+def matrix_lines(axes: tuple[str, ...], matrix: Array, uncertainty: Array | None = None) -> Iterator[str]:
+    """Yield a matrix as a table, each entry with its standard error."""
+    width = max(18, *(len(axis) + 2 for axis in axes))
+    yield " " * 8 + "".join(f"{axis:>{width}}" for axis in axes)
+    for i, axis in enumerate(axes):
+        cells = [
+            f"{matrix[i, j]:.5f}" if i == j or uncertainty is None else f"{matrix[i, j]:+.5f} ±{uncertainty[i, j]:.5f}"
+            for j in range(len(axes))
+        ]
+        yield f"{axis:<8}" + "".join(f"{cell:>{width}}" for cell in cells)

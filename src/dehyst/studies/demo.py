@@ -9,18 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._io.drafts import PathLike
-from dehyst._io.json_files import write_json
-from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_json
 from dehyst._types import Array
 from dehyst.control import Compensator
-from dehyst.control.tracking import wanted_path
-from dehyst.identification import identify
-from dehyst.model import Fit
+from dehyst.identification import Fit, identify
 from dehyst.records import Record, write_columns, write_record
-from dehyst.records.metrics import largest, percent, rms
+from dehyst.records.signals import largest, percent, rms
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
+from dehyst.waveforms.standard import wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES

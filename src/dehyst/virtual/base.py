@@ -46,10 +46,12 @@ class Clock:
         another length or does not increase, or it has no first interval.
         """
         if time is None:
-            raise ModelError(f"this actuator {why}: it needs the time of each sample; give time=, in seconds")
+            raise ModelError(f"this actuator {why}: it needs the time of each sample; give the time [s]")
         at = vector(time, "time")
         if at.size != count:
-            raise ModelError(f"time: got {at.size} samples, the voltage has {count}; need one time for each")
+            raise ModelError(
+                f"got {at.size} samples, the voltage has {count}", argument="time", hint="need one time for each"
+            )
         gaps = np.diff(at)
         if np.any(gaps <= 0):
             raise ModelError(
@@ -61,7 +63,9 @@ class Clock:
         if last is not None and at[0] > last:
             return np.concatenate([[at[0] - last], gaps])
         if count < 2:
-            raise ModelError("time: got one sample that does not go on from an earlier one; need two at least")
+            raise ModelError(
+                "got one sample that does not go on from an earlier one", argument="time", hint="need two at least"
+            )
         return np.concatenate([gaps[:1], gaps])
 
 
@@ -70,7 +74,7 @@ class Sensor:
 
     def __init__(self, noise: float, seed: int) -> None:
         if not 0 <= noise < np.inf:
-            raise ModelError(f"noise: got {noise}, need a standard deviation in metres, 0 or more")
+            raise ModelError(argument="noise", got=noise, need="a standard deviation in metres, 0 or more")
         self._noise = noise
         self._random = np.random.default_rng(seed)
 

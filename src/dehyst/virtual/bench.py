@@ -221,10 +221,14 @@ class VirtualBench:
         v = vector(wave, "wave")
         if not 0 < v.size <= self.wave_points or divider < 1:
             raise DeviceError(
-                f"start: got {v.size} samples and divider {divider}, need 1 to {self.wave_points} and 1 or more"
+                argument="start",
+                got=f"{v.size} samples and divider {divider}",
+                need=f"1 to {self.wave_points} and 1 or more",
             )
         if not self._amplifier.allows(v):
-            raise DeviceError(f"start: got {v.min():.6g} to {v.max():.6g} V, need {self._amplifier.limits.words}")
+            raise DeviceError(
+                argument="start", got=f"{v.min():.6g} to {v.max():.6g} V", need=self._amplifier.limits.words
+            )
         return v
 
     def stop(self) -> None:

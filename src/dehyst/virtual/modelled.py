@@ -16,6 +16,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import untimely, vector
 from dehyst.model import Actuator, State
+from dehyst.model.serialization import DESCRIPTION
 from dehyst.virtual.base import VirtualActuator
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
@@ -24,7 +25,7 @@ from dehyst.virtual.preisach import PreisachActuator
 # Share of a step that the actuator "creep" adds in each decade of time.
 _CREEP = 0.01
 # Keys of a model file that do not describe the actuator itself.
-_NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "state", "limits"}
+_NOT_THE_ACTUATOR = DESCRIPTION | {"state", "limits"}
 _DIGITS = 12
 
 
@@ -75,13 +76,15 @@ class ModelledActuator:
             self._state = motion.state
             return motion.displacement
         if time is None:
-            raise ModelError("this actuator needs the time of each sample; give time=, in seconds")
+            raise ModelError("this actuator needs the time of each sample; give the time [s]")
         at = vector(time, "time")
         if at.size != v.size:
             raise ModelError(untimely(at, v.size))
         if not np.isfinite(self._time) or not at[0] > self._time:
             if at.size < 2:
-                raise ModelError("time: got one sample that does not go on from an earlier one; need two at least")
+                raise ModelError(
+                    "got one sample that does not go on from an earlier one", argument="time", hint="need two at least"
+                )
             self._time = float(2 * at[0] - at[1])
         motion = self.actuator.simulate(
             np.concatenate([[self._voltage], v]),
@@ -110,7 +113,9 @@ def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     if name in VIRTUAL:
         return VIRTUAL[name]()
     if not Path(name).suffix and not Path(name).exists():
-        raise ModelError(f"actuator: got '{name}', need one of {', '.join(VIRTUAL)}, or the path of a model file")
+        raise ModelError(
+            argument="actuator", got=f"'{name}'", need=f"one of {', '.join(VIRTUAL)}, or the path of a model file"
+        )
     return Actuator.load(name)
 
 

@@ -111,11 +111,13 @@ class VirtualStage:
         count = len(driven)
         self.coupling = _square(coupling, count, "coupling")
         if np.any(np.diag(self.coupling) != 1):
-            raise ModelError(f"coupling: got the diagonal {np.diag(self.coupling).tolist()}, need 1 for each axis")
+            raise ModelError(
+                argument="coupling", got=f"the diagonal {np.diag(self.coupling).tolist()}", need="1 for each axis"
+            )
         self.hysteretic = np.zeros((count, count)) if hysteretic is None else _square(hysteretic, count, "hysteretic")
         others = seconds or [_second(one) for one in driven]
         if len(others) != count:
-            raise ModelError(f"seconds: got {len(others)}, need {count}, one an axis")
+            raise ModelError(argument="seconds", got=len(others), need=f"{count}, one an axis")
         used = [bool(column.any()) for column in self.hysteretic.T]
         self.ports = tuple(
             AxisPort(one, other if needed else None) for one, other, needed in zip(driven, others, used, strict=True)
@@ -142,7 +144,7 @@ class VirtualStage:
         """
         v = matrix(voltage, "voltage", "V")
         if v.shape[1] != len(self.ports):
-            raise ModelError(f"voltage: got {v.shape[1]} columns, need {len(self.ports)}, one an axis")
+            raise ModelError(argument="voltage", got=f"{v.shape[1]} columns", need=f"{len(self.ports)}, one an axis")
         for j, port in enumerate(self.ports):
             port.play(np.ascontiguousarray(v[:, j]), time=time)
         moved = [port.take() for port in self.ports]
@@ -183,5 +185,7 @@ def _second(actuator: VirtualActuator) -> PlayActuator:
 def _square(values: ArrayLike, count: int, what: str) -> Array:
     table = matrix(values, what)
     if table.shape != (count, count):
-        raise ModelError(f"{what}: got {table.shape[0]} x {table.shape[1]} numbers for {count} axes, need one a pair")
+        raise ModelError(
+            argument=what, got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes", need="one a pair"
+        )
     return table

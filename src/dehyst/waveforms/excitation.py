@@ -1,10 +1,12 @@
-"""A voltage to play, on uniform samples, and the checks of its numbers."""
+"""Voltages to play on uniform samples: legs between turning points, within limits and a slew rate."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +14,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import keep, number, vector
+from dehyst._validation import choice, interval, keep, number, vector
 
 _MOST_SAMPLES = 50_000_000
 # No actuator or amplifier goes beyond, and within them nothing overflows.
@@ -28,8 +30,8 @@ class Excitation:
     ----------
     name : str
         Its kind.
-    voltage : (n,) array_like
-        [V], n >= 2; kept as a read-only copy.
+    voltage : (n,) or (n, axes) array_like
+        [V], n >= 2, of several axes a column each; kept as a read-only copy.
     sample_rate : float
         Samples a second [Hz].
     warnings : tuple of str
@@ -38,7 +40,7 @@ class Excitation:
     Raises
     ------
     RecordError
-        If the voltage is not a row of at least two finite numbers, or the sample rate is not positive.
+        If the voltage is not at least two rows of finite numbers, or the sample rate is not positive.
     """
 
     name: str
@@ -47,14 +49,19 @@ class Excitation:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        voltage = voltages(self.voltage, "voltage")
-        if voltage.size < 2:
-            raise RecordError(f"voltage: got {counted(voltage.size, 'sample')}, need 2 at least; give a longer one")
+        several = getattr(self.voltage, "ndim", 1) == 2
+        voltage = voltages(np.ravel(self.voltage) if several else self.voltage, "voltage")
+        if several:
+            voltage = voltage.reshape(np.shape(self.voltage))
+        if len(voltage) < 2:
+            raise RecordError(
+                argument="voltage", got=counted(len(voltage), "sample"), need="2 at least", hint="give a longer one"
+            )
         keep(self, voltage=voltage)
         set_checked(self, positive, "sample_rate")
 
     def __len__(self) -> int:
-        return self.voltage.size
+        return len(self.voltage)
 
     def __repr__(self) -> str:
         low, high = self.voltage_range
@@ -99,7 +106,7 @@ class Excitation:
         if begin != end:
             raise RecordError(
                 f"'{self.name}' ends at {end:.9g} V, but '{other.name}' begins at {begin:.9g} V; "
-                f"make that one with present={end:.9g}"
+                f"let that one begin at the present voltage {end:.9g}"
             )
         refuse_long(len(self) + len(other) - 1, self.sample_rate)
         voltage = np.concatenate([self.voltage, other.voltage[1:]])
@@ -122,7 +129,9 @@ def voltages(values: ArrayLike, what: str) -> Array:
     except ModelError as error:
         raise RecordError(f"{error}; give voltages in V") from error
     if np.abs(array).max(initial=0.0) > _MOST_VOLTS:
-        raise RecordError(f"{what}: got {np.abs(array).max():g} V, need {_MOST_VOLTS:g} V at most; check the unit")
+        raise RecordError(
+            argument=what, got=f"{np.abs(array).max():g} V", need=f"{_MOST_VOLTS:g} V at most", hint="check the unit"
+        )
     return array
 
 
@@ -135,7 +144,7 @@ def positive(value: object, what: str) -> float:
     """Return `value` as a number from 1e-12 to 1e12; raise RecordError if it is none."""
     result = number(value, what, error=RecordError)
     if not _LEAST <= result <= _MOST:
-        raise RecordError(f"{what}: got {result:g}, need a number above 0, {_LEAST:g} to {_MOST:g}")
+        raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")
     return result
 
 
@@ -144,3 +153,212 @@ def set_checked(owner: object, check: Callable[[Any, str], object], *names: str,
     for name in (*names, *optional):
         if name in names or getattr(owner, name) is not None:
             object.__setattr__(owner, name, check(getattr(owner, name), name))
+
+
+Shape: TypeAlias = Literal["cosine", "triangle"]
+Pace: TypeAlias = Literal["frequency", "rate"]
+
+_CYCLE_SAMPLES = 400
+_LEG_SAMPLES = 4
+# Largest slope of a leg over its mean slope.
+_STEEPEST = {"cosine": math.pi / 2, "triangle": 1.0}
+# The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
+_ROUNDING = 32 * float(np.finfo(np.float64).eps)
+# A slew rate may be exceeded by this share, so that a leg that meets it exactly is not changed.
+_SLACK = 9e-10
+
+
+class Leg(NamedTuple):
+    """A monotone stretch of a voltage [V], or a hold if its ends are equal; `requested` unless its time [s] is free.
+
+    `start` and `end` [V]. `seconds` is its time.
+    """
+
+    start: float
+    end: float
+    seconds: float
+    requested: bool = True
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a voltage is sampled; the same options for every kind of excitation.
+
+    Parameters
+    ----------
+    frequency : float
+        Cycles a second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
+    sample_rate : float, optional
+        Samples a second [Hz]; by default 400 a cycle.
+    base : float
+        Voltage [V] at which a protocol starts and ends.
+    present : float, optional
+        Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the base.
+    limits : (float, float), optional
+        Lowest and highest voltage [V] allowed. A voltage outside raises: clipped tops would make another protocol.
+    slew_rate : float, optional
+        Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
+    shape : {"cosine", "triangle"}
+        Half a cosine for each leg (the paper's, Sec. 3), or a straight line.
+    pace : {"frequency", "rate"}
+        Half a cycle for each leg, whatever its height (the paper's), or for the highest leg of a protocol only, and for
+        the others in proportion to their heights.
+
+    Raises
+    ------
+    RecordError
+        If a number is not finite, frequency, sample rate or slew rate are not positive, there are fewer than 8 samples
+        a cycle, the limits are no interval or do not include base and present voltage, or a word is unknown.
+    """
+
+    frequency: float = 0.01
+    sample_rate: float | None = None
+    base: float = 0.0
+    present: float | None = None
+    limits: tuple[float, float] | None = None
+    slew_rate: float | None = None
+    shape: Shape = "cosine"
+    pace: Pace = "frequency"
+
+    def __post_init__(self) -> None:
+        set_checked(self, positive, "frequency", optional=("sample_rate", "slew_rate"))
+        choice(self.shape, "shape", get_args(Shape), error=RecordError)
+        choice(self.pace, "pace", get_args(Pace), error=RecordError)
+        if self.rate < 2 * _LEG_SAMPLES * self.frequency:
+            raise RecordError(
+                argument="sample_rate",
+                got=f"{self.rate:g} Hz for {self.frequency:g} Hz",
+                need="8 samples a cycle at least",
+                hint=f"try {_CYCLE_SAMPLES * self.frequency:g} Hz",
+            )
+        if self.limits is not None:
+            low, high = interval(self.limits, error=RecordError)
+            keep(self, limits=(volts(low, "limits"), volts(high, "limits")))
+        set_checked(self, volts, "base", optional=("present",))
+        for name in ("base", "present"):
+            if getattr(self, name) is not None:
+                self._refuse_outside([getattr(self, name)], name)
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+        return _CYCLE_SAMPLES * self.frequency if self.sample_rate is None else self.sample_rate
+
+    @property
+    def half(self) -> float:
+        """Half a cycle [s]."""
+        return 0.5 / self.frequency
+
+    @property
+    def start(self) -> float:
+        """Voltage [V] at which a record begins."""
+        return self.base if self.present is None else self.present
+
+    def lead_in(self, highest: float) -> list[Leg]:
+        """Return the leg from the present voltage to the base, at the mean speed of a leg of `highest` [V].
+
+        It takes half a cycle at most; no leg if the present voltage is the base.
+        """
+        way = abs(self.start - self.base)
+        return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
+
+    def legs(self, path: Sequence[float]) -> list[Leg]:
+        """Return the legs between the voltages of a `path` (m,) [V], m >= 2, at the chosen pace.
+
+        Raise `RecordError` if a voltage comes twice in a row.
+        """
+        heights = [abs(b - a) for a, b in pairwise(path)]
+        if 0.0 in heights:
+            raise RecordError(
+                argument="turns",
+                got=f"{path[heights.index(0.0)]:.9g} V twice in a row",
+                need="different voltages",
+                hint="leave one out",
+            )
+        highest = max(heights)
+        shares = [1.0 if self.pace == "frequency" else height / highest for height in heights]
+        return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
+
+    def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
+        """Sample `legs` that follow one another; all checks are made before memory is taken.
+
+        `name` is the excitation's. Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7
+        samples, or the slew rate is so low that steps from one sample to the next are lost in rounding.
+        """
+        ends = [legs[0].start, *(leg.end for leg in legs)]
+        self._refuse_outside(ends, name)
+        step = self._largest_step(max(map(abs, ends)))
+        requested = [self._requested(leg) for leg in legs]
+        counts = [max(n, self._needed(leg, step)) for n, leg in zip(requested, legs, strict=True)]
+        refuse_long(1 + sum(counts), self.rate)
+        voltage = np.empty(1 + sum(counts))
+        voltage[0], at = ends[0], 1
+        for leg, count in zip(legs, counts, strict=True):
+            voltage[at : at + count] = _sampled(leg, count, self.shape)
+            at += count
+        longer = [
+            (n, m) for leg, n, m in zip(legs, requested, counts, strict=True) if leg.requested and m > 1.000001 * n
+        ]
+        moving = sum(leg.requested and leg.start != leg.end for leg in legs)
+        return Excitation(name, voltage, self.rate, self._stretched(longer, moving, sum(counts)))
+
+    def _requested(self, leg: Leg) -> int:
+        """Return the number of samples for the requested time."""
+        if leg.start == leg.end:
+            return max(1, math.ceil(leg.seconds * self.rate * (1 - 1e-12)))
+        return max(_LEG_SAMPLES, math.floor(leg.seconds * self.rate + 0.5))
+
+    def _needed(self, leg: Leg, step: float) -> int:
+        """Return the number of samples that keeps the slew rate."""
+        return math.ceil(_STEEPEST[self.shape] * abs(leg.end - leg.start) / step)
+
+    def _largest_step(self, highest: float) -> float:
+        """Return the largest step [V] from one sample to the next, for voltages up to `highest`."""
+        if self.slew_rate is None:
+            return math.inf
+        step, lost = self.slew_rate / self.rate, _ROUNDING * highest
+        if lost > 0.5 * step:
+            raise RecordError(
+                f"got {self.slew_rate:g} V/s at {self.rate:g} Hz, steps of {step:.3g} V, which are "
+                f"lost in the rounding of {highest:g} V",
+                argument="slew_rate",
+                hint="lower the sample rate",
+            )
+        return (1 + _SLACK) * step - lost
+
+    def _refuse_outside(self, values: Sequence[float], what: str) -> None:
+        low, high = self.limits or (-math.inf, math.inf)
+        worst = max(values, key=lambda v: max(low - v, v - high))
+        if not low <= worst <= high:
+            raise RecordError(
+                f"{what}: got {worst:.9g} V, but the limits are {low:g} to {high:g} V; ask for less, or widen the "
+                "limits if actuator and amplifier allow it"
+            )
+
+    def _stretched(self, longer: Sequence[tuple[int, int]], legs: int, samples: int) -> tuple[str, ...]:
+        if not longer:
+            return ()
+        requested, taken = max(longer, key=lambda pair: pair[1] / pair[0])
+        extra = sum(m - n for n, m in longer)
+        return (
+            f"{len(longer)} of {legs} legs take longer to keep {self.slew_rate:g} V/s, up to {taken / self.rate:.4g} s "
+            f"for {requested / self.rate:.4g} s; the whole takes {samples / self.rate:.5g} s for "
+            f"{(samples - extra) / self.rate:.5g} s",
+        )
+
+
+def _sampled(leg: Leg, count: int, shape: Shape) -> Array:
+    """Return the voltages of a leg after its start [V]: monotone, within its ends, and exact at its end."""
+    if leg.start == leg.end:
+        return np.full(count, leg.end)
+    rising = leg.end > leg.start
+    low, high = sorted((leg.start, leg.end))
+    k = np.arange(1, count + 1)
+    if shape == "cosine":
+        share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
+    else:
+        share = (k if rising else count - k) / count
+    values = np.clip(low + (high - low) * share, low, high)
+    values[-1] = leg.end
+    # Near a turning point rounding can swap neighbours.
+    return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
+from dehyst._types import Array
 from dehyst._validation import count
-from dehyst.waveforms.excitation import Excitation, positive, voltages, volts
-from dehyst.waveforms.playback import Leg, Sampling
+from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, voltages, volts
 
 __all__ = [
     "Excitation",
@@ -27,6 +27,8 @@ __all__ = [
 
 _PAPER = Sampling()
 _MOST_TURNS = 1_000_000
+# Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
+TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 
 
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
@@ -51,7 +53,7 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER
     several: Any = [peaks] if single else peaks
     tops = voltages(several, "peaks")
     if not tops.size or np.any(tops <= drive.base):
-        raise RecordError(f"peaks: got {tops}, need voltages above the base {drive.base:g} V")
+        raise RecordError(argument="peaks", got=tops, need=f"voltages above the base {drive.base:g} V")
     turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, rows=tops.size)]
     return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
 
@@ -100,7 +102,7 @@ def reversal_curves(
     top = _top(highest, drive)
     bottom = drive.base if lowest is None else volts(lowest, "lowest")
     if not bottom < top:
-        raise RecordError(f"lowest: got {bottom:g} V, need a voltage below the highest, {top:g} V")
+        raise RecordError(argument="lowest", got=f"{bottom:g} V", need=f"a voltage below the highest, {top:g} V")
     levels = np.linspace(top, bottom, _count(count, "count") + 1)[1:]
     curves = [top, *(v for level in levels.tolist() for v in (level, top)), drive.base]
     major_cycles = _cycles(majors, "majors", top, min(bottom, drive.base), least=0)
@@ -175,6 +177,13 @@ def staircase(
     return drive.play("staircase", drive.lead_in(top - drive.base) + stairs)
 
 
+def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
+    """Return a path [m] through turning points in shares of the stroke, joined by cosines of `leg` samples."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
+    legs = [start + (end - start) * rise for start, end in pairwise(turns)]
+    return stroke * np.concatenate([[turns[0]], *legs])
+
+
 def _places(steps: int, back: bool) -> list[int]:
     """Return the indices of the levels on the way up."""
     if not back:
@@ -203,7 +212,7 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     """
     if (turns is None) == (highest is None):
         got = "neither" if turns is None else "both"
-        raise RecordError(f"homing: got {got} of highest and turns, need one; try highest=, the highest voltage in use")
+        raise RecordError(f"homing: got {got} of highest and turns, need one; try the highest voltage in use")
     if turns is None:
         return _through("homing", [_top(highest, drive), drive.base], drive)
     stops = voltages(turns, "turns").tolist()
@@ -211,7 +220,9 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
         del stops[0]
     if not 0 < len(stops) <= _MOST_TURNS:
         raise RecordError(
-            f"turns: got {len(stops)} beside the present {drive.start:g} V, need 1 to {_MOST_TURNS} voltages"
+            argument="turns",
+            got=f"{len(stops)} beside the present {drive.start:g} V",
+            need=f"1 to {_MOST_TURNS} voltages",
         )
     return drive.play("homing", drive.legs([drive.start, *stops]))
 
@@ -231,7 +242,7 @@ def _cycles(cycles: object, what: str, first: float, second: float, *, least: in
 def _top(highest: object, drive: Sampling) -> float:
     top = volts(highest, "highest")
     if top <= drive.base:
-        raise RecordError(f"highest: got {top:g} V, need a voltage above the base {drive.base:g} V")
+        raise RecordError(argument="highest", got=f"{top:g} V", need=f"a voltage above the base {drive.base:g} V")
     return top
 
 

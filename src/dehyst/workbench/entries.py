@@ -13,7 +13,8 @@ _T = TypeVar("_T", bound="RecordEntry | ModelEntry | VoltageEntry")
 class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
-    `options` are those with which it was read; `hint` those that may help to read it.
+    `columns` are the names of the file's, none if it is no table. `options` are those with which it was read; `hint`
+    those that may help to read it.
     """
 
     id: str
@@ -23,6 +24,7 @@ class RecordEntry:
     status: str = "reading"
     error: str | None = None
     hint: dict[str, Any] | None = None
+    columns: list[str] = field(default_factory=list)
     options: dict[str, Any] = field(default_factory=dict)
     samples: int = 0
     seconds: float = 0.0
@@ -37,6 +39,7 @@ class RecordEntry:
 class ModelEntry:
     """A model: which records it is from, and what is known of it.
 
+    `rig` names the instrument of a calibrated model, which has no records of the list, and no `seconds` of its own.
     `table` has an entry a record: role, largest and RMS error [% of the stroke].
     """
 
@@ -45,10 +48,12 @@ class ModelEntry:
     file: str
     train: list[str] = field(default_factory=list)
     validate: list[str] = field(default_factory=list)
+    rig: str = ""
+    report: str = ""
     options: dict[str, Any] = field(default_factory=dict)
     status: str = "identifying"
     progress: str = ""
-    seconds: float = 0.0
+    seconds: float | None = 0.0
     provisional: bool = False
     early: bool = False
     error: str | None = None
@@ -57,6 +62,7 @@ class ModelEntry:
     table: list[dict[str, Any]] = field(default_factory=list)
     range_v: list[float] = field(default_factory=list)
     range_um: list[float] = field(default_factory=list)
+    slew_v_per_s: float | None = None
     band_percent: float | None = None
     insight: dict[str, Any] | None = None
 

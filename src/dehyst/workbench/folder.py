@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from dehyst._errors import FileFormatError
-from dehyst._io.drafts import draft_of, is_draft, unwritten, write_atomically
-from dehyst._io.json_files import read_json, write_json
-from dehyst._io.marks import make_own_folder
+from dehyst._io import draft_of, is_draft, lock, make_own_folder, read_json, unwritten, write_atomically, write_json
 
 FORMAT = "dehyst-workbench"
 STATE, SCRIPT, LOCK, RIG_LOG = "workbench.json", "commands.sh", ".lock", "rig.log"
@@ -32,10 +31,17 @@ _SUFFIX = re.compile(r"(\.\w{1,9})?")
 class Folder:
     """A folder that belongs to one workbench.
 
+    Nobody else may read it.
+
     Parameters
     ----------
     path : Path
         New, empty, or of a workbench before.
+
+    Attributes
+    ----------
+    privacy : str
+        What to know of its permissions, or nothing.
 
     Raises
     ------
@@ -44,7 +50,9 @@ class Folder:
     """
 
     def __init__(self, path: Path) -> None:
+        new = not path.exists()
         self.path = make_own_folder(path, STATE, FORMAT, option="FOLDER").resolve()
+        self.privacy = _made_private(self.path, new=new)
         if not (self.path / STATE).exists():
             self.save({})
         self._lock = _locked(self.path)
@@ -123,14 +131,14 @@ class Folder:
 
     def receive(self, relative: str) -> Upload:
         """Return an upload in progress, which becomes the file when it is complete."""
-        return Upload(self.path / relative)
+        return Upload(self.path / relative, lambda: self._promised.discard(relative))
 
 
 class Upload:
-    """A file that arrives in parts; without `complete` nothing of it remains."""
+    """A file that arrives in parts; without `complete` nothing of it remains, and `free` gives its name to others."""
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._draft = path, draft_of(path)
+    def __init__(self, path: Path, free: Callable[[], None]) -> None:
+        self._path, self._draft, self._free = path, draft_of(path), free
         self._stream: BinaryIO = self._draft.open("xb")
         self.size = 0
 
@@ -140,6 +148,7 @@ class Upload:
     def __exit__(self, *_: object) -> None:
         self._stream.close()
         self._draft.unlink(missing_ok=True)
+        self._free()
 
     def add(self, part: bytes) -> None:
         """Append a part; raises FileFormatError if the disk is full."""
@@ -156,18 +165,26 @@ class Upload:
         self._draft.replace(self._path)
 
 
+def _made_private(folder: Path, *, new: bool) -> str:
+    """Let nobody else read a folder; return a remark if others could, or still can."""
+    mode = folder.stat().st_mode
+    if os.name != "posix" or not mode & 0o077:
+        return ""
+    with suppress(OSError):
+        folder.chmod(0o700)
+    if folder.stat().st_mode & 0o077:
+        return f"{folder}: other users of this machine may read it, and that cannot be changed; give another folder"
+    return "" if new else f"{folder}: other users of this machine could read it; from now on they cannot"
+
+
 def _locked(folder: Path) -> BinaryIO:
     """Return the open lock of a folder; raises FileFormatError if another process has it."""
-    lock = (folder / LOCK).open("ab")
+    stream = (folder / LOCK).open("ab")
     try:
-        import fcntl
-    except ImportError:  # Windows: two workbenches in one folder are not prevented
-        return lock
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        lock.close()
+        lock(stream.fileno())
+    except BlockingIOError as error:
+        stream.close()
         raise FileFormatError(
-            f"{folder}: another workbench uses this folder; open its page, or give another"
+            f"{folder}: another workbench uses this folder; press Enter in its terminal for a link, or give another"
         ) from error
-    return lock
+    return stream

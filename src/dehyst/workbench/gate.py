@@ -1,18 +1,18 @@
-"""The gate of the server: who may ask. Everything that does not come from the workbench's own page is refused.
-
-Any page that a browser visits can send requests to this machine. Hence: a token in the link that is printed, exchanged
-for a cookie that scripts cannot read and other sites cannot send; the Host, so that no foreign name leads here; and the
-Origin of everything that changes something, and of the WebSocket.
-"""
+"""Who may ask the server, and how many at a time."""
 
 from __future__ import annotations
 
+import asyncio
+import resource
 import secrets
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Collection, MutableMapping
 from hmac import compare_digest
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, TypeAlias
 from urllib.parse import parse_qs
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 Scope: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -36,6 +36,16 @@ _POLICY = (
 )
 _REFUSED = 1008
 _NO_COOKIE = "the cookie of this workbench is missing"
+_USED = (
+    "Refused: this link was used already, or is older than a minute. Press Enter in the terminal of dehyst workbench: "
+    "it prints a new one."
+)
+# The page that a link leads to: a browser sends the cookie with what this page requests, but perhaps not with what
+# another site or a file led to. It names an empty icon, as the workbench has none at /favicon.ico.
+_ENTRANCE = (
+    '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/"><title>dehyst workbench</title>'
+    '<link rel="icon" href="data:,"><a href="/">Open the workbench</a>'
+)
 # Stands for a header that comes twice.
 _TWICE = ""
 
@@ -49,23 +59,18 @@ class Gate:
         What is behind it.
     port : int
         At which the server listens.
-    stop_port : int, optional
-        Where the page may also send a request: the emergency stop.
-
-    Attributes
-    ----------
-    token : str
-        To be given once, in the link: ``/?token=...``.
+    admits : callable
+        Takes the token of a link, ``/?token=...``; returns whether it lets a browser in.
+    stop_port : callable
+        Returns where the page may also send a request: the emergency stop.
     """
 
-    def __init__(self, app: App, port: int, stop_port: int | None = None) -> None:
-        self.token = secrets.token_urlsafe(32)
+    def __init__(self, app: App, port: int, admits: Callable[[str], bool], stop_port: Callable[[], int]) -> None:
         self._app, self._key = app, secrets.token_urlsafe(32)
+        self._admits, self._stop_port = admits, stop_port
         self._cookie = f"dehyst-{port}"
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._origins = {f"http://{host}" for host in self._hosts}
-        stop = "" if stop_port is None else f" http://127.0.0.1:{stop_port}"
-        self._headers = {**_HEADERS, "Content-Security-Policy": _POLICY.format(stop=stop)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -83,8 +88,11 @@ class Gate:
         guarded = self._with_headers(send)
         if reason is None:
             await self._app(scope, receive, guarded)
-        elif reason == _NO_COOKIE and self._has_token(scope):
-            await _answer(guarded, 303, "", {"Location": "/", "Set-Cookie": self._set_cookie()})
+        elif reason == _NO_COOKIE and (token := _token(scope)) is not None:
+            if self._admits(token):
+                await _answer(guarded, 200, _ENTRANCE, {"Content-Type": "text/html", "Set-Cookie": self._set_cookie()})
+            else:
+                await _answer(guarded, 403, _USED)
         else:
             await _answer(guarded, 403, f"Refused: {reason}. Open the link that dehyst workbench printed.")
 
@@ -105,12 +113,6 @@ class Gate:
         }
         return next((words for words, applies in objections.items() if applies), None)
 
-    def _has_token(self, scope: Scope) -> bool:
-        if scope["path"] != "/" or scope["method"] != "GET":
-            return False
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])
-        return compare_digest(given[0].encode(), self.token.encode())
-
     def _has_cookie(self, headers: dict[str, str]) -> bool:
         try:
             given = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
@@ -122,14 +124,24 @@ class Gate:
         return f"{self._cookie}={self._key}; HttpOnly; SameSite=Strict; Path=/"
 
     def _with_headers(self, send: Send) -> Send:
+        policy = _POLICY.format(stop=f" http://127.0.0.1:{self._stop_port()}")
+        standard = {**_HEADERS, "Content-Security-Policy": policy}
+
         async def guarded(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 own = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                more = [(k.lower().encode(), v.encode()) for k, v in self._headers.items() if k.lower() not in own]
+                more = [(k.lower().encode(), v.encode()) for k, v in standard.items() if k.lower() not in own]
                 message = {**message, "headers": [*message.get("headers", ()), *more]}
             await send(message)
 
         return guarded
+
+
+def _token(scope: Scope) -> str | None:
+    """Return the token of a link that a browser follows; None if there is none."""
+    if scope["path"] != "/" or scope["method"] != "GET":
+        return None
+    return next(iter(parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", ())), None)
 
 
 def _single_headers(scope: Scope) -> dict[str, str]:
@@ -148,3 +160,70 @@ async def _answer(send: Send, status: int, words: str, more: dict[str, str] | No
     encoded = [(name.lower().encode(), value.encode()) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status, "headers": encoded})
     await send({"type": "http.response.body", "body": words.encode()})
+
+
+# Seconds from a connection, or the answer before, to the end of a request's head.
+HEAD_SECONDS = 10.0
+_DESCRIPTORS = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+# Most open connections, and most that are accepted at once before others are looked at.
+MOST = min(96, max(_DESCRIPTORS // 3, 8)) if _DESCRIPTORS > 0 else 96
+BACKLOG = min(32, MOST // 2)
+
+
+class BoundedProtocol(H11Protocol):
+    """HTTP with a bound of open connections: beyond it, the one is closed that waits longest for a request."""
+
+    # Since when no request is being answered [s of the loop], and what ends the wait for a head.
+    idle_since: float | None = None
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for a request, if there is room."""
+        super().connection_made(transport)
+        self._look()
+        open_ones = [one for one in self.connections if not one.transport.is_closing()]
+        if len(open_ones) > MOST:
+            _least_missed(open_ones, self).transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Receive a part of a request."""
+        super().data_received(data)
+        self._look()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        super().on_response_complete()
+        self._look()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Leave the connection to the WebSocket."""
+        self._set_deadline(None)
+        super().handle_websocket_upgrade(event)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End the wait."""
+        self._set_deadline(None)
+        super().connection_lost(exc)
+
+    def _look(self) -> None:
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.idle_since = None
+        elif self.idle_since is None:
+            self.idle_since = self.loop.time()
+        waits = self.idle_since is not None and self.conn.their_state is h11.IDLE and not self.transport.is_closing()
+        if not waits:
+            self._set_deadline(None)
+        elif self._deadline is None:
+            self._set_deadline(HEAD_SECONDS)
+
+    def _set_deadline(self, seconds: float | None) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = None if seconds is None else self.loop.call_later(seconds, self.transport.abort)
+
+
+def _least_missed(open_ones: Collection[Any], newest: BoundedProtocol) -> Any:
+    """Return the connection that waits longest for a request; the newest if all others are in use."""
+    idle = {one: one.idle_since for one in open_ones if isinstance(one, BoundedProtocol) and one is not newest}
+    waiting = {one: since for one, since in idle.items() if since is not None}
+    return min(waiting, key=waiting.__getitem__, default=newest)

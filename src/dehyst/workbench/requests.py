@@ -1,44 +1,52 @@
-"""Requests of the page as words of a command: only options that are known here, each with a value of its kind."""
+"""Requests of the page: their JSON, checked, as words of a command; and errors as answers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import asyncio
+import json
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from functools import wraps
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from starlette.background import BackgroundTask
+from starlette.requests import ClientDisconnect
+from starlette.responses import FileResponse, JSONResponse, Response
 
 from dehyst._errors import DehystError
+from dehyst._types import Array
 from dehyst.records import write_columns
+from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
 from dehyst.workbench import folder as places
 from dehyst.workbench.entries import ModelEntry
 from dehyst.workbench.folder import Folder
 
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
 _TEXTS = ("columns", "time", "voltage", "displacement", "voltage_scale", "displacement_scale")
 _KINDS: dict[str, type | tuple[str, ...]] = {
     **dict.fromkeys(_TEXTS, str),
+    "decimal": (".", ","),
     "sample_rate": float,
-    "structure": ("auto", "paper"),
+    "structure": ("auto", "maxwell_slip"),
     "norm": ("l1", "l2", "linf"),
     "goal": float,
     "time_limit": float,
+    "sensor_lag": float,
 }
-_READ = (*_TEXTS, "sample_rate")
-_IDENTIFY = ("structure", "norm", "goal", "time_limit")
-# Options of named scans: numbers, whole numbers and names.
-_SCANS = ("triangle", "raster", "spiral", "lissajous", "steps")
-_SCAN_NUMBERS = (
-    *("low", "high", "y_low", "y_high", "frequency", "turns", "speed", "acceleration", "rising", "phase", "dwell"),
-    *("edge", "sample_rate", "lines", "back", "revolutions", "cycles"),
-)
-_SCAN_NAMES = {
-    "rounding": ("parabola", "cosine"),
-    "slow": ("staircase", "ramp"),
-    "constant": ("linear", "angular"),
-    "shape": ("minimum-jerk", "trapezoid"),
-    "axis": ("x", "y"),
-}
+_READ = (*_TEXTS, "decimal", "sample_rate")
+_IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
+# Options of a scan that is played, beside those of the scan.
+_PLAYED: dict[str, Any] = {"sample_rate": float, "cycles": int, "axis": ("x", "y")}
+_SCAN_KINDS = {name: option.kind for name, option in OPTIONS.items()} | _PLAYED
 _LONGEST = 1000
 # Samples of a path that is drawn.
 _MOST_SAMPLES = 10_000_000
@@ -54,10 +62,10 @@ def read_words(source: str, file: str, options: Mapping[str, Any]) -> list[str]:
     return ["show", source, "-o", file, "--force", "--json", *_options(options, _READ)]
 
 
-def identify_words(entry: ModelEntry, train: list[str], validate: list[str], report: str) -> list[str]:
+def identify_words(entry: ModelEntry, train: list[str], validate: list[str]) -> list[str]:
     """Return the command that identifies a model."""
     held_out = ["--validate", *validate] if validate else []
-    outputs = ["-o", entry.file, "--traces", entry.traces, "--report", report, "--json"]
+    outputs = ["-o", entry.file, "--traces", entry.traces, "--report", entry.report, "--json"]
     return ["identify", *train, *outputs, *_options(entry.options, _IDENTIFY), *held_out]
 
 
@@ -72,7 +80,7 @@ def path_words(model: str, file: str, request: Mapping[str, Any], path: str | No
     if (limits := request.get("limits")) is not None:
         words += ["--limits", *map(repr, limits_of(limits))]
     if (slew := request.get("slew")) is not None:
-        words += ["--slew", repr(number_of(slew, "slew"))]
+        words += ["--slew", "none" if slew == "none" else repr(number_of(slew, "slew"))]
     return words
 
 
@@ -165,22 +173,146 @@ def _text(name: str, value: Any, kind: type | tuple[str, ...]) -> str:
 
 def scan_words(scan: Any, rate: Any) -> list[str]:
     """Return a scan as options of `dehyst compensate`."""
-    if not isinstance(scan, Mapping) or scan.get("kind") not in _SCANS:
-        raise RequestError(f"scan: need one of {', '.join(_SCANS)}, or points")
-    words = ["--scan", scan["kind"]]
-    given = {"sample_rate": rate, **{name: value for name, value in scan.items() if name != "kind"}}
+    kind, given = _scan(scan, rate)
+    words = ["--scan", kind]
     for name, value in given.items():
-        if value is None or value == "":
-            continue
-        flag = f"--{name.replace('_', '-')}"
-        if name in _SCAN_NUMBERS:
-            words.append(f"{flag}={number_of(value, name):.12g}")
-        elif name in _SCAN_NAMES:
-            words.append(f"{flag}={_text(name, value, _SCAN_NAMES[name])}")
-        elif name == "levels" and isinstance(value, list):
-            words.append(f"{flag}={','.join(f'{number_of(one, name):.12g}' for one in value)}")
-        elif name == "ratio" and isinstance(value, list) and len(value) == 2:
-            words += [flag, *(f"{number_of(one, name):.12g}" for one in value)]
-        else:
-            raise RequestError(f"scan: got {str(name)[:40]!r}, which is not an option of a scan, or not of that kind")
+        flag, parts = f"--{name.replace('_', '-')}", [value] if not isinstance(value, list) else value
+        texts = [part if isinstance(part, str) else f"{part:.12g}" for part in parts]
+        words += [flag, *texts] if _SCAN_KINDS[name] == "pair" else [f"{flag}={','.join(texts)}"]
     return words
+
+
+def _scan(scan: Any, rate: Any) -> tuple[str, dict[str, Any]]:
+    """Return the kind of a scan and its options, checked, without those that are empty."""
+    if not isinstance(scan, Mapping) or scan.get("kind") not in SCANS:
+        raise RequestError(f"scan: need one of {', '.join(SCANS)}, or points")
+    given = {"sample_rate": rate, **{name: value for name, value in scan.items() if name != "kind"}}
+    given = {name: value for name, value in given.items() if value is not None and value != ""}
+    return scan["kind"], {name: _scan_value(name, value) for name, value in given.items()}
+
+
+def _scan_value(name: str, value: Any) -> Any:
+    kind = _SCAN_KINDS.get(name)
+    if isinstance(kind, tuple):
+        return _text(name, value, kind)
+    if kind is float:
+        return number_of(value, name)
+    if kind is int:
+        return _whole(value, name)
+    if kind is None or not isinstance(value, list) or (kind == "pair" and len(value) != 2):
+        raise RequestError(f"scan: got {str(name)[:40]!r}, which is not an option of a scan, or not of that kind")
+    return [_whole(one, name) if kind == "pair" else number_of(one, name) for one in value]
+
+
+def _whole(value: Any, name: str) -> int:
+    number = number_of(value, name)
+    if not number.is_integer():
+        raise RequestError(f"{name}: got {number:g}, need a whole number")
+    return int(number)
+
+
+# Bytes of a request that is not an upload.
+_MOST_JSON = 8_000_000
+_T = TypeVar("_T")
+
+
+class TooLargeError(DehystError, ValueError):
+    """A request or an upload larger than allowed."""
+
+    status = 413
+
+
+def answered(handler: Callable[[_T, Request], Awaitable[Response]]) -> Callable[[_T, Request], Awaitable[Response]]:
+    """Answer an error as a sentence: of dehyst with its own status or 400, of the disk with 500."""
+
+    @wraps(handler)
+    async def answer(self: _T, request: Request) -> Response:
+        try:
+            return await handler(self, request)
+        except ClientDisconnect:
+            # Nobody reads this answer.
+            return Response(status_code=400)
+        except DehystError as error:
+            return JSONResponse({"error": str(error)}, getattr(error, "status", 400))
+        except OSError as error:
+            return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; is it still there?"}, 500)
+
+    return answer
+
+
+async def body_of(request: Request) -> dict[str, Any]:
+    """Return the JSON object that a request brings."""
+    text = b""
+    async for part in request.stream():
+        text += part
+        if len(text) > _MOST_JSON:
+            raise TooLargeError(f"the request has more than {_MOST_JSON / 1e6:g} MB; draw a shorter path")
+    try:
+        value = json.loads(text or b"{}", parse_constant=_no_number)
+        # A half of a letter outside the basic plane can neither be stored nor sent again.
+        json.dumps(value, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"the request is no JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise RequestError("the request is no JSON object")
+    return value
+
+
+async def archived(folder: Path) -> Response:
+    """Return a folder as a ZIP archive: its own files and folders, no links."""
+    place = Path(tempfile.mkdtemp(prefix="dehyst-"))
+    remove = BackgroundTask(shutil.rmtree, place, ignore_errors=True)
+    archive = place / f"{folder.name}.zip"
+    await asyncio.to_thread(_archive, folder, archive)
+    return FileResponse(archive, filename=archive.name, background=remove)
+
+
+def _archive(folder: Path, archive: Path) -> None:
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as writer:
+        for place, _, names in os.walk(folder):
+            for path in (Path(place), *(Path(place) / name for name in sorted(names))):
+                if path == Path(place) or stat.S_ISREG(path.lstat().st_mode):
+                    writer.write(path, path.relative_to(folder.parent))
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(f"{word} is no number")
+
+
+_MICRO = 1e6
+# Samples that a page draws.
+_MOST_DRAWN = 2_000_000
+
+
+def scan_columns(scan: Any, rate: Any) -> tuple[Array, Array]:
+    """Return time [s] and displacement [um] of a scan that was requested, sampled at a rate [Hz].
+
+    Raises
+    ------
+    RequestError
+        The request is no scan, or has too many samples.
+    RecordError
+        The scan is impossible.
+    """
+    kind, given = _scan(scan, rate)
+    hertz, axis, cycles = given.pop("sample_rate", None), given.pop("axis", "x"), given.pop("cycles", 1)
+    hertz = number_of(hertz, "rate")
+    path = scan_of(kind, given, hertz).path(axis)
+    if len(path) * cycles > _MOST_DRAWN:
+        raise RequestError(
+            f"rate: {hertz:g} Hz gives {len(path) * cycles} samples, need {_MOST_DRAWN} at most to draw them; give "
+            "a lower rate"
+        )
+    whole = path.repeated(cycles) if path.periodic else path
+    return np.arange(len(whole)) / hertz, whole.displacement * _MICRO
+
+
+def requested(text: str) -> Mapping[str, Any]:
+    """Return the request in a query's JSON."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"scan: the request is no JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise RequestError("scan: the request is no JSON object")
+    return value

@@ -3,32 +3,53 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import re
 import shlex
+import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
-from dehyst._errors import DehystError
+from dehyst._errors import DehystError, LinkError
+from dehyst.records.recording import salvage
+from dehyst.waveforms.excitation import positive
 from dehyst.workbench import folder as places
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.requests import limits_of, number_of
 from dehyst.workbench.rig.link import RigLink
 
-_NONE: dict[str, Any] = {"status": "none", "words": [], "error": None, "plan": None, "result": None}
+_NONE: dict[str, Any] = {"status": "none", "words": [], "error": None, "plan": None, "result": None, "silent": None}
 # Seconds between two pings, which the page answers while a rig is armed.
 _PING = 0.2
 _LIVE = frozenset({"armed", "playing", "calibrating", "stopping"})
-# Requests without anything to check, and after which something that was played may be complete.
-_PLAIN = ("stop", "disarm", "disconnect")
+# Seconds without a message after which the rig's process is silent, that a stop may take to be confirmed, and that a
+# command may take that moves nothing.
+_SILENT, _STOPPED, _DONE = 1.0, 2.0, 30.0
+# Requests without anything to check.
+_PLAIN = ("disarm", "disconnect")
+# Commands whose answer is waited for.
+_SHORT = ("arm", "plan")
 _UNCONNECTED = frozenset({"none", "connecting", "lost"})
 _BUSY = frozenset({"playing", "calibrating"})
-_ENDED = frozenset({"armed", "connected", "none", "lost"})
 _LONGEST_ADDRESS = 500
 _ADDRESS = re.compile(r"(pi|epics|ni)://[^\s]+|sim://[a-z]+")
 
 
 class RigRequestError(DehystError, ValueError):
     """A request that cannot be made of a rig now."""
+
+
+class NoAnswerError(DehystError, RuntimeError):
+    """The rig's process did not confirm a stop."""
+
+    status = 504
+
+
+class NothingArmedError(DehystError, RuntimeError):
+    """A stop that had nothing to stop."""
+
+    status = 409
 
 
 class RigDesk:
@@ -50,7 +71,7 @@ class RigDesk:
     Attributes
     ----------
     state : dict
-        What the page shows.
+        What the page shows. "silent": whole seconds since when the rig's process does not answer, or None.
     """
 
     def __init__(
@@ -66,6 +87,10 @@ class RigDesk:
         self._link = RigLink(self._receive, origins=origins, errors=folder.path / places.RIG_LOG)
         self._pings: asyncio.Task[None] | None = None
         self._finished, self._place, self._remark = finished, "", ""
+        # The command that is being done, and the answers that are waited for.
+        self._task, self._keys = "", itertools.count(1)
+        self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._recovering: asyncio.Task[None] | None = None
 
     @property
     def stop_port(self) -> int:
@@ -73,22 +98,40 @@ class RigDesk:
         return int(self._link.stop["port"])
 
     async def request(self, what: str, body: Mapping[str, Any]) -> None:
-        """Do what the page asks for; raises RigRequestError if that cannot be done now."""
-        doings = {
+        """Do what the page asks for.
+
+        Of arming and planning the outcome is waited for, of a stop the confirmation; the others are begun.
+
+        Raises
+        ------
+        RigRequestError
+            That cannot be done now, or was refused by the rig's process.
+        NothingArmedError
+            A stop, but nothing was armed.
+        NoAnswerError
+            A stop that the rig's process does not confirm.
+        """
+        makers = {
             "connect": self._connect,
             "arm": self._arm,
-            "plan": self._plan,
+            "plan": _plan_of,
             "calibrate": self._calibrate,
             "play": self._play,
         }
-        if what in doings:
-            if what != "connect" and self.state["status"] in _UNCONNECTED:
-                raise RigRequestError("no rig is connected; connect one first")
-            await doings[what](body)
+        if what == "stop":
+            await self._stop()
         elif what in _PLAIN:
-            await self._do({"do": what})
+            self._demand_link()
+            await self._link.send({"do": what})
+        elif what not in makers:
+            raise RigRequestError(f"{what}: a rig cannot do that; it can {', '.join((*makers, 'stop', *_PLAIN))}")
+        elif what != "connect" and self.state["status"] in _UNCONNECTED:
+            raise RigRequestError("no rig is connected; connect one first")
+        elif self._task or self.state["status"] in _BUSY:
+            busy = self._task or self.state["status"]
+            raise RigRequestError(f"{what}: the rig is busy ({busy}); wait until it is done, or stop it first")
         else:
-            raise RigRequestError(f"{what}: a rig cannot do that; it can {', '.join((*doings, *_PLAIN))}")
+            await self._command(what, makers[what](body))
 
     def heard(self) -> None:
         """Receive a sign of life of a page, and pass it on to the rig's watchdog."""
@@ -101,58 +144,112 @@ class RigDesk:
             self._pings = None
         await self._link.close()
 
-    async def _connect(self, body: Mapping[str, Any]) -> None:
+    async def recover(self) -> None:
+        """Make records of the journals that killed processes left, and list them."""
+        folder = self._folder.path / places.RECORDS
+        with suppress(DehystError, OSError):
+            for path in await asyncio.to_thread(salvage, folder):
+                self._finished(f"{places.RECORDS}/{path.name}")
+
+    async def _stop(self) -> None:
+        self._demand_link()
+        try:
+            answer = await asyncio.wait_for(self._ask({"do": "stop"}), _STOPPED)
+        except (TimeoutError, LinkError) as error:
+            raise NoAnswerError(
+                f"the rig's process gave no answer to the stop within {_STOPPED:g} s; switch the amplifier off by hand"
+            ) from error
+        if answer.get("armed") is None:
+            raise NoAnswerError("the rig's process ended before it confirmed the stop; look at the device")
+        if not answer["armed"]:
+            raise NothingArmedError("nothing was armed, and the voltage was not moved")
+
+    async def _command(self, what: str, message: Mapping[str, Any]) -> None:
+        """Have a command done; none is begun before its answer. No other request may come between check and note."""
+        self._task = what
+        try:
+            if what == "connect":
+                await self._link.start()
+                self.state = {**_NONE, "status": "connecting", "address": message["address"]}
+                self.state["stop"] = dict(self._link.stop)
+                self._changed()
+                if self._pings is None:
+                    self._pings = asyncio.create_task(self._ping())
+            done = await self._post({"do": what, **message})
+            done.add_done_callback(lambda _: self._conclude())
+        except BaseException:
+            self._conclude()
+            raise
+        if what in _SHORT:
+            try:
+                answer = await asyncio.wait_for(asyncio.shield(done), _DONE)
+            except TimeoutError as error:
+                raise RigRequestError(f"{what}: the rig's process gave no answer within {_DONE:g} s") from error
+            if answer.get("error"):
+                raise RigRequestError(answer["error"])
+
+    async def _ask(self, message: Mapping[str, Any]) -> dict[str, Any]:
+        return await (await self._post(message))
+
+    async def _post(self, message: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
+        """Send a message, and return its answer to come."""
+        key = next(self._keys)
+        self._answers[key] = answer = asyncio.get_running_loop().create_future()
+        answer.add_done_callback(lambda _: self._answers.pop(key, None))
+        try:
+            await self._link.send({**message, "id": key})
+        except BaseException:
+            answer.cancel()
+            raise
+        return answer
+
+    def _conclude(self) -> None:
+        """Note that a command is done: its result, or what a killed process left of it, is listed."""
+        self._task, self._remark, place, self._place = "", "", self._place, ""
+        if not place:
+            return
+        if (self._folder.path / place).exists():
+            self._finished(place)
+        elif not self._link.running:
+            self._recovering = asyncio.create_task(self.recover())
+        self._changed()
+
+    def _connect(self, body: Mapping[str, Any]) -> dict[str, Any]:
         if self.state["status"] not in ("none", "lost"):
             raise RigRequestError(f"{self.state.get('address')}: is connected; disconnect it first")
         address = body.get("address")
         if not isinstance(address, str) or not 0 < len(address) <= _LONGEST_ADDRESS:
             raise RigRequestError("address: need one such as pi://host:port, epics://PREFIX or sim://play")
-        limits, slew = limits_of(body.get("limits")), number_of(body.get("slew"), "slew")
         if not _ADDRESS.fullmatch(address):
             raise RigRequestError(
                 f"{address}: need pi://HOST:PORT, epics://PREFIX, ni://... or sim://NAME; a page chooses no file: "
                 "use dehyst calibrate for a driver of your own or the actuator of a model file"
             )
-        await self._link.start()
-        self.state = {**_NONE, "status": "connecting", "address": address, "stop": dict(self._link.stop)}
-        self._changed()
-        if self._pings is None:
-            self._pings = asyncio.create_task(self._ping())
-        await self._link.send({"do": "connect", "address": address, "limits": list(limits), "slew": slew})
+        return {"address": address, **_limits_of(body)}
 
-    async def _arm(self, body: Mapping[str, Any]) -> None:
-        limits, slew = limits_of(body.get("limits")), number_of(body.get("slew"), "slew")
-        await self._do({"do": "arm", "limits": list(limits), "slew": slew})
+    def _arm(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        return {"identity": body.get("identity"), **_limits_of(body)}
 
-    async def _plan(self, body: Mapping[str, Any]) -> None:
-        await self._do({"do": "plan", **_plan_of(body)})
-
-    async def _calibrate(self, body: Mapping[str, Any]) -> None:
+    def _calibrate(self, body: Mapping[str, Any]) -> dict[str, Any]:
         plan = _plan_of(body)
         place = self._folder.new(places.CALIBRATIONS, str(body.get("name") or "rig"))
         low, high = self.state.get("limits") or (0.0, 0.0)
         words = ["calibrate", str(self.state.get("address")), "-o", place, "--limits", f"{low:g}", f"{high:g}"]
         words += ["--slew", f"{self.state.get('slew'):g}", *(f"--{name}={value:g}" for name, value in plan.items())]
-        self._begin(place, f"moves the actuator: {shlex.join(['dehyst', *words])}")
-        await self._do({"do": "calibrate", "folder": str(self._folder.path / place), **plan})
+        self._place, self._remark = place, f"moves the actuator: {shlex.join(['dehyst', *words])}"
+        return {"folder": str(self._folder.path / place), **plan}
 
-    async def _play(self, body: Mapping[str, Any]) -> None:
+    def _play(self, body: Mapping[str, Any]) -> dict[str, Any]:
         relative = str(body.get("file", ""))
         file = self._folder.inside(relative)
         place = self._folder.new(places.RECORDS, f"{file.stem}-played", ".h5")
-        self._begin(place, f"played on {self.state.get('address')}: {relative}, recorded as {place}")
-        await self._do({"do": "play", "file": str(file), "record": str(self._folder.path / place)})
+        self._place = place
+        self._remark = f"played on {self.state.get('address')}: {relative}, recorded as {place}"
+        return {"file": str(file), "record": str(self._folder.path / place)}
 
-    def _begin(self, place: str, remark: str) -> None:
-        """Note what is requested: where its result will be, and a remark for the script once it has begun."""
-        if self.state["status"] in _BUSY:
-            raise RigRequestError("the rig is busy; wait until it is done, or stop it first")
-        self._place, self._remark = place, remark
-
-    async def _do(self, message: Mapping[str, Any]) -> None:
+    def _demand_link(self) -> None:
         if not self._link.running:
             raise RigRequestError("no rig is connected; connect one first")
-        await self._link.send(dict(message))
 
     def _receive(self, message: Mapping[str, Any]) -> None:
         """Receive a message of the rig's process."""
@@ -161,6 +258,9 @@ class RigDesk:
             self.state["voltage"], self.state["displacement_um"] = message["v"][-1], message["y"][-1]
             self._send(message)
             return
+        if kind == "done":
+            self._answer(message["id"], message)
+            return
         if kind == "error":
             self.state["error"] = message["error"]
         elif kind == "rig":
@@ -168,11 +268,16 @@ class RigDesk:
             if self._remark and message.get("status") in _BUSY:
                 self._folder.remark(self._remark)
                 self._remark = ""
-            if self._place and message.get("status") in _ENDED:
-                place, self._place = self._place, ""
-                if (self._folder.path / place).exists():
-                    self._finished(place)
+            if not self._link.running:
+                for key in tuple(self._answers):
+                    self.state["error"] = "the rig's process ended before it answered; connect again"
+                    self._answer(key, {"error": self.state["error"]})
         self._changed()
+
+    def _answer(self, key: int, answer: Mapping[str, Any]) -> None:
+        waiting = self._answers.get(key)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(dict(answer))
 
     def _shown(self, value: Any) -> Any:
         """Return a value with names of files as the page knows them: relative to the folder."""
@@ -182,17 +287,31 @@ class RigDesk:
 
     async def _ping(self) -> None:
         while True:
+            began = time.monotonic()
             await asyncio.sleep(_PING)
             if self.state["status"] in _LIVE:
                 self._send({"kind": "ping"})
+            # After a pause of this process, messages of the other one may wait to be read.
+            if time.monotonic() - began < 2 * _PING:
+                self._note_silence(self._link.silent)
+
+    def _note_silence(self, seconds: float) -> None:
+        silent = int(seconds) if seconds >= _SILENT else None
+        if silent != self.state["silent"]:
+            self.state["silent"] = silent
+            self._changed()
+
+
+def _limits_of(body: Mapping[str, Any]) -> dict[str, Any]:
+    """Return limits and slew rate of a request."""
+    return {"limits": list(limits_of(body.get("limits"))), "slew": number_of(body.get("slew"), "slew")}
 
 
 def _plan_of(body: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of a calibration's plan from a request."""
-    plan: dict[str, Any] = {
-        "frequency": number_of(body.get("frequency", 1.0), "frequency"),
-        "goal": number_of(body.get("goal", 1.0), "goal"),
-    }
+    plan: dict[str, Any] = {name: number_of(body.get(name, 1.0), name) for name in ("frequency", "goal")}
+    for name, value in plan.items():
+        positive(value, name)
     rounds = number_of(body.get("rounds", 2), "rounds")
     if rounds != int(rounds) or not 0 <= rounds <= 20:
         raise RigRequestError(f"rounds: got {rounds:g}, need a whole number, 0 to 20")

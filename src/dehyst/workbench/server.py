@@ -1,37 +1,180 @@
-"""The server of a workbench: its page, its files and its requests, on this machine only."""
+"""News for all open pages: the state when it changed, and live samples."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import mimetypes
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
-from dehyst._io.json_files import read_json
+from dehyst._io import read_json
+from dehyst.exports.shipped import shipped
+from dehyst.waveforms.named import OPTIONS, SCANS
 from dehyst.workbench import folder as places
-from dehyst.workbench import results
-from dehyst.workbench.answers import TooLargeError, answered, archived, body_of
-from dehyst.workbench.events import Events
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.page_files import PageFiles
-from dehyst.workbench.requests import RequestError, number_of
+from dehyst.workbench.jobs import packed, record_columns, trace_columns, trace_heads, voltage_columns, wasm
+from dehyst.workbench.requests import (
+    RequestError,
+    TooLargeError,
+    answered,
+    archived,
+    body_of,
+    number_of,
+    requested,
+    scan_columns,
+)
 from dehyst.workbench.rig_desk import RigDesk
-from dehyst.workbench.scan_preview import requested, scan_columns
 from dehyst.workbench.session import WorkbenchSession
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
-
-    from starlette.requests import Request
     from starlette.websockets import WebSocket
+
+# Seconds between two states, so that many changes at once are one message.
+_PAUSE = 0.05
+# Messages that a slow page may be behind; then live samples are left out.
+_BEHIND = 50
+
+
+class Events:
+    """The news of one workbench.
+
+    Parameters
+    ----------
+    state : callable
+        Returns the state, as JSON values.
+    """
+
+    def __init__(self, state: Callable[[], Mapping[str, Any]]) -> None:
+        self._state = state
+        self._pages: set[_Page] = set()
+        self._text = ""
+        self._pending: asyncio.Task[None] | None = None
+
+    def changed(self) -> None:
+        """Send the state soon; many changes at once are sent once."""
+        self._text = ""
+        if self._pages and (self._pending is None or self._pending.done()):
+            self._pending = asyncio.get_running_loop().create_task(self._publish())
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send a message that may be left out, such as live samples."""
+        text = json.dumps(message, allow_nan=False)
+        for page in self._pages:
+            if page.news.qsize() < _BEHIND:
+                page.news.put_nowait(text)
+
+    async def page(self) -> AsyncIterator[str]:
+        """Yield the messages for one page: first the state. A slow page receives the newest state only."""
+        page = _Page()
+        page.change()
+        self._pages.add(page)
+        try:
+            while True:
+                text = await page.news.get()
+                if text is None:
+                    page.behind = False
+                    text = self._now()
+                yield text
+        finally:
+            self._pages.discard(page)
+
+    def _now(self) -> str:
+        """Return the state as a message, made once for all pages."""
+        self._text = self._text or json.dumps({"kind": "state", "state": self._state()}, allow_nan=False)
+        return self._text
+
+    async def _publish(self) -> None:
+        await asyncio.sleep(_PAUSE)
+        for page in self._pages:
+            page.change()
+
+
+class _Page:
+    """One open page: its messages in their order, None where the state is to be sent."""
+
+    def __init__(self) -> None:
+        self.news: asyncio.Queue[str | None] = asyncio.Queue()
+        self.behind = False
+
+    def change(self) -> None:
+        """Note that the state is to be sent, once."""
+        if not self.behind:
+            self.behind = True
+            self.news.put_nowait(None)
+
+
+_PAGE = Path(__file__).with_name("page")
+_TYPES = {".css": "text/css", ".js": "text/javascript"}
+_SCRIPTS = '<script type="module"'
+EXAMPLE = "example.csv"
+# It is no module.
+_WORKER = "keepalive.js"
+
+
+class PageFiles:
+    """The page, and the scripts and styles that it asks for.
+
+    A module names others, and these others: a browser would find them one round after another. The page lists all.
+    """
+
+    def __init__(self) -> None:
+        own = [one for one in _PAGE.iterdir() if one.suffix in _TYPES]
+        self._files = {one.name: (one.read_bytes(), _TYPES[one.suffix]) for one in own}
+        self._files["dehyst.js"] = (shipped("compensator.js").encode(), _TYPES[".js"])
+        self._files["scan_options.js"] = (_scan_options().encode(), _TYPES[".js"])
+        scripts = sorted(name for name in self._files if name.endswith(".js") and name != _WORKER)
+        links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
+        page = (_PAGE / "index.html").read_text(encoding="utf-8")
+        self._index = page.replace(_SCRIPTS, links + _SCRIPTS, 1)
+
+    async def index(self, _: Request) -> Response:
+        """Return the page."""
+        return Response(self._index, media_type="text/html")
+
+    async def file(self, request: Request) -> Response:
+        """Return a script, a style or the example."""
+        name = request.path_params["name"]
+        if name == EXAMPLE and name not in self._files:
+            self._files[name] = (await asyncio.to_thread(_example), "text/csv")
+        body, kind = self._files.get(name, (None, None))
+        if body is None:
+            raise HTTPException(404)
+        return Response(body, media_type=kind)
+
+
+def _scan_options() -> str:
+    """Return a module with the declaration of the named scans and their options."""
+    options = {
+        name: {**option._asdict(), "kind": option.kind.__name__ if isinstance(option.kind, type) else option.kind}
+        for name, option in OPTIONS.items()
+    }
+    scans = {name: {"needs": scan.needs, "may": scan.may} for name, scan in SCANS.items()}
+    return f"export const DECLARED = {json.dumps({'options': options, 'scans': scans})};\n"
+
+
+def _example() -> bytes:
+    """Return loops of a virtual actuator as CSV, for those who have no record yet."""
+    from dehyst.records import write_record
+    from dehyst.studies.demo import record_loops
+    from dehyst.virtual import PlayActuator
+
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / EXAMPLE
+        write_record(file, record_loops(PlayActuator())[0])
+        return file.read_bytes()
+
 
 # The computer's own table may have others, and the page's types are not guessed by browsers.
 mimetypes.add_type("text/javascript", ".js")
@@ -41,6 +184,10 @@ _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:"
 )
+
+
+# Code with which a WebSocket is closed that sent something else than text.
+_NO_TEXT = 1003
 
 
 class Workbench:
@@ -96,6 +243,7 @@ class Workbench:
 
     @asynccontextmanager
     async def _life(self, _: Starlette) -> AsyncIterator[None]:
+        await self.rig.recover()
         yield
         # First what moves.
         await self.rig.close()
@@ -104,7 +252,9 @@ class Workbench:
     def _finished(self, place: str) -> None:
         """List what the rig left: a record, or the model of a calibration."""
         if place.startswith(f"{places.RECORDS}/"):
-            self.session.add_record(place, Path(place).name)
+            # A journal beside its file is that of a listed record.
+            if all(record.source != place for record in self.session.records.values()):
+                self.session.add_record(place, Path(place).name)
             return
         with suppress(DehystError):
             self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
@@ -123,10 +273,12 @@ class Workbench:
 
         sending = asyncio.create_task(send())
         try:
-            while True:
-                await socket.receive_text()
+            while (message := await socket.receive())["type"] == "websocket.receive":
+                if message.get("text") is None:
+                    await socket.close(_NO_TEXT)
+                    break
                 self.rig.heard()
-        except (WebSocketDisconnect, RuntimeError, KeyError):
+        except (WebSocketDisconnect, RuntimeError):
             pass
         finally:
             sending.cancel()
@@ -169,7 +321,7 @@ class Workbench:
     async def record_data(self, request: Request) -> Response:
         """Return the columns of a record."""
         entry = self.session.record(request.path_params["key"])
-        return await self._columns(results.record_columns, entry.file)
+        return await self._columns(record_columns, entry.file)
 
     @answered
     async def identify(self, request: Request) -> Response:
@@ -197,14 +349,14 @@ class Workbench:
             seconds = number_of(float(period), "period")
         except ValueError as error:
             raise RequestError(f"period: got {period[:40]!r}, need seconds") from error
-        module = await asyncio.to_thread(results.wasm, self.session.folder.path / entry.file, seconds)
+        module = await asyncio.to_thread(wasm, self.session.folder.path / entry.file, seconds)
         return Response(module, media_type="application/wasm")
 
     @answered
     async def traces(self, request: Request) -> Response:
         """Return which records a model has traces of."""
         entry = self.session.model(request.path_params["key"], ready=True)
-        heads = await asyncio.to_thread(results.trace_heads, self.session.folder.path / entry.traces)
+        heads = await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces)
         return JSONResponse({"records": heads})
 
     @answered
@@ -214,7 +366,7 @@ class Workbench:
         number = request.path_params["number"]
         if not 0 <= number < len(entry.table):
             raise RequestError(f"{number}: there is no such trace; {entry.name} has {len(entry.table)}")
-        return await self._columns(lambda file: results.trace_columns(file, number), entry.traces)
+        return await self._columns(lambda file: trace_columns(file, number), entry.traces)
 
     @answered
     async def scan(self, request: Request) -> Response:
@@ -222,13 +374,13 @@ class Workbench:
         of = requested(request.query_params.get("of", ""))
         scan = {name: value for name, value in of.items() if name != "rate"}
         columns = await asyncio.to_thread(scan_columns, scan, of.get("rate"))
-        return Response(results.packed(columns), media_type="application/octet-stream")
+        return Response(packed(columns), media_type="application/octet-stream")
 
     @answered
     async def voltage_data(self, request: Request) -> Response:
         """Return the columns of a voltage."""
         entry = self.session.voltage(request.path_params["key"])
-        return await self._columns(results.voltage_columns, entry.file)
+        return await self._columns(voltage_columns, entry.file)
 
     @answered
     async def insight(self, request: Request) -> Response:
@@ -284,6 +436,6 @@ class Workbench:
             raise RequestError("it has no samples yet; wait until it is read")
 
         def pack() -> bytes:
-            return results.packed(columns(self.session.folder.path / file))
+            return packed(columns(self.session.folder.path / file))
 
         return Response(await asyncio.to_thread(pack), media_type="application/octet-stream")

@@ -1,10 +1,15 @@
-"""Start of a workbench: its port, its link, its server."""
+"""Start of a workbench: its port, its links, which let one browser in each, and its server."""
 
 from __future__ import annotations
 
 import errno
+import os
+import secrets
 import socket
+import threading
+import time
 from collections.abc import Callable
+from hmac import compare_digest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +17,98 @@ from dehyst._errors import DehystError, MissingExtraError
 
 if TYPE_CHECKING:
     import uvicorn
+
+# Seconds for which a link is valid.
+LIFETIME = 60.0
+_PAGE = "open-workbench.html"
+_REDIRECT = """<!DOCTYPE html>
+<meta charset="utf-8">
+<meta http-equiv="refresh" content="0; url={link}">
+<title>dehyst workbench</title>
+"""
+
+
+class Door:
+    """The links of a workbench.
+
+    Parameters
+    ----------
+    address : str
+        Of the server: ``http://127.0.0.1:8754``.
+    folder : Path
+        For the private file.
+    clock : callable, optional
+        Returns seconds; for tests.
+
+    Attributes
+    ----------
+    remark : str
+        What to know of the folder's permissions, or nothing.
+    """
+
+    def __init__(
+        self, address: str, folder: Path, remark: str = "", clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.remark = remark
+        self._address, self._file, self._clock = address, folder / _PAGE, clock
+        self._lock = threading.Lock()
+        # When each token that was not used ends, and the token of the private file.
+        self._ends: dict[str, float] = {}
+        self._filed = ""
+        # A killed workbench may have left one.
+        self._file.unlink(missing_ok=True)
+
+    def link(self) -> str:
+        """Return a new link, which lets one browser in within a minute."""
+        return self._link(self._token())
+
+    def page(self) -> Path:
+        """Write a file that leads a browser to a new link, and return it; it is deleted when the link ends.
+
+        A browser's command line, which other users can read, then holds no token.
+        """
+        token = self._token()
+        self.close()
+        with self._lock:
+            self._filed = token
+        with os.fdopen(os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
+            stream.write(_REDIRECT.format(link=self._link(token)))
+        end = threading.Timer(LIFETIME, self._expire, [token])
+        end.daemon = True
+        end.start()
+        return self._file
+
+    def admits(self, given: str) -> bool:
+        """Return whether a browser with this token may come in; the token is used then."""
+        with self._lock:
+            now = self._clock()
+            self._ends = {token: end for token, end in self._ends.items() if now < end}
+            token = next((one for one in self._ends if compare_digest(one.encode(), given.encode())), None)
+            if token is None:
+                return False
+            del self._ends[token]
+        self._expire(token)
+        return True
+
+    def close(self) -> None:
+        """Delete the private file."""
+        self._file.unlink(missing_ok=True)
+
+    def _token(self) -> str:
+        token = secrets.token_urlsafe(32)
+        with self._lock:
+            self._ends[token] = self._clock() + LIFETIME
+        return token
+
+    def _link(self, token: str) -> str:
+        return f"{self._address}/?token={token}"
+
+    def _expire(self, token: str) -> None:
+        with self._lock:
+            if token != self._filed:
+                return
+        self.close()
+
 
 HOST = "127.0.0.1"
 # Taken unless another port is given; if it is in use, any that is free.
@@ -26,7 +123,7 @@ def serve(
     *,
     port: int | None = None,
     upload_limit: float = 1e9,
-    opened: Callable[[str], None] = lambda _: None,
+    opened: Callable[[Door], None] = lambda _: None,
 ) -> None:
     """Serve a workbench until Ctrl-C or SIGTERM.
 
@@ -39,7 +136,7 @@ def serve(
     upload_limit : float, optional
         Most bytes of an upload.
     opened : callable, optional
-        Called with the link once the server listens.
+        Called with the door once the server listens: it has links, each of which lets one browser in.
 
     Raises
     ------
@@ -54,7 +151,7 @@ def serve(
         import uvicorn
         import websockets  # noqa: F401
 
-        from dehyst.workbench.gate import Gate
+        from dehyst.workbench.gate import BACKLOG, BoundedProtocol, Gate
         from dehyst.workbench.server import Workbench
     except ImportError as error:
         raise MissingExtraError(
@@ -63,9 +160,12 @@ def serve(
     with _listening(port) as listener:
         taken = listener.getsockname()[1]
         bench = Workbench(folder, upload_limit, [f"http://{host}:{taken}" for host in (HOST, "localhost")])
-        gate = Gate(bench.app(), taken, bench.rig.stop_port)
+        door = Door(f"http://{HOST}:{taken}", bench.session.folder.path, bench.session.folder.privacy)
         config = uvicorn.Config(
-            gate,
+            Gate(bench.app(), taken, door.admits, lambda: bench.rig.stop_port),
+            loop="asyncio",
+            http=BoundedProtocol,
+            backlog=BACKLOG,
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -73,7 +173,10 @@ def serve(
             ws_max_size=_LONGEST_MESSAGE,
             timeout_graceful_shutdown=_PATIENCE,
         )
-        _announcing(config, lambda: opened(f"http://{HOST}:{taken}/?token={gate.token}")).run(sockets=[listener])
+        try:
+            _announcing(config, lambda: opened(door)).run(sockets=[listener])
+        finally:
+            door.close()
 
 
 def _announcing(config: uvicorn.Config, announce: Callable[[], None]) -> uvicorn.Server:

@@ -14,19 +14,29 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from dehyst._errors import DehystError, FileFormatError
-from dehyst._io.json_files import finite, write_json
+from dehyst._io import finite, write_json
 from dehyst._version import __version__
 from dehyst.workbench import folder as places
-from dehyst.workbench.command import CommandRun, Finished
 from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry, restored
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.jobs import Jobs, Runner
+from dehyst.workbench.jobs import (
+    CommandRun,
+    Finished,
+    Jobs,
+    Runner,
+    brief_insight,
+    fill_model,
+    fill_ranges,
+    fill_record,
+    fill_voltage,
+)
 from dehyst.workbench.requests import export_words, identify_words, path_words, read_words, written_path
-from dehyst.workbench.results import brief_insight, fill_model, fill_record, fill_voltage, ranges
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
 _SOON = 0.5
+# Columns of a file from which the page offers to choose.
+_MOST_COLUMNS = 500
 
 
 class SessionError(DehystError, ValueError):
@@ -102,8 +112,11 @@ class WorkbenchSession:
         entry.options, entry.status, entry.error, entry.hint = dict(options), "reading", None, None
 
         def done(finished: Finished) -> None:
+            # With names for all columns the result has these, not the file's.
+            columns = () if options.get("columns") else (finished.result or {}).get("file_columns", ())
+            entry.columns = [one["name"] for one in columns[:_MOST_COLUMNS]] or entry.columns
             if finished.result is None or finished.status != 0:
-                entry.status, entry.error, entry.hint = "refused", finished.error, None
+                entry.status, entry.error = "refused", finished.error.replace(entry.source, Path(entry.source).name)
                 hint = finished.suggestion
                 entry.hint = {"options": hint} if hint else None
                 return
@@ -126,9 +139,9 @@ class WorkbenchSession:
         name = str(options.pop("name", None) or train[0].name)
         file = self.folder.new(places.MODELS, name, ".json")
         stem = Path(file).stem
-        entry = ModelEntry(self._id("m"), stem, file, [one.id for one in train], [one.id for one in validate], options)
-        report = f"{places.REPORTS}/{stem}.html"
-        words = identify_words(entry, [one.file for one in train], [one.file for one in validate], report)
+        entry = ModelEntry(self._id("m"), stem, file, [one.id for one in train], [one.id for one in validate])
+        entry.options, entry.report = options, f"{places.REPORTS}/{stem}.html"
+        words = identify_words(entry, [one.file for one in train], [one.file for one in validate])
         self.models[entry.id] = entry
         began = time.monotonic()
 
@@ -142,7 +155,7 @@ class WorkbenchSession:
                 write_json(self.folder.path / entry.fit, finished.result)
             if finished.result is not None and finished.result.get("verdict") is not None:
                 # Before the entry is ready: a page uses the ranges of every model that is.
-                entry.range_v, entry.range_um = await asyncio.to_thread(ranges, self.folder.path / file)
+                await asyncio.to_thread(fill_ranges, entry, self.folder.path / file)
             fill_model(entry, finished)
 
         self.jobs.start("identify", entry.id, words, done, progress)
@@ -150,10 +163,12 @@ class WorkbenchSession:
 
     def add_calibrated(self, place: str, result: Mapping[str, Any]) -> ModelEntry:
         """List the model of a calibration in the folder `place`; `result` is what its calibration.json holds."""
-        entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json")
+        rig = f"{result['rig']}, axis {result['axis']}"
+        entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json", rig=rig, seconds=None)
+        entry.report = f"{place}/report.html"
         write_json(self.folder.path / entry.fit, result["fit"])
         fill_model(entry, Finished(0, result["fit"]))
-        entry.range_v, entry.range_um = ranges(self.folder.path / entry.file)
+        fill_ranges(entry, self.folder.path / entry.file)
         self.models[entry.id] = entry
         self.touch()
         return entry
@@ -172,6 +187,9 @@ class WorkbenchSession:
         """Assess a model on its training records; return the job."""
         entry = self.model(key, ready=True)
         records = [self.record(one).file for one in entry.train if one in self.records]
+        if entry.rig:
+            played = (one["record"] for one in entry.table if one["role"] == "training")
+            records = [f"{Path(entry.file).parent.as_posix()}/records/{name}.h5" for name in played]
         if not records:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 

@@ -6,26 +6,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dehyst.cli.common import echo_files
-from dehyst.cli.output.terminal import echo, worded
+from dehyst.cli.output.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.model import Fit
+    from dehyst.identification import Fit
+    from dehyst.stages import StageFit
     from dehyst.studies.paper import Paper
-    from dehyst.uncertainty import Insight
+    from dehyst.trust import Insight
 
 
-def print_fit(fit: Fit, output: Path | None, report: Path | None) -> None:
+def print_fit(fit: Fit | StageFit, output: Path | None, report: Path | None) -> None:
     """Print the result of an identification."""
     for line in fit.summary().split("\n"):
         echo(line)
-    echo_files(Model=output if fit.actuator is not None else None, Report=report)
+    echo_files(Model=output, Report=report)
 
 
 def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
     """Print an assessment of a model, in the order in which it matters."""
-    from dehyst.uncertainty.insight_summary import lines
+    from dehyst.trust.insight_result import lines
 
-    for line in lines(found, worded):
+    for line in lines(found):
         echo(line)
     echo_files(Band=output, Report=report)
 

@@ -8,18 +8,26 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from dehyst._io.json_files import finite
+from dehyst._io import finite
 from dehyst._text import escaped
-from dehyst.cli.output.option_words import in_words_of
+
+if TYPE_CHECKING:
+    from dehyst._errors import DehystError
 
 # Seconds between lines of progress where there is no terminal, and before the first one; and their name.
 _FEW_SECONDS, _SECONDS_NAME = 5.0, "DEHYST_PROGRESS_SECONDS"
+
+# Arguments that a parameter of another name sets, in all commands and in one.
+_RENAMED = {"slew_rate": "slew", "seconds": "edge", "base": "present"}
+_RENAMED_IN = {"compensate": {"cycles": "start_up"}}
+# Arguments that hold data; the option of the same name says which column or file has them.
+_DATA = frozenset({"time", "voltage", "displacement", "model", "records", "trajectory", "report", "output"})
 
 
 class UnprintedError(Exception):
@@ -36,15 +44,40 @@ def echo_json(value: Any) -> None:
     _write(f"{json.dumps(finite(value), indent=1)}\n", err=False)
 
 
-def worded(sentences: Iterable[str]) -> tuple[str, ...]:
-    """Return sentences of the library in the words of the running command."""
-    context = click.get_current_context(silent=True)
-    return tuple(sentences) if context is None else in_words_of(context.command, sentences)
-
-
 def note(sentence: object) -> None:
-    """Print a warning or an error on standard error, in the words of the running command."""
-    echo(f"dehyst: {worded([str(sentence)])[0]}", err=True)
+    """Print a warning or an error on standard error."""
+    echo(f"dehyst: {sentence}", err=True)
+
+
+def options_of(command: Any) -> dict[str, click.Parameter]:
+    """Return the options of a click command, or of all commands of a group, by the argument that each sets."""
+    options: dict[str, click.Parameter] = {}
+    for inner in getattr(command, "commands", {}).values():
+        options |= options_of(inner)
+    options |= {str(parameter.name): parameter for parameter in command.params}
+    renamed = {argument: name for argument, name in _RENAMED.items() if argument not in options and name in options}
+    renamed |= _RENAMED_IN.get(str(command.name), {})
+    return options | {argument: options[name] for argument, name in renamed.items()}
+
+
+def flag_of(parameter: click.Parameter) -> str:
+    """Return the name of an option, or of an argument of the command line."""
+    return next((flag for flag in parameter.opts if flag.startswith("--")), parameter.human_readable_name)
+
+
+def error_text(error: DehystError, command: Any) -> str:
+    """Return the message of an error with the options of a command in the place of the library's arguments."""
+    options = options_of(command)
+
+    def named(argument: str) -> str:
+        return flag_of(options[argument]) if argument in options and argument not in _DATA else argument
+
+    def given(argument: str) -> str:
+        option = options.get(argument)
+        value = "" if option is None or getattr(option, "is_flag", False) else f" {option.metavar or ''}"
+        return f"{flag_of(option)}{value}".rstrip() if option is not None else ""
+
+    return error.text(named, given)
 
 
 def progress_line() -> Callable[[str], None]:

@@ -77,7 +77,9 @@ export class Compensator {
   play(voltage: number): number;
   /** Return the voltages [V] of many steps, displacements in [m]. */
   run(displacements: Float64Array | readonly number[]): Float64Array;
-  /** Return the voltages of a whole path [m], whose first voltage may jump. The memory stays. */
+  /** Move towards a displacement [m] until a step within the slew rate leads to it; return the number of steps. */
+  lead(displacement: number): number;
+  /** Return the voltages of a whole path [m], within the slew rate from the present one on. The memory stays. */
   trajectory(displacements: Float64Array | readonly number[]): Trajectory;
   /** Return the displacements [m] of the actuator alone under voltages [V]. The memory stays. */
   simulate(voltages: Float64Array | readonly number[]): Float64Array;

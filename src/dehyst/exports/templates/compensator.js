@@ -5,7 +5,7 @@
 //     const compensator = new Compensator(await load());
 //     const voltage = compensator.step(12e-6);
 
-const REASONS = ["", "sizes", "a number that is not finite", "numbers that do not increase", "a sign", "its start"];
+const MOST = 1e6; // steps on the way to a displacement
 
 /** Compile a module from bytes, a Response, a URL or a file name; by default the .wasm file beside this one. */
 export async function load(source = new URL(import.meta.url.replace(/\.js(?=[?#]|$)/, ".wasm"))) {
@@ -26,8 +26,10 @@ function section(module, name) {
   return new Uint8Array(found[0]);
 }
 
-function demand(status) {
-  if (status !== 0) throw new RangeError(`the model is refused: ${REASONS[-status] ?? "its numbers"}`);
+function demand(core, status) {
+  if (status === 0) return;
+  const words = new Uint8Array(core.memory.buffer, core.words(status));
+  throw new RangeError(`the model is refused: ${String.fromCharCode(...words.subarray(0, words.indexOf(0)))}`);
 }
 
 function number(result, given) {
@@ -48,7 +50,7 @@ export class Compensator {
     const place = core.reserve(numbers.length);
     if (place === 0) throw new RangeError("the model is refused: it is too large");
     new Uint8Array(core.memory.buffer, place, numbers.length).set(numbers);
-    demand(core.open());
+    demand(core, core.open());
     this.#limit(limits, slewRate, period);
     this.reset();
     const reals = (at) => new Float64Array(core.memory.buffer, at, core.block());
@@ -67,13 +69,13 @@ export class Compensator {
     }
     if (slewRate !== null && period === null) throw new RangeError("slewRate: needs a period too");
     const [low, high] = limits;
-    demand(this.#core.limit(low, high, slewRate === null ? Number.MAX_VALUE : slewRate * period));
+    demand(this.#core, this.#core.limit(low, high, slewRate === null ? Number.MAX_VALUE : slewRate * period));
     Object.assign(this, { limits: [low, high], slewRate, period });
   }
 
   /** Begin again from the model's start; counts restart at 0. */
   reset() {
-    demand(this.#core.begin());
+    demand(this.#core, this.#core.begin());
   }
 
   /** Return the voltage to send for a displacement, which then counts as sent. */
@@ -101,7 +103,18 @@ export class Compensator {
     return this.#path("run", displacements, false).voltage;
   }
 
-  /** Return voltage, displacement and clamped of a whole path, whose first voltage may jump. */
+  /** Move towards a displacement until a step within the slew rate leads to it; return the number of steps. */
+  lead(displacement) {
+    const change = this.slewRate === null ? Infinity : this.slewRate * this.period * (1 - 1e-9);
+    for (let steps = 0; steps <= MOST; steps += 1) {
+      const voltage = this.offer(displacement);
+      if (Math.abs(voltage - this.voltage) < change) return steps;
+      this.commit(voltage);
+    }
+    throw new RangeError(`slewRate: ${this.slewRate} V/s leads there in more than ${MOST} steps; give more`);
+  }
+
+  /** Return voltage, displacement and clamped of a whole path, within the slew rate from the present voltage on. */
   trajectory(displacements) {
     return this.#path("run", displacements, true);
   }
@@ -136,7 +149,7 @@ export class Compensator {
     for (let at = 0; at < values.length; at += inputs.length) {
       const n = Math.min(inputs.length, values.length - at);
       inputs.set(values.slice(at, at + n));
-      this.#core[call](n, keep && at === 0 ? 1 : 0);
+      this.#core[call](n);
       for (const name in outputs) result[name].set(outputs[name].subarray(0, n), at);
     }
     const followed = this.clamps.refused === refused;

@@ -112,7 +112,8 @@ static int sample(fmu *f)
 int fmu_step(fmu *f, double from, double by)
 {
     uint32_t n = periods(from, by);
-    fmu_memory before;
+    const piezo before = f->piezo;
+    const double output = f->output;
     if (f->phase != FMU_RUNNING) return REFUSE(f, "DoStep: not allowed now; end the initialization first");
     if (n == 0) {
         if (MODEL_PERIOD > 0)
@@ -122,10 +123,10 @@ int fmu_step(fmu *f, double from, double by)
     }
     if (!alike(from, f->time, from, by))
         return REFUSE(f, "communication point: got %.17g s, need %.17g s, where the last step ended", from, f->time);
-    fmu_save(f, &before);
     while (n-- > 0)
         if (!sample(f)) {
-            fmu_restore(f, &before);
+            f->piezo = before;
+            f->output = output;
             return 0;
         }
     f->time = from + by;
@@ -143,68 +144,33 @@ int fmu_clamped(fmu *f)
     return 1;
 }
 
-static double *copied(double *to, const dehyst_real *from, int n)
-{
-    while (n-- > 0) *to++ = *from++;
-    return to;
-}
-
-static const double *taken(const double *from, dehyst_real *to, int n)
-{
-    while (n-- > 0) *to++ = *from++;
-    return from;
-}
-
 void fmu_save(const fmu *f, fmu_memory *memory)
 {
-    const dehyst_loop *loop = &f->piezo.loop;
-    const dehyst_state *state = &loop->state;
-    const double scalar[FMU_SCALARS] = {
-        state->memory.y, state->y,        state->rate,     state->input, loop->sent,
-        loop->acting,    loop->intended[0], loop->intended[1], loop->wanted,  loop->candidate.w,
-        loop->candidate.v,    loop->voltage,   f->input,        f->output,    f->time};
-    double *at = copied(memory->number, scalar, FMU_SCALARS);
-    at = copied(at, state->memory.cart, MODEL_ELEMENTS);
-    at = copied(at, state->strain, MODEL_BRANCHES);
-    at = copied(at, state->elongation, MODEL_SMOOTH);
-    copied(at, loop->inputs, MODEL_TAPS);
-    memory->check = 0;
-    memset(memory->token, 0, sizeof memory->token);
+    memset(memory, 0, sizeof *memory);
     memcpy(memory->token, FMU_TOKEN, sizeof FMU_TOKEN);
-    memory->count[0] = loop->limited;
-    memory->count[1] = loop->slewed;
-    memory->count[2] = loop->refused;
-    memory->count[3] = (uint64_t)f->phase * 4 + (uint64_t)f->reported;
+    memory->number[FMU_GIVEN] = f->input;
+    memory->number[FMU_SHOWN] = f->output;
+    memory->number[FMU_NOW] = f->time;
+    memory->state = (uint64_t)f->phase * 4 + (uint64_t)f->reported;
+    piezo_save(&f->piezo, memory->loop);
 }
 
-/* The carts go where this instance has its own. Nothing is ever on offer between two steps. */
-void fmu_restore(fmu *f, const fmu_memory *memory)
+/* Nothing is ever on offer between two steps. */
+int fmu_restore(fmu *f, const fmu_memory *memory)
 {
-    dehyst_loop *loop = &f->piezo.loop;
-    dehyst_state *state = &loop->state;
-    dehyst_real *const scalar[FMU_SCALARS] = {
-        &state->memory.y, &state->y,        &state->rate,     &state->input, &loop->sent,
-        &loop->acting,    &loop->intended[0], &loop->intended[1], &loop->wanted,  &loop->candidate.w,
-        &loop->candidate.v,    &loop->voltage,   &f->input,        &f->output,    &f->time};
-    const double *at = memory->number;
-    int i;
-    for (i = 0; i < FMU_SCALARS; i++) *scalar[i] = *at++;
-    at = taken(at, state->memory.cart, MODEL_ELEMENTS);
-    at = taken(at, state->strain, MODEL_BRANCHES);
-    at = taken(at, state->elongation, MODEL_SMOOTH);
-    taken(at, loop->inputs, MODEL_TAPS);
-    loop->offer = DEHYST_NOTHING;
-    loop->limited = (unsigned long)memory->count[0];
-    loop->slewed = (unsigned long)memory->count[1];
-    loop->refused = (unsigned long)memory->count[2];
-    f->phase = (fmu_phase)(memory->count[3] / 4);
-    f->reported = (int)(memory->count[3] % 4);
+    if (piezo_restore(&f->piezo, memory->loop) != DEHYST_OK) return fmu_demand(f, 0, "state: it is damaged");
+    f->input = memory->number[FMU_GIVEN];
+    f->output = memory->number[FMU_SHOWN];
+    f->time = memory->number[FMU_NOW];
+    f->phase = (fmu_phase)(memory->state / 4);
+    f->reported = (int)(memory->state % 4);
+    return 1;
 }
 
 /* FNV-1a of 64 bits, over all behind `check`. */
 static uint64_t checksum(const fmu_memory *memory)
 {
-    const unsigned char *at = (const unsigned char *)memory->count, *end = (const unsigned char *)(memory + 1);
+    const unsigned char *at = (const unsigned char *)&memory->state, *end = (const unsigned char *)(memory + 1);
     uint64_t sum = 14695981039346656037u;
     while (at < end) sum = (sum ^ *at++) * 1099511628211u;
     return sum;
@@ -213,13 +179,14 @@ static uint64_t checksum(const fmu_memory *memory)
 /* What no FMU of this model has written, though its checksum may fit. */
 static const char *flaw(const fmu_memory *memory)
 {
+    piezo found;
     int i;
     for (i = 0; i < FMU_NUMBERS; i++)
         if (!fmu_finite(memory->number[i])) return "state: a number of it is not finite";
-    if (memory->count[3] / 4 > FMU_ENDED) return "state: it is in no phase of an FMU's life";
-    for (i = 0; i < FMU_SCALARS; i++)
-        if ((i == FMU_SENT || i == FMU_OFFERED || i == FMU_GIVEN) && within(memory->number[i]) != memory->number[i])
-            return "state: its voltage lies outside the limits";
+    if (memory->state / 4 > FMU_ENDED) return "state: it is in no phase of an FMU's life";
+    if (piezo_restore(&found, memory->loop) != DEHYST_OK) return "state: the actuator cannot be in it";
+    if (within(found.loop.sent) != found.loop.sent || (!FMU_ACTUATOR && within(memory->number[FMU_SHOWN]) != memory->number[FMU_SHOWN]))
+        return "state: its voltage lies outside the limits";
     return NULL;
 }
 

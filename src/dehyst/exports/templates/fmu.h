@@ -13,18 +13,16 @@ enum { FMU_TIME, FMU_INPUT, FMU_OUTPUT, FMU_LIMITED, FMU_SLEWED };
 
 typedef enum fmu_phase { FMU_MADE, FMU_BEGINNING, FMU_RUNNING, FMU_ENDED } fmu_phase;
 
-/* The numbers of the loop that are not arrays, and input, output and time. */
-#define FMU_SCALARS 15
-/* Of these, the voltages that are sent. */
-enum { FMU_SENT = 4, FMU_OFFERED = 11, FMU_GIVEN = 13 };
-#define FMU_NUMBERS (FMU_SCALARS + MODEL_ELEMENTS + MODEL_BRANCHES + MODEL_SMOOTH + MODEL_TAPS)
+/* Numbers of an instance beside its loop. */
+enum { FMU_GIVEN, FMU_SHOWN, FMU_NOW, FMU_NUMBERS };
 
 /* The memory of an instance, without a pointer; equal states are equal to the last byte. */
 typedef struct fmu_memory {
     char token[sizeof FMU_TOKEN + 7 - (sizeof FMU_TOKEN + 7) % 8];
     uint64_t check; /* of what follows; only in a serialised state */
-    uint64_t count[4];
+    uint64_t state; /* phase and what was reported */
     double number[FMU_NUMBERS];
+    unsigned char loop[MODEL_SNAPSHOT]; /* a multiple of 8 */
 } fmu_memory;
 
 typedef struct fmu {
@@ -51,7 +49,7 @@ int fmu_clamped(fmu *f);
 static inline int fmu_finite(double a) { return a - a == 0; }
 
 void fmu_save(const fmu *f, fmu_memory *memory);
-void fmu_restore(fmu *f, const fmu_memory *memory);
+int fmu_restore(fmu *f, const fmu_memory *memory);
 /* A memory as bytes, with a checksum; and back, 0 if they are not what was written. */
 void fmu_serialize(const fmu_memory *memory, void *bytes);
 int fmu_deserialize(fmu *f, const void *bytes, size_t size, fmu_memory *memory);

@@ -1,7 +1,7 @@
 /* A piezo actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every MODEL_PERIOD seconds.
  *
- * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin can
- * fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */
+ * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin and
+ * piezo_restore can fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */
 #ifndef PIEZO_H
 #define PIEZO_H
 
@@ -13,13 +13,14 @@
 extern "C" {
 #endif
 
+/* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
     dehyst_loop loop; /* its counts: how many samples were limited, slewed and refused */
-    dehyst_real cart[MODEL_ROOM(MODEL_ELEMENTS)], spare[MODEL_ROOM(MODEL_ELEMENTS)];
-    dehyst_real strain[MODEL_ROOM(MODEL_BRANCHES)];
-    dehyst_real elongation[MODEL_ROOM(MODEL_SMOOTH)];
-    dehyst_real inputs[MODEL_TAPS];
+    dehyst_real memory[DEHYST_MEMORY(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_TAPS)];
 } piezo;
+
+/* Bytes of a snapshot. */
+#define MODEL_SNAPSHOT DEHYST_SNAPSHOT(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_TAPS)
 
 /* Start from the exported state. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);
@@ -36,10 +37,11 @@ void piezo_hold(piezo *p);
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage);
 /* Return the displacement of the actuator, from all voltages that were sent. */
 dehyst_real piezo_displacement(const piezo *p);
-/* Copy a piezo. It points into itself: an assignment would not do. */
-void piezo_copy(piezo *to, const piezo *from);
-/* Correct the pointers of a piezo after its bytes were moved. */
-void piezo_point(piezo *p);
+/* Write a snapshot, to go on from it after a reset. */
+void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT]);
+/* Go on from a snapshot, instead of piezo_begin. If it does not return DEHYST_OK, the bytes are not a snapshot of this
+ * model, or damaged, and nothing has changed. */
+dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT]);
 
 #ifdef __cplusplus
 }

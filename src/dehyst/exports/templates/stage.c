@@ -1,5 +1,7 @@
 #include "piezo.h"
 
+#include "dehyst_model.h"
+
 /* axes */
 /* numbers */
 
@@ -54,7 +56,7 @@ void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_re
         for (j = 0; j < MODEL_AXES; j++) {
             dehyst_loop *loop = piezo_loop(p, j);
             if (offered[j]) continue;
-            voltage[j] = dehyst_loop_offer(models[j], loop, dot(decoupling[j], corrected));
+            voltage[j] = dehyst_loop_offer(models[j], loop, memory_of(p, j), dot(decoupling[j], corrected));
             if (loop->offer == DEHYST_LIMITED || loop->offer == DEHYST_SLEWED) {
                 reached[j] = reached_by(p, j, voltage[j]);
                 p->clamped[j] = offered[j] = 1;
@@ -73,7 +75,7 @@ void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_re
 void piezo_commit(piezo *p, const dehyst_real voltage[MODEL_AXES])
 {
     int j;
-    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), voltage[j]);
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), memory_of(p, j), voltage[j]);
 }
 
 void piezo_step(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
@@ -85,7 +87,8 @@ void piezo_step(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_rea
 void piezo_hold(piezo *p)
 {
     int j;
-    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), piezo_loop(p, j)->sent);
+    for (j = 0; j < MODEL_AXES; j++)
+        dehyst_loop_commit(models[j], piezo_loop(p, j), memory_of(p, j), piezo_loop(p, j)->sent);
 }
 
 void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES])
@@ -99,6 +102,6 @@ void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES])
 void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES])
 {
     int j;
-    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], piezo_loop(p, j), voltage[j]);
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], piezo_loop(p, j), memory_of(p, j), voltage[j]);
     piezo_displacement(p, displacement);
 }

@@ -15,6 +15,7 @@
 extern "C" {
 #endif
 
+/* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
 /* members */
     int clamped[MODEL_AXES]; /* whether each voltage on offer was changed by limits or slew rate */
@@ -37,11 +38,6 @@ void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real
 void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES]);
 /* Return the loop of an axis, 0 to MODEL_AXES - 1: its counts of samples that were limited, slewed and refused. */
 dehyst_loop *piezo_loop(piezo *p, int axis);
-/* Copy a piezo. It points into itself: an assignment would not do. */
-void piezo_copy(piezo *to, const piezo *from);
-/* Correct the pointers of a piezo after its bytes were moved. */
-void piezo_point(piezo *p);
-
 #ifdef __cplusplus
 }
 #endif

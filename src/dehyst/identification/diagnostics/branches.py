@@ -1,13 +1,32 @@
-"""Branches of closed loops: legs of a record between the same turning points, and their voltages."""
+"""Branches of closed loops: their symmetry, their closure and creep.
+
+Symmetry: V_up and V_down are the voltages of a loop's branches at u, the displacement from its centre, minus the
+centre's voltage:
+
+    V_up(u) + V_down(-u) = 0                               with a linear spring (Lemma 2)
+    V_up(u) - V_down(u) = V_up(-u) - V_down(-u)            with any spring and any slip elements
+
+The first sum has an even part, the bend of the middle line, which a nonlinear spring follows, and an odd part, half of
+the residual of the second equation, which no spring follows.
+
+Closure: within an epoch no further cart starts to slide. A cycle that returns to its voltage returns to its
+displacement, and each extreme of the voltage leaves the actuator in one state, whatever came before.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._types import Array
+from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.rules import RULES
 from dehyst.records import Record
+from dehyst.records.signals import white_noise
 
 # Turning points closer to each other than this part of the stroke are the same.
 _SAME = 0.02
@@ -119,3 +138,230 @@ def _mean_turns(down: list[Branch], up: list[Branch]) -> tuple[float, float]:
     bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
     tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
     return float(np.mean(bottoms)), float(np.mean(tops))
+
+
+_PLACES = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrored:
+    """A loop, its cycles read at places that lie symmetrically about its centre.
+
+    Attributes
+    ----------
+    record : str
+    range, middle : float
+        Width and centre [m].
+    place : (K,) array
+        u [m], from the centre of each cycle, which removes a slow drift of the sensor.
+    rising, falling : (M, K) array
+        V_up and V_down [V] of each cycle, minus the mean voltage of its turning points.
+    noise : float
+        Standard deviation of a sample [m].
+    gain : float
+        Largest part of its variance that a reading keeps.
+    opening : float
+        Mean distance of the ends of descending and ascending branches [m]: it limits what an open loop shows.
+    """
+
+    record: str
+    range: float
+    middle: float
+    place: Array
+    rising: Array
+    falling: Array
+    noise: float
+    gain: float
+    opening: float
+
+    @classmethod
+    def of(cls, family: Family, noise: float) -> Mirrored:
+        """Read the branches of a family; `noise` is the standard deviation of a sample [m]."""
+        half = min(max(0.01 * family.range, 4 * noise), 0.1 * family.range)
+        place = np.linspace(half - 0.5 * family.range, 0.5 * family.range - half, _PLACES)
+        # Symmetric to the last bit, so that a symmetric loop gives exactly 0.
+        place = 0.5 * (place - place[::-1])
+        rising: list[Array] = []
+        falling: list[Array] = []
+        gains: list[Array] = []
+        pairs = list(zip(family.descending, family.ascending, strict=False))
+        for down, up in pairs:
+            y, v = (float(0.25 * (down[k][0] + down[k][-1] + up[k][0] + up[k][-1])) for k in (0, 1))
+            for branch, read in ((up, rising), (down, falling)):
+                voltage, kept = averaged_at((branch[0] - y, branch[1] - v), place, half)
+                read.append(voltage)
+                gains.append(kept)
+        gain = float(np.max(np.mean(gains, axis=0)))
+        apart = np.mean([(down[0][0] - up[0][-1], down[0][-1] - up[0][0]) for down, up in pairs], axis=0)
+        return cls(
+            family.record,
+            family.range,
+            0.5 * (family.top + family.bottom),
+            place,
+            np.array(rising),
+            np.array(falling),
+            noise,
+            gain,
+            float(np.abs(apart).sum()),
+        )
+
+    @property
+    def cycles(self) -> int:
+        """Number of cycles M."""
+        return len(self.rising)
+
+    def asymmetry(self) -> tuple[Array, float]:
+        """Return the distance of the loop from its mirror image (K,) [m], and the floor of its largest value [m]."""
+        rising, falling = self._slopes()
+        slope = np.sqrt(0.5 * (rising**2 + falling[::-1] ** 2))
+        centre = (rising + falling[::-1]) / slope
+        return self._distance(self.rising + self.falling[:, ::-1], slope, 2, centre)
+
+    def width_asymmetry(self) -> tuple[Array, float]:
+        """Return the width at u minus the width at -u (K,) [m], and the floor of its largest value [m]."""
+        rising, falling = self._slopes()
+        slope = self._mean_slope()
+        narrowing = rising - falling
+        width = self.rising - self.falling
+        return self._distance(width - width[:, ::-1], slope, 4, (narrowing - narrowing[::-1]) / slope)
+
+    def middle_asymmetry(self) -> Array:
+        """Return the distance of the middle line from its mirror image (K,) [m]."""
+        middle = (self.rising + self.falling).mean(axis=0)
+        return np.asarray(0.5 * (middle + middle[::-1]) / self._mean_slope())
+
+    def _distance(self, voltage: Array, slope: Array, readings: int, centre: Array) -> tuple[Array, float]:
+        """Return the mean over cycles of voltages (M, K), in metres, and the floor of its largest absolute value.
+
+        Noise alone stays below the floor with 95 % probability. Its variance is that of the sensor's white noise, of
+        which each of the `readings` keeps its gain, and which enters the centre, the mean of four samples at turning
+        points, with the factor `centre` (K,); or that of the scatter between cycles if larger. The opening is added.
+        """
+        from scipy.special import ndtri
+
+        distance = voltage / slope
+        variance = self.noise**2 * (readings * self.gain + 0.5 * float((centre**2).max()))
+        if self.cycles > 1:
+            variance = max(variance, float(distance.var(axis=0, ddof=1).mean()))
+        floor = float(ndtri(1 - RULES.check_risk / (2 * _PLACES))) * sqrt(variance / self.cycles) + self.opening
+        return distance.mean(axis=0), floor
+
+    def _slopes(self) -> tuple[Array, Array]:
+        """Return the slopes of the rising and of the falling branch (K,) [V/m]."""
+        rising, falling = (np.gradient(branch.mean(axis=0), self.place) for branch in (self.rising, self.falling))
+        return np.asarray(rising), np.asarray(falling)
+
+    def _mean_slope(self) -> Array:
+        """Return the root mean square of the slopes of both branches at u and -u (K,) [V/m]."""
+        rising, falling = self._slopes()
+        squares = rising**2 + falling**2
+        return np.asarray(np.sqrt(0.25 * (squares + squares[::-1])))
+
+
+_MOST_AT_TURN = 16
+# Least samples of a line.
+_FEWEST_RETURNS = 4
+
+
+def gaps(record: Record, noise: float) -> tuple[Array, Array]:
+    """Find the cycles in a known state that return to their voltage.
+
+    Parameters
+    ----------
+    record : Record
+        Without gaps, its delay removed.
+    noise : float
+        Standard deviation of the sensor [m].
+
+    Returns
+    -------
+    gaps, noises : (n,) array
+        Distance between end and start of each, and its standard deviation by the sensor's noise [m].
+    """
+    v, same = record.voltage, _same(record)
+    stretches = epochs(record, noise)
+    closures: list[tuple[float, float]] = []
+    for cycle in record.cycles():
+        ends = np.array([cycle.start, cycle.stop - 1])
+        inside = any(epoch.turn <= ends[0] and ends[1] < epoch.stop for epoch in stretches)
+        if inside and abs(v[ends[1]] - v[ends[0]]) <= same:
+            (start, end), gain = _levels(record, ends)
+            closures.append((end - start, noise * sqrt(2 * gain)))
+    open_by, noises = np.array(closures).reshape(-1, 2).T
+    return open_by, noises
+
+
+def creep(pieces: list[tuple[Record, Array]], noise: float, risk: float) -> tuple[float, float] | None:
+    """Fit the slope of the displacement at the ends of the voltages over creep curves.
+
+    Parameters
+    ----------
+    pieces : list of (Record, creep curve (n,))
+        Without gaps, delays removed; the curve in decades.
+    noise : float
+        Standard deviation of the sensor [m].
+    risk : float
+        Probability that scatter alone exceeds the floor.
+
+    Returns
+    -------
+    slope, floor : float
+        [m a decade]; None if no extreme is reached often enough.
+    """
+    from scipy.special import stdtrit
+
+    groups = [group for piece, curve in pieces for group in _returns(piece, curve, noise)]
+    if not groups:
+        return None
+    x, y = np.vstack([group - group.mean(axis=0) for group in groups]).T
+    free = x.size - len(groups) - 1
+    if free < 1:
+        return None
+    slope = float(x @ y / (x @ x))
+    residual = y - slope * x
+    spread = sqrt(float(residual @ residual) / free / float(x @ x))
+    return slope, float(stdtrit(free, 1 - risk / 2)) * spread
+
+
+def _returns(record: Record, curve: Array, noise: float) -> list[Array]:
+    """Return creep curve and level [m] (n, 2) at the turning points of either extreme of each epoch's voltages."""
+    v, same = record.voltage, _same(record)
+    turns = np.append(record.reversals(), len(record) - 1)
+    groups = []
+    for epoch in epochs(record, noise):
+        inside = turns[(turns >= epoch.turn) & (turns < epoch.stop)]
+        for extreme in (v[: epoch.stop].min(), v[: epoch.stop].max()):
+            at = inside[np.abs(v[inside] - extreme) <= same]
+            if at.size > 1:
+                groups.append(np.column_stack([curve[at], _levels(record, at)[0]]))
+    return groups
+
+
+def _same(record: Record) -> float:
+    """Return the largest difference of voltages [V] that count as equal."""
+    span = float(np.ptp(record.voltage))
+    return min(max(2e-3 * span, 6 * white_noise(record.voltage)), 0.02 * span)
+
+
+def _levels(record: Record, turns: NDArray[np.intp]) -> tuple[Array, float]:
+    """Return the displacement [m] at turning points, corrected for their voltage, and the gain of its noise variance.
+
+    It is read off lines through the same few samples before each, because branches arrive at different slopes.
+    """
+    v, y = record.voltage, record.displacement
+    slope = float(np.ptp(v)) / record.stroke
+    count = min(_near(v, turn, 2 * _same(record)) for turn in turns.tolist())
+    rows = turns[:, None] + np.arange(1 - count, 1)
+    x = v[rows] - v[turns][:, None]
+    middle, spread = x.mean(axis=1), x.var(axis=1)
+    level, gain = y[rows].mean(axis=1), np.full(turns.size, 1 / count)
+    if count >= _FEWEST_RETURNS and spread.min() > 0:
+        tilt = ((x - middle[:, None]) * y[rows]).mean(axis=1) / spread
+        level, gain = level - tilt * middle, gain * (1 + middle**2 / spread)
+    return np.asarray(level - v[turns] / slope), float(gain.max())
+
+
+def _near(v: Array, turn: int, width: float) -> int:
+    """Count the samples up to a turning point of nearly its voltage, a few at most: in a hold the actuator creeps."""
+    before = np.abs(v[max(0, turn - _MOST_AT_TURN + 1) : turn + 1] - v[turn]) > width
+    return int(np.argmax(np.append(before[::-1], True)))

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
+from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.highs import linear_program
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 _MOST_ROWS = 20_000
-# Least singular value of a determined direction as a share of the largest, times N squared: determined ones fall with
-# the square of N (0.013 at N = 10, 0.0007 at 40, tops descending in N steps).
-_DETERMINED = 0.1
 # Number of plain elements with which turning points are probed.
 _PROBES = 10
 # Smaller singular values [V/V] are rounding, also if all are.
@@ -60,7 +58,7 @@ class Identifiability:
     @property
     def determined(self) -> int:
         """Number of directions that the records determine."""
-        least = max(_DETERMINED / max(self.of, 1) ** 2 * self.values.max(initial=0.0), _ROUNDING)
+        least = max(RULES.determined / max(self.of, 1) ** 2 * self.values.max(initial=0.0), _ROUNDING)
         return int(np.count_nonzero(self.values > least))
 
     @cached_property

@@ -8,25 +8,19 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.diagnostics.identifiability import Identifiability
-from dehyst.identification.dynamics_search import significant_delay
+from dehyst.identification.preprocessing.denoising import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.model import Outcome, RecordErrors
-from dehyst.model.fit import FEWEST_DECADES
+from dehyst.identification.results import RecordErrors
+from dehyst.identification.rules import RULES
+from dehyst.model.identification import Outcome
+from dehyst.records.quality import guesses
 from dehyst.records.signals import turning_points
 
-# Below this many times the noise the stiffness of an element is estimated too small.
-_LOUD = 30
-# Least creep a decade, as a part of the stroke, that is reported.
-_SMALLEST_DRIFT = 2e-4
-# The outer part of the limits' range at each end, and the part of one passage through it that is enough.
-_END, _PASSAGE = 0.1, 0.25
 # Fewer turns are no protocol.
 _FEWEST_TURNS = 4
-# Voltages may leave those of training by this part of their range; errors may be this many times those of training.
-_MARGIN, _USUAL = 0.02, 2
 
 LONGER_ELEMENTS = (
     "The loops grow. Elements that slide once only, as the range gets wider, lower the error of the records simulated "
@@ -34,10 +28,42 @@ LONGER_ELEMENTS = (
 )
 
 
+DRIFT_OR_CREEP = (
+    "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records cannot "
+    "distinguish them. A step that is held for as long as a cycle lasts, or loops at two speeds, would show it."
+)
+
+STEPS = (
+    "After steps of the voltage the displacement rings or overshoots. The expected error is of paths without steps; "
+    "where a ring changes the hysteresis, a path is missed by more until its next full loop."
+)
 _EXCITATIONS = {
     "inertia": "Faster motion, up to a fifth of the resonance at least, would show it",
     "creep": "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it",
 }
+
+
+def of_creep_not_tried(longest: float, needed: float) -> str:
+    """Return the sentence for records that do not show creep: their longest hold, and the least that would [s]."""
+    hold = f" The longest hold, {longest:.3g} s, is {needed - longest:.3g} s too short." if longest else ""
+    return (
+        "Creep was not looked for: the records neither hold still for as long as their cycles last nor have loops of "
+        f"one height at two speeds; add a staircase or slower loops.{hold}"
+    )
+
+
+def of_false_creep(followed: float) -> str:
+    """Return the sentence for branches that follow a step at once, `followed` times its first displacement."""
+    return (
+        f"Creep was found and left out: {100 * followed:.0f} % of a step would follow within a twentieth of a cycle, "
+        "which is a low-pass, of the sensor or of the amplifier, and no creep."
+    )
+
+
+def of_guesses(records: Sequence[Prepared]) -> list[str]:
+    """Return a remark that repeats what was guessed when the records were read."""
+    sentences = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
+    return [" ".join(sentences)] if sentences else []
 
 
 def of_dropped(part: str, without: float, within: float, stroke: float) -> str:
@@ -54,19 +80,20 @@ def of_lag(lag: float, moved: float, stroke: float) -> str:
     """Return the sentence for a lag [s] that may be the sensor's, in which the displacement moves by `moved` [m]."""
     return (
         f"The displacement lags by {1e3 * lag:.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of the stroke "
-        "(RMS). This was taken as the actuator's, and is compensated. If it is the sensor's filter, a path is missed "
-        "by as much: look for its time constant in the sensor's data sheet, or watch a step with a faster sensor, and "
-        "give it as sensor_lag=SECONDS (0 if the sensor has none)."
+        "(RMS): a delay, or the low-pass filter of the sensor or the amplifier. This was taken as the actuator's, and "
+        "is compensated. If it is the sensor's filter, a path is missed by as much: look for its time constant in the "
+        "sensor's data sheet, or watch a step with a faster sensor, and give it as sensor_lag. A sensor lag of 0 "
+        "says that it has none: the model stays, and the expected error is that of an actuator that lags."
     )
 
 
 def of_one_ended_loops(voltages: Sequence[Array]) -> list[str]:
     """Return a remark if all inner loops turn at one end of the voltages [V]: a path may have others."""
     low, high = min(float(v.min()) for v in voltages), max(float(v.max()) for v in voltages)
-    near = _END * (high - low)
+    near = RULES.end_of_limits * (high - low)
     minima, maxima = [], []
     for v in voltages:
-        turns = v[turning_points(v, _MARGIN * (high - low))]
+        turns = v[turning_points(v, RULES.voltage_margin * (high - low))]
         rises = np.diff(turns, append=turns[-2:-1]) > 0
         minima += turns[rises].tolist()
         maxima += turns[~rises].tolist()
@@ -81,12 +108,12 @@ def of_one_ended_loops(voltages: Sequence[Array]) -> list[str]:
 
 
 def of_noise(first: float, noise: float) -> list[str]:
-    """Return a remark if jitter, which only wider structures remove, drags the first element, at `first` [m]."""
-    if first >= _LOUD * noise:
+    """Return a remark if jitter that is left in the path drags the first element, at `first` [m]."""
+    if first >= RULES.first_element_noise * noise:
         return []
     return [
         f"The first element slides at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
-        f"below {_LOUD} times its stiffness is estimated too small."
+        f"below {RULES.first_element_noise} times its stiffness is estimated too small."
     ]
 
 
@@ -132,13 +159,13 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
     Descending tops pass the end in one cycle only, but in all of it: that is enough.
     """
     low, high = limits
-    width = _END * (high - low)
+    width = RULES.end_of_limits * (high - low)
     counted = [(_counted(item), _samples_a_cycle(item)) for item in records]
     total, remarks = sum(v.size for v, _ in counted), []
     for end, inward, words in ((high, -1, ("above", "highest")), (low, 1, ("below", "lowest"))):
         edge = end + inward * width
         counts = [(np.count_nonzero(inward * (edge - v) > 0), cycle) for v, cycle in counted]
-        if sum(count / cycle for count, cycle in counts) < _PASSAGE * _END:
+        if sum(count / cycle for count, cycle in counts) < RULES.least_passage * RULES.end_of_limits:
             count = sum(count for count, _ in counts)
             remarks.append(
                 f"Only {count} of {total} samples that count lie {words[0]} {edge:.4g} V, the {words[1]} voltage is "
@@ -165,7 +192,7 @@ def _samples_a_cycle(item: Prepared) -> float:
 def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors: Sequence[RecordErrors]) -> list[str]:
     """Return remarks about held-out records that the model cannot be expected to predict."""
     low, high = limits
-    margin, remarks = _MARGIN * (high - low), []
+    margin, remarks = RULES.voltage_margin * (high - low), []
     for item in records:
         lowest, highest = item.record.voltage_range
         if lowest < low - margin or highest > high + margin:
@@ -178,24 +205,31 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors
         f"{error.record}: held out, its RMS error is {error.rms / usual:.2g} times that of training: the training "
         "records lack motions like it, or it is from another stage."
         for error in errors
-        if error.role == "validation" and error.rms > _USUAL * usual
+        if error.role == "validation" and error.rms > RULES.usual_error * usual
     ]
 
 
-def repaired(errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool) -> list[str]:
-    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's datum and drift."""
+def repaired(
+    errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool, low_pass: float = 0.0
+) -> list[str]:
+    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's datum and drift.
+
+    `low_pass` [s]: the part of the delay that is a lag of first order.
+    """
     sentences = []
     if significant_delay(delay, sample):
+        part = f", {low_pass * 1e3:.4g} ms of it as a low-pass of first order" if low_pass else ""
         sentences.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
-            f"{'given' if given else 'estimated'}); voltages were delayed by it."
+            f"{'given' if given else 'estimated'}{part}), by a delay or a low-pass of the sensor or the amplifier; "
+            "voltages were delayed by it."
         )
     for error in errors:
         if error.datum:
             sentences.append(
                 f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; it was moved."
             )
-        if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
+        if abs(error.drift) > RULES.smallest_drift * error.stroke:
             sentences.append(f"{error.record}: {_drift(error)}; set aside.")
     return sentences
 
@@ -209,6 +243,6 @@ def _drift(error: RecordErrors) -> str:
             f"drifts steadily by {error.drifted_percent:.3g} % of the range over the samples that count: the sensor, "
             "the temperature, or creep that lasts longer than the record"
         )
-    few = error.decades < FEWEST_DECADES
+    few = error.decades < RULES.fewest_decades
     why = "too short a time to determine a rate of creep" if few else "which is more than creep"
     return f"drifts by {error.drifted_percent:.3g} % of the range over the samples that count, {why}"

@@ -7,17 +7,25 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.records import Record
-from dehyst.records.glitches import Glitch, glitch_sentences, glitches
-from dehyst.records.spikes import spikes
+from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
+from dehyst.records.signals import noise_span
+from dehyst.records.transients import settled, transients
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
 _TURN = 0.02
 # Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
 _ALIKE = 0.5
+# Most transients that are named one by one.
+_SHOWN = 5
+# A voltage rests within this part of its range; so many of its samples are kept. A shorter rest, in cycles, stays.
+_STILL, _KEPT, _LEAST_REST = 2e-3, 20, 0.5
+# Displacements at rest that move by less than this part of the stroke show no creep.
+_FLAT = 1e-3
 
 
 def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
@@ -44,7 +52,7 @@ def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple
 
 
 def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Replace spikes of the displacement by straight lines, see `dehyst.records.spikes`.
+    """Replace spikes of the displacement by straight lines, see `dehyst.records.glitches`.
 
     Returns
     -------
@@ -54,6 +62,8 @@ def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
         A sentence about them.
     """
     bad = spikes(record.voltage, record.displacement)
+    if record.counted is not None:
+        bad &= record.counted
     if not bad.any():
         return record, ()
     y = record.displacement
@@ -66,6 +76,95 @@ def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
         "which no voltage explains: replaced by straight lines."
     )
     return replace(record, displacement=clean), (sentence,)
+
+
+def set_transients_aside(record: Record, *, ringing: bool) -> tuple[Record, tuple[str, ...]]:
+    """Set aside what rings or overshoots after steps of the voltage, see `dehyst.records.transients`.
+
+    Returns
+    -------
+    Record
+        Unless `ringing`, the displacement in them is replaced by a path that follows the voltage. The same object if
+        there are none.
+    tuple of str
+        A sentence for each; of many for some.
+    """
+    found = transients(record)
+    if not found:
+        return record, ()
+    spans = tuple((float(record.time[one.start]), float(record.time[one.stop - 1])) for one in found)
+    shown, rest = (found, ()) if len(found) <= _SHOWN else (found[: _SHOWN - 1], found[_SHOWN - 1 :])
+    samples = sum(one.stop - one.start for one in found)
+    sentences = [f"{record.name}: {one.words}; these {one.stop - one.start} samples are set aside." for one in shown]
+    if rest:
+        sentences.append(f"{record.name}: {len(rest)} more such transients, {samples} samples in all; set aside.")
+    path = record.displacement if ringing else settled(record, found)
+    return replace(record, displacement=path, set_aside=spans), tuple(sentences)
+
+
+def rest_at_ends(record: Record) -> tuple[int, int]:
+    """Return the first and one after the last sample of a record without the rest before and after its motion.
+
+    Rest at the end is kept if the displacement moves in it: it shows creep. Either is kept if it is shorter than a part
+    of a cycle.
+    """
+    v, y, size = record.voltage, record.displacement, len(record)
+    still = max(_STILL * float(np.ptp(v)), noise_span(v))
+    begin, end = (_leading(values, still) for values in (v, v[::-1]))
+    if begin + end >= size - _KEPT:
+        return 0, size
+    start, stop = max(begin - _KEPT, 0), size - max(end - _KEPT, 0)
+    least = _LEAST_REST * cycle_time(record.slice(start, stop))
+    if record.time[start] - record.time[0] < least:
+        start = 0
+    counted = record.counted
+    rest = y[stop:] if counted is None else y[stop:][counted[stop:]]
+    if record.time[-1] - record.time[stop - 1] < least or _creeps(rest, record):
+        stop = size
+    if counted is not None:
+        # A step out of rest or into it belongs to the rest.
+        aside = np.flatnonzero(~counted)
+        start = _beyond(aside, start) if start else start
+        stop = size - _beyond(size - 1 - aside[::-1], size - stop) if stop < size else stop
+    return start, stop
+
+
+def _beyond(aside: NDArray[np.intp], start: int) -> int:
+    """Return the sample after the run of samples that begins soon after `start`, or `start` if none does."""
+    first = int(np.searchsorted(aside, start))
+    if first == aside.size or aside[first] > start + 2 * _KEPT:
+        return start
+    run = aside[first:] - np.arange(aside.size - first)
+    return int(aside[first:][run == run[0]][-1]) + 1
+
+
+def without_way_out(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Set aside the samples up to the first turn of the voltage of a record that begins as a ring fades, and say so.
+
+    A ring can leave hysteresis in a state that no voltage leads to; the loops after the first turn forget it.
+    """
+    turn = int(np.append(record.reversals(), 0)[0])
+    begin, end = float(record.time[0]), float(record.time[turn])
+    sentence = (
+        f"{record.name}: from {begin:.4g} to {end:.4g} s, to the first turn of the voltage, the state depends on the "
+        f"ring before; these {turn} samples are set aside."
+    )
+    return replace(record, set_aside=(*record.set_aside, (begin, end))), (sentence,) if turn else ()
+
+
+def _leading(values: Array, still: float) -> int:
+    """Return the samples before the first one that is not as the first ones are."""
+    moved = np.abs(values - np.median(values[:_KEPT])) > still
+    return int(np.argmax(moved)) if moved.any() else values.size
+
+
+def _creeps(y: Array, record: Record) -> bool:
+    """Whether displacements (n,) at a constant voltage move, beyond their noise."""
+    quarter = len(y) // 4
+    if not quarter:
+        return False
+    moved = abs(float(y[-quarter:].mean() - y[:quarter].mean()))
+    return bool(moved > max(_FLAT * record.stroke, 6 * record.noise * (2 / quarter) ** 0.5))
 
 
 def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:

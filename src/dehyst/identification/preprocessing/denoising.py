@@ -1,27 +1,96 @@
-"""Removal of the sensor's jitter from a measured path: jitter would drag elements back and forth."""
+"""Noise and the motion of the mass, taken out of the displacement that drives the elements."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.identification.preprocessing.local_polynomial import local_polynomial
+from dehyst.identification.rules import RULES
+from dehyst.model import Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import turning_points, white_noise
+
+
+def local_polynomial(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:
+    """Return the value or a derivative at each sample of the polynomial that fits its neighbours best.
+
+    Parameters
+    ----------
+    y : (n,) array
+        Evenly sampled, n >= window.
+    window, order : int
+        Samples of a polynomial, an odd number, and its order; the first and last half window have one polynomial each.
+    derivative : int, optional
+        0: the value.
+    step : float, optional
+        Sample time [s].
+
+    Returns
+    -------
+    (n,) array
+    """
+    half = window // 2
+    places = np.arange(-half, half + 1.0)
+    powers = np.vander(places, order + 1, increasing=True)
+    inverse = np.linalg.pinv(powers)
+    scale = factorial(derivative) / step**derivative
+    result = np.empty(y.size)
+    result[half : y.size - half] = np.convolve(y, inverse[derivative, ::-1] * scale, mode="valid")
+    for ends, samples in ((slice(0, half), y[:window]), (slice(y.size - half, None), y[-window:])):
+        polynomial = np.polynomial.Polynomial(inverse @ samples).deriv(derivative)
+        own = places[:half] if ends.start == 0 else places[half + 1 :]
+        result[ends] = polynomial(own) / step**derivative
+    return result
+
+
+# Derivatives are those of a polynomial of fourth order through this many neighbours.
+_WINDOW, _ORDER = 9, 4
+
+
+def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
+    """Return a piece whose displacement is w, the input of the resonance: y + 2 zeta / omega y' + y'' / omega^2."""
+    if dynamics is None:
+        return piece
+    velocity, acceleration = derivatives(piece)
+    omega, zeta = dynamics.frequency, dynamics.damping
+    return replace(piece, displacement=piece.displacement + 2 * zeta / omega * velocity + acceleration / omega**2)
+
+
+def derivatives(piece: Record) -> tuple[Array, Array]:
+    """Return velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
+    y, step = piece.displacement, piece.sample_time
+    first, second = (local_polynomial(y, _WINDOW, _ORDER, derivative, step) for derivative in (1, 2))
+    return first, second
+
+
+def significant_delay(seconds: float, sample_time: float) -> float:
+    """Return a delay or lag [s] from a search; 0 below a hundredth of a sample, as a search rarely ends at 0."""
+    return seconds if seconds >= RULES.significant_delay * sample_time else 0.0
+
 
 # Least turn of the voltage as a part of its range, if above its noise; a hold moves less than a tenth of it in this
 # many samples.
 _TURN = 2e-3
 _HOLD = 8
-# Noise below this part of the range has no effect on elements; parts of a cycle in a parabola's window, most samples.
-_QUIET = 3e-4
+# Parts of a cycle in a parabola's window, most samples.
 _PART_OF_CYCLE, _WIDEST = 16, 12
 # Samples processed at a time.
 _BLOCK = 1 << 19
+
+
+def disturbs(noise: float, stroke: float) -> bool:
+    """Whether a sensor's noise [m] biases plain elements, at a range of the widest loop [m]."""
+    return noise > RULES.loud * stroke
+
+
+def left_of(noise: float, stroke: float) -> float:
+    """Return by how much noise [m] `remove_jitter` leaves the range of a path uncertain."""
+    return 0.0 if disturbs(noise, stroke) else noise
 
 
 def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
@@ -33,14 +102,58 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
         Its delay removed.
     noise, stroke : float
         Standard deviation of the sensor [m], and range of the widest loop [m]: if the noise is significant, parabolas
-        through neighbours, over a part of a cycle, come first.
+        through neighbours, over a part of a cycle, come first; of loud noise over wider parts, each leg by itself, or a
+        turn would lie beyond what the actuator reaches.
     """
-    window = 1
-    if noise > _QUIET * stroke:
-        window = 2 * (min(int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE), _WIDEST) // 2) + 1
-    if 5 <= window <= len(piece):
-        piece = replace(piece, displacement=local_polynomial(piece.displacement, window, 2))
-    return monotone(piece)
+    part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
+    if disturbs(noise, stroke):
+        return _between_turns(piece, 2 * (part // 2) + 1)
+    window = 2 * (min(part, _WIDEST) // 2) + 1 if noise > RULES.quiet * stroke else 1
+    y = piece.displacement.copy()
+    for start, stop in _stretches(piece):
+        if 5 <= window <= stop - start:
+            y[start:stop] = local_polynomial(y[start:stop], window, 2)
+    return monotone(replace(piece, displacement=y))
+
+
+def _between_turns(piece: Record, window: int) -> Record:
+    """Return a piece whose displacement is smooth and monotone from turn to turn.
+
+    An error at a turn stays in the elements for the whole leg after it. So a turn is the mean of what both legs show,
+    and no sample of a leg lies beyond its turns, as the ends of a monotone fit to noise do.
+    """
+    y, legs = piece.displacement.copy(), _counted_legs(piece)
+    sums, counts = np.zeros(y.size), np.zeros(y.size)
+    for start, stop, _ in legs:
+        # The turn is the first sample of the next leg.
+        own = slice(start, min(stop + 1, y.size))
+        values = piece.displacement[own]
+        width = min(window, 2 * ((values.size - 1) // 2) + 1)
+        sums[own] += local_polynomial(values, width, 2) if width >= 5 else values
+        counts[own] += 1
+    smooth = np.divide(sums, counts, out=y, where=counts > 0)
+    path = monotone(replace(piece, displacement=smooth)).displacement.copy()
+    for start, stop, _ in legs:
+        ends = smooth[[start, min(stop, y.size - 1)]]
+        path[start:stop] = np.clip(path[start:stop], ends.min(), ends.max())
+    path.flags.writeable = False
+    return replace(piece, displacement=path)
+
+
+def _counted_legs(piece: Record) -> list[tuple[int, int, bool | None]]:
+    """Return the legs of `_legs` within what counts."""
+    parts = (
+        (max(a, start), min(b, stop), rising) for a, b, rising in _legs(piece) for start, stop in _stretches(piece)
+    )
+    return [(start, stop, rising) for start, stop, rising in parts if start < stop]
+
+
+def _stretches(piece: Record) -> list[tuple[int, int]]:
+    """Return the first and one after the last sample of each stretch that counts."""
+    if piece.counted is None:
+        return [(0, len(piece))]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], piece.counted.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def monotone(piece: Record) -> Record:
@@ -51,7 +164,7 @@ def monotone(piece: Record) -> Record:
     from scipy.optimize import isotonic_regression
 
     y = piece.displacement.copy()
-    for start, stop, rising in _legs(piece):
+    for start, stop, rising in _counted_legs(piece):
         upward = _drifts_up(y[start:stop]) if rising is None else rising
         y[start:stop] = isotonic_regression(y[start:stop], increasing=upward).x
     y.flags.writeable = False

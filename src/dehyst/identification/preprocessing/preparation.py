@@ -12,11 +12,66 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.block_means import block_means, block_of
-from dehyst.identification.preprocessing.local_polynomial import local_polynomial
+from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import Creep
 from dehyst.records import Record
+from dehyst.records.signals import bandwidth
+
+# The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
+# the shortest cycle, and this many of all training records.
+_SHARE, _TIMES = 1e-5, 10.0
+_A_CYCLE, ENOUGH = 60, 4000
+# A mean's samples ring if they differ by this many standard deviations of the noise.
+_RINGS = 8.0
+
+
+def block_of(record: Record, most: float) -> int:
+    """Return how many samples a mean may be taken of: `most` at most, 1 at least."""
+    cycles = record.cycles() if most >= 2 else []
+    if not cycles:
+        return 1
+    fastest = min(cycle.stop - cycle.start for cycle in cycles) / _A_CYCLE
+    of_motion = 1 / (_TIMES * bandwidth(_without_jumps(record), record.sample_time, _SHARE) * record.sample_time)
+    return max(int(min(fastest, of_motion, most)), 1)
+
+
+def _without_jumps(record: Record) -> Array:
+    """Return the voltage (n,) [V] without its changes in what is set aside, where no sample counts."""
+    if record.counted is None:
+        return record.voltage
+    moves = np.diff(record.voltage, prepend=record.voltage[0])
+    return np.asarray(np.cumsum(np.where(record.counted, moves, 0.0)))
+
+
+def block_means(record: Record, block: int) -> Record:
+    """Return the means of `block` neighbouring samples each; what is left at the end is no block."""
+    if block == 1:
+        return record
+
+    def means(values: Array) -> Array:
+        whole = len(values) // block * block
+        return np.asarray(values[:whole].reshape(-1, block).mean(axis=1))
+
+    displacement, aside = means(record.displacement), record.set_aside
+    if record.counted is not None:
+        # A mean of which one sample is set aside is set aside; a ring's highest and lowest samples drive the elements.
+        wide = 0.5 * block * record.sample_time
+        aside = tuple((first - wide, last + wide) for first, last in record.set_aside)
+        blocks = record.displacement[: displacement.size * block].reshape(-1, block)
+        # Where it has faded, the noise's extremes would drive them.
+        rings = np.ptp(blocks, axis=1) > _RINGS * record.noise
+        ends = np.where(np.arange(len(blocks)) % 2, blocks.max(axis=1), blocks.min(axis=1))
+        whole = record.counted[: displacement.size * block].reshape(-1, block).any(axis=1)
+        displacement = np.where(whole | ~rings, displacement, ends)
+    return replace(
+        record,
+        set_aside=aside,
+        time=means(record.time),
+        voltage=means(record.voltage),
+        displacement=displacement,
+    )
+
 
 _SHORTEST = 20
 # Samples of a cycle through whose neighbours a derivative may be taken widely.
@@ -32,14 +87,14 @@ class Prepared:
     record : Record
         Without voltage glitches and its start-up transient.
     lead : Record or None
-        The transient: it sets the state of creep.
+        Rest and the transient before the record: they set the state of creep.
     pieces : tuple of Record
         The parts of `record` between gaps.
     name : str
     samples : int
-        Number of samples of the original record.
+        Number of samples of the original record, without rest before and after its motion.
     start : float
-        Time of the first sample [s], the origin of creep.
+        Time of the first of these [s], the origin of creep.
     noise : float
         Standard deviation of the sensor [m].
     can_drift : bool
@@ -81,7 +136,9 @@ class Prepared:
             return self
         cycle = cleaning.cycle_time(self.record)
         if lag > 0.25 * cycle:
-            raise IdentifyError(f"sensor_lag: got {lag:g} s, need less than a quarter of a cycle of {cycle:.4g} s")
+            raise IdentifyError(
+                argument="sensor_lag", got=f"{lag:g} s", need=f"less than a quarter of a cycle of {cycle:.4g} s"
+            )
         # Few samples a cycle leave no room for a long window.
         window = 9 if cycle > _MANY * self.record.sample_time else 5
 
@@ -102,9 +159,13 @@ class Prepared:
 
     def span(self) -> tuple[float, float]:
         """Return the lowest and highest displacement [m] of the samples that count and of the turns before them."""
+        pieces, stroke = self.pieces, float(np.ptp(self.record.displacement))
+        if disturbs(self.noise, stroke):
+            # The extremes of noise are no part of the stroke.
+            pieces = tuple(remove_jitter(piece, self.noise, stroke) for piece in pieces)
         counted = [
             np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
-            for piece in self.pieces
+            for piece in pieces
             for epoch in epochs(piece, self.noise)
         ]
         if not counted:
@@ -118,10 +179,13 @@ class Prepared:
         """Yield the pieces with acting voltages: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
         for piece in self.pieces:
             late = piece.delayed(delay) if delay else piece
-            yield _amplified(late, lag) if lag else late
+            if lag:
+                strain = Creep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
+                late = replace(late, voltage=late.voltage - strain)
+            yield late
 
     def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
-        """Return (record number, piece with acting voltage, drift curve) of each piece, for `regressors.collect`."""
+        """Return (record number, piece with acting voltage, drift curve) of each piece, for `collect`."""
         return [(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
 
     def drift_curve(self, piece: Record) -> Array:
@@ -156,14 +220,9 @@ class Prepared:
         return replace(self, record=_every(self.record, step, stop), pieces=pieces)
 
     def source(self) -> dict[str, Any]:
-        """Return the source of the record: name, file and hash."""
+        """Return the source of the record: name, file, hash and what was guessed."""
         meta = self.record.meta
-        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
-
-
-def _amplified(piece: Record, lag: float) -> Record:
-    difference = Creep([lag], [0.0]).strains(piece.time, piece.voltage)[:, 0]
-    return replace(piece, voltage=piece.voltage - difference)
+        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256", "guesses") if key in meta}}
 
 
 def _every(record: Record, step: int, stop: int) -> Record:
@@ -176,19 +235,36 @@ def _every(record: Record, step: int, stop: int) -> Record:
     )
 
 
-def prepare(record: Record) -> Prepared:
+def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     """Check a record and remove what cannot be used.
+
+    `ringing`: the elements see what rings after steps, which does not count in either case.
 
     Raises
     ------
     RecordError
         If it cannot be used at all.
     """
-    given = record
+    given = record.one_axis()
     record, holes, left_out = cleaning.remove_glitches(given)
+    record, rung = cleaning.set_transients_aside(record, ringing=ringing)
     record, replaced = cleaning.remove_spikes(record)
+    whole = record
+    first, last = cleaning.rest_at_ends(whole)
+    counted = np.ones(len(whole), dtype=bool) if whole.counted is None else whole.counted
+    rests = [(int(counted[:first].sum()), "before"), (int(counted[last:].sum()), "after")]
+    record = whole.slice(first, last) if last - first < len(whole) else whole
+    if whole.counted is not None and first and not whole.counted[first - 1]:
+        record, way_out = cleaning.without_way_out(record)
+        rung = (*rung, *way_out)
     record.check_usable()
-    sentences = [*left_out, *replaced]
+    sentences = [*left_out, *rung, *replaced]
+    sentences += [
+        f"{record.name}: at rest for {count * record.sample_time:.4g} s ({count} samples) {end} its motion; "
+        "that time does not count."
+        for count, end in rests
+        if count
+    ]
     sentences += [
         sentence if record.name in sentence else f"{record.name}: {sentence}"
         for sentence in record.problems()
@@ -203,14 +279,14 @@ def prepare(record: Record) -> Prepared:
             "transient or a rise from an unknown state; left out."
         )
     pieces, gaps = cleaning.split_at_gaps(kept, holes)
-    lead = record.slice(0, dropped) if dropped > 1 else None
+    lead = whole.slice(0, first + dropped) if first + dropped > 1 else None
     return Prepared(
         kept,
         lead,
         tuple(pieces),
         record.name,
-        len(given),
-        float(given.time[0]),
+        len(given) - sum(count for count, _ in rests),
+        float(given.time[0] if not first else record.time[0]),
         record.noise,
         len(record.cycles()) >= 3,
         (*sentences, *gaps),
@@ -228,5 +304,8 @@ def as_list(records: Record | Sequence[Record]) -> list[Record]:
     given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
     for item in given:
         if not isinstance(item, Record):
-            raise IdentifyError(f"got {type(item).__name__}, need records; read a file with dehyst.read(path)")
-    return given
+            raise IdentifyError(
+                f"got {type(item).__name__}, need records; read a file with dehyst.read(path), or make a record of a "
+                "table with dehyst.Record.from_dataframe"
+            )
+    return [item.one_axis() for item in given]

@@ -11,43 +11,16 @@ from dehyst._types import Array
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.fold_sums import TrainingErrors
 from dehyst.identification.regression.regression import Regression
+from dehyst.identification.rules import RULES
 from dehyst.records.signals import turning_points
 
 _SEARCH_ROWS = 4000
 
 _STEPS = 20
-# A repair is made only where it makes the RMS residual smaller by this much.
-_WORTH = 0.97
-# Loops of one height and rate distinguish a delay from hysteresis only at their turns: it has to explain much more
-# there.
-_WORTH_OF_DELAY = 0.5
-# A sensor that was zeroed anew shows at once; a small gain is the model bending.
-_WORTH_OF_DATUM = 0.8
-
-
-def find_delay(build: Callable[[float], Regression], longest: float, sample_time: float) -> float:
-    """Seconds by which the displacement lags the voltage: least RMS residual; 0 unless that is worth it.
-
-    Parameters
-    ----------
-    build : callable
-        Delay [s] -> Regression on the voltages delayed by it.
-    longest : float
-        Largest delay looked for [s]; a displacement that leads has another cause.
-    sample_time : float
-        [s]; the answer is good to 1 % of it.
-    """
-    error = TrainingErrors()
-
-    def cost(delay: float) -> float:
-        return error(build(float(delay)).thinned(_SEARCH_ROWS))
-
-    none = build(0.0)
-    return searched_delay(cost, longest, sample_time, none.rows.voltage, _stroke(none))
 
 
 def searched_delay(
-    cost: Callable[[float], float], longest: float, sample_time: float, voltage: Array, stroke: float
+    cost: Callable[[float], float], longest: float, sample_time: float, voltage: Array, stroke: float, points: int = 13
 ) -> float:
     """Seconds at which a cost, an RMS residual [m], is least; 0 unless that is worth it.
 
@@ -56,14 +29,16 @@ def searched_delay(
     cost : callable
         Delay [s] -> [m].
     longest, sample_time : float
-        As those of `find_delay`.
+        Largest delay looked for, and the time of a sample [s]; the answer is good to 1 % of a sample.
     voltage : (n,) array
         Of the samples that count [V]: loops of one height have to explain more.
     stroke : float
         [m].
+    points : int, optional
+        Delays of the first, even scan.
     """
-    best = _search(cost, 0.0, longest, 13, 0.01 * sample_time)
-    share = _WORTH_OF_DELAY if _one_height(voltage) else _WORTH
+    best = _search(cost, 0.0, longest, points, 0.002 * sample_time)
+    share = RULES.delay_gain_at_turns if _one_height(voltage) else RULES.drift_gain
     return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
 
 
@@ -118,7 +93,7 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
         return error(moved) if given is None else moved.rms(moved.fit_nuisances(given))
 
     best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
-    return best if _worth(cost(best), cost(0.0), _stroke(few), _WORTH_OF_DATUM) else 0.0
+    return best if _worth(cost(best), cost(0.0), _stroke(few), RULES.datum_gain) else 0.0
 
 
 def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
@@ -138,7 +113,7 @@ def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[in
     return kept
 
 
-def _worth(after: float, before: float, stroke: float, share: float = _WORTH) -> bool:
+def _worth(after: float, before: float, stroke: float, share: float = RULES.drift_gain) -> bool:
     """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the stroke."""
     return after < share * before and before - after > 1e-5 * stroke
 
@@ -154,5 +129,8 @@ def _search(cost: Callable[[float], float], low: float, high: float, points: int
     grid = np.linspace(low, high, points)
     k = int(np.argmin([cost(float(x)) for x in grid]))
     bounds = grid[max(k - 1, 0)], grid[min(k + 1, points - 1)]
-    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60})
+    # A residual is nearly the root of a parabola, which Brent's method finds in few steps.
+    found = minimize_scalar(
+        lambda x: cost(x) ** 2, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60}
+    )
     return float(found.x)

@@ -26,16 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.regressors import Rows
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.inequalities import bounds, violated
-from dehyst.identification.regression.regularization import regularization_rows
-from dehyst.identification.regression.ties import EpochRange, ties
-from dehyst.identification.solvers.least_squares import triangle_of
+from dehyst.identification.preprocessing.regressors import EpochRange, Rows
+from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
 from dehyst.identification.solvers.program import Norm, Solution, solve
+from dehyst.identification.solvers.quadratic import triangle_of
+from dehyst.identification.structure import Grid
 from dehyst.model.elements import parts_in_segments, segment_of
-from dehyst.model.structure import Grid
-from dehyst.records.metrics import rms
+from dehyst.records.signals import rms
 
 TRANSFORMER_FLOOR = 0.2
 _ROUNDS = 12

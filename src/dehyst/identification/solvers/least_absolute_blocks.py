@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.identification.solvers.least_absolute import Deviations, dual_value, least_absolute_deviations
+from dehyst.identification.solvers.least_absolute import PrimalDual, dual_value, least_absolute_deviations
 from dehyst.identification.solvers.problem import OPTIMAL, TINY, Answer, Problem, failed
 
 # Up to so many rows a coefficient a sample saves nothing.
@@ -146,7 +146,7 @@ def _solve_all_rows(problem: Problem) -> Answer:
     return _with_gap(problem, solution, primal - value + lacking, max(unit, primal), solution.status)
 
 
-def _with_gap(frame: Problem, solution: Deviations, gap: float, unit: float, method: str) -> Answer:
+def _with_gap(frame: Problem, solution: PrimalDual, gap: float, unit: float, method: str) -> Answer:
     optimal = abs(gap) <= OPTIMAL * unit and frame.meets(solution.x)
     return Answer(solution.x, f"{'optimal' if optimal else 'no optimum'} ({method})", optimal, gap / unit)
 

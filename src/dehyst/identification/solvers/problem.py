@@ -1,7 +1,8 @@
-"""The scaled problem that the solver of every norm gets, all numbers of the order of one, and its answer."""
+"""Problems and answers of the convex program, and the algebra of interior points."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,3 +97,52 @@ def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Arra
     size = np.abs(whole).max(axis=1, initial=0.0)
     size[size == 0] = 1.0
     return whole / size[:, None], lower / size
+
+
+_RIDGES = 10.0 ** np.arange(-15, 1, 2)
+_REFINEMENTS = 2
+
+
+def reach(values: Array, step: Array) -> float:
+    """Return the largest part of a step, at most 1, that leaves the values above zero."""
+    down = step < 0
+    return float(min(1.0, np.min(-values[down] / step[down], initial=1.0)))
+
+
+def corrector_target(mean: float, predicted: float) -> float:
+    """Return Mehrotra's complementarity for the corrector, from the present mean and the predictor's."""
+    return (predicted / mean) ** 3 * mean
+
+
+def barrier_matrix(limits: Array, dual: Array, slack: Array) -> Array:
+    """Return limits' diag(dual / slack) limits (q, q): what the inequalities add to the normal matrix."""
+    return np.asarray((limits.T * (dual / slack)) @ limits)
+
+
+def regularised_solver(normal: Array) -> Callable[[Array], Array]:
+    """Return a function that solves normal x = right for a symmetric, positive semidefinite matrix.
+
+    The matrix is scaled to a unit diagonal and gets the smallest ridge with which its Cholesky factor exists; two
+    refinements remove the effect of the ridge.
+    """
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+    diagonal = np.diag(normal)
+    scale = 1 / np.sqrt(np.maximum(diagonal, max(float(diagonal.max(initial=0.0)) * 1e-30, TINY)))
+    scaled = normal * np.outer(scale, scale)
+    factor = np.eye(scale.size), False
+    for ridge in _RIDGES:
+        try:
+            factor = cho_factor(scaled + ridge * np.eye(scale.size), check_finite=False)
+            break
+        except LinAlgError:
+            continue
+
+    def solve(right: Array) -> Array:
+        target = right * scale
+        x = cho_solve(factor, target, check_finite=False)
+        for _ in range(_REFINEMENTS):
+            x += cho_solve(factor, target - scaled @ x, check_finite=False)
+        return np.asarray(x * scale)
+
+    return solve

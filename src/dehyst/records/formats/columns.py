@@ -1,19 +1,128 @@
-"""The columns of a file: found by name, with the units that the file states, returned in SI units."""
+"""The columns of a file, found by name; their units, in the words of instruments, and scales of amplifiers."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
-from dehyst.records.formats.units import UNITS, plausible_unit, quantity_of, scale_of, symbol_of
+from dehyst._units import COUNTS, symbol_of
 
-__all__ = ["EXAMPLES", "TEXT", "UNITS", "Column", "ColumnError", "Table", "listed", "shortened"]
+# SI units in one of each unit.
+UNITS: dict[str, dict[str, float]] = {
+    quantity: {unit: 1 / count for unit, count in COUNTS[si].items()}
+    for quantity, si in {"time": "s", "voltage": "V", "displacement": "m"}.items()
+}
+_SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
+_EXAMPLES = {"voltage": "100 V/V", "displacement": "10 um/V"}
+# Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
+HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
+_USUAL = {"time": ("s", "ms"), "voltage": ("V", "mV"), "displacement": ("um", "nm", "mm", "m")}
+# A stroke of many piezo actuators [m].
+_STROKE = 1e-5
+# What a user replaces by a number: no scale holds it.
+GAIN = "GAIN"
+# The names of outputs, monitors and channels of an oscilloscope, as whole words or in them, and the range that such
+# plugs have [V]: 10 V and what a converter measures beyond.
+_PLUG = re.compile(
+    r"(?<![^\W\d_])(?:ai|ao|ausg|c|ch|chan|channel|cmd|ctrl|dac|ext|kanal|mon|out|setpoint|[uv]mon|[uv]out)(?![^\W\d_])|"
+    r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
+)
+_PLUG_RANGE = 10.5
 
-_WORDS = {
+
+def quantity_of(unit: str) -> str:
+    """Return the quantity of a unit; "" if it is unknown."""
+    symbol = symbol_of(unit)
+    return next((quantity for quantity, known in UNITS.items() if symbol in known), "")
+
+
+def is_small(volts: Array) -> bool:
+    """Return whether an amplifier's input or monitor can have these voltages [V]."""
+    return bool(volts.size and 0 < np.abs(volts).max() <= _PLUG_RANGE)
+
+
+def is_plug(name: str) -> bool:
+    """Return whether a column has the name of an output, a monitor or a channel."""
+    return _PLUG.search(name.lower()) is not None
+
+
+def is_divided(name: str, volts: Array) -> bool:
+    """Return whether a column may hold the input or the monitor of an amplifier, not the voltage of an actuator."""
+    return is_plug(name) and is_small(volts)
+
+
+class Scale(NamedTuple):
+    """The scale of an amplifier's monitor or of a sensor.
+
+    `factor`: SI units of the quantity for one volt (or one `per`) at the plug. `per`: the unit of the column if the
+    file states none. `words`: the scale as it was given.
+    """
+
+    factor: float
+    per: str
+    words: str
+
+    def refusal(self, unit: str) -> str:
+        """Return why a column of this unit cannot be scaled; empty if it can."""
+        return "" if quantity_of(unit) == quantity_of(self.per) else f"the scale {self.words} is for {self.per}"
+
+    def apply(self, unit: str) -> float:
+        """Return what one `unit` of the column means in SI units of the quantity."""
+        known = UNITS[quantity_of(self.per)]
+        return self.factor * known[symbol_of(unit)] / known[self.per]
+
+
+def scale_of(quantity: str, text: str) -> Scale:
+    """Parse a scale as "100 V/V" or "10 um/V".
+
+    Raises
+    ------
+    FileFormatError
+        It is no number with two units, its first unit is not of the quantity, or the number is 0 or not finite.
+    """
+    got = f"'{text}'" if isinstance(text, str) else repr(text)
+    what = f"{quantity}_scale: got {got}, need a number with two units, as in '{_EXAMPLES[quantity]}'"
+    match = _SCALE.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        point = "; with a decimal point" if "," in str(text) else ""
+        point = f"; replace {GAIN} by the number in the data sheet" if GAIN in str(text) else point
+        raise FileFormatError(f"{what}{point}")
+    try:
+        number, unit, per = float(match[1]), symbol_of(match[2]), symbol_of(match[3])
+    except ValueError as error:
+        raise FileFormatError(what) from error
+    if not isfinite(number) or number == 0:
+        raise FileFormatError(f"{what}; the number is finite and not 0")
+    if unit not in UNITS[quantity]:
+        raise FileFormatError(f"{what}; the first unit is one of {', '.join(UNITS[quantity])}")
+    if not per:
+        raise FileFormatError(f"{what}; the second unit is that of the file, V or mV for instance")
+    return Scale(number * UNITS[quantity][unit], per, f"{match[1]} {match[2]}/{match[3]}")
+
+
+def plausible_unit(quantity: str, data: Array) -> str:
+    """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
+    with np.errstate(all="ignore"):
+        size = float(np.ptp(data)) if quantity == "displacement" else float(np.abs(data).max(initial=0.0))
+    sizes = {unit: size * UNITS[quantity][unit] for unit in _USUAL[quantity]}
+    low, high = {"displacement": STROKES, "voltage": (0.0, HIGHEST_VOLTAGE), "time": (0.0, 1e7)}[quantity]
+    plausible = [unit for unit, value in sizes.items() if low <= value <= high]
+    if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
+        return plausible[0] if plausible else ""
+    return min(plausible, key=lambda unit: abs(np.log10(sizes[unit] / _STROKE)), default="")
+
+
+# The end of a selection that is a guess: "y:um?".
+GUESS = "?"
+
+_QUANTITY_WORDS = {
     "time": ("time", "t"),
     "voltage": ("voltage", "v", "drive"),
     "displacement": ("displacement", "position", "y", "pos"),
@@ -50,15 +159,22 @@ class ColumnError(FileFormatError):
     """A quantity that cannot be read from its column.
 
     `problem`: what is wrong, without the name of the file. `advice`: what to try. `quantity`: the one it concerns.
-    `column`: the one it concerns if there is one. `hint`: a short advice.
+    `column`: the one it concerns if there is one. `short`: a short advice. `change`: as in `DehystError`.
     """
 
     def __init__(
-        self, source: str, quantity: str, problem: str, advice: str, column: Column | None = None, hint: str = ""
+        self,
+        source: str,
+        quantity: str,
+        problem: str,
+        advice: str,
+        column: Column | None = None,
+        short: str = "",
+        change: Sequence[str] = (),
     ) -> None:
-        super().__init__(f"{source}: {problem}{advice}")
+        super().__init__(f"{source}: {problem}{advice}", change=change)
         self.quantity, self.problem, self.advice = quantity, problem, advice
-        self.column, self.hint = column, hint
+        self.column, self.short = column, short
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,6 +196,13 @@ class Column:
         If the file has no names, so that the name is a number: the reason, and what to try.
     divided : bool
         Whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group.
+    guessed : str
+        What the file does not state about it and was guessed; empty if nothing was.
+    ends : tuple of str
+        Its first and last cell as a text file has them; empty otherwise.
+    began : tuple of tuple
+        Of timestamps, what the first may be: what it counts from, whole seconds and their fraction. Two if the order
+        of day and month is unknown; empty for other columns.
     """
 
     name: str
@@ -89,6 +212,9 @@ class Column:
     foreign: bool = False
     unnamed: str = ""
     divided: bool = False
+    guessed: str = ""
+    ends: tuple[str, str] = ("", "")
+    began: tuple[tuple[str, int, float], ...] = ()
 
     @property
     def leaf(self) -> str:
@@ -99,20 +225,44 @@ class Column:
 
     @property
     def parts(self) -> tuple[str, str]:
-        """Quantity and unit in the column's name: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
+        """Quantity and unit of the column: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
+        word, unit = self._named
+        if any(self.unit in known for known in UNITS.values()):
+            return word, self.unit
+        return word, symbol_of(unit) or symbol_of(self.unit) or unit or self.unit
+
+    @property
+    def contradiction(self) -> str:
+        """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
+
+        A word is no contradiction: LabVIEW states "Volts" for every channel.
+        """
+        named, quantity = symbol_of(self._named[1]), quantity_of(self.unit)
+        known = UNITS.get(quantity, {})
+        return named if self.unit in known and known.get(named) != known[self.unit] else ""
+
+    @property
+    def _named(self) -> tuple[str, str]:
+        """Quantity and unit in the column's name."""
         text = self.leaf.strip()
         if self.divided and (divided := _DIVIDED.fullmatch(text)):
-            return divided[1], self.unit or symbol_of(divided[2])
+            return divided[1], divided[2]
         if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
-            return written[1].strip(), symbol_of(written[2])
+            return written[1].strip(), written[2]
         start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
         if 0 <= start < len(text) - 1 and text[-1] in "])":
             word, unit = _trim(text[:start]), text[start + 1 : -1]
         else:
             word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
-        if any(self.unit in known for known in UNITS.values()):
-            return word.strip(), self.unit
-        return word.strip(), symbol_of(unit) or symbol_of(self.unit) or unit.strip() or self.unit
+        return word.strip(), unit.strip()
+
+    @property
+    def quantities(self) -> set[str]:
+        """The quantities whose words are the column's name; most names have none."""
+        words = {self.leaf.lower(), self.parts[0].lower()}
+        return {
+            quantity for quantity in _QUANTITY_WORDS if words & {*_QUANTITY_WORDS[quantity], *_MORE_WORDS[quantity]}
+        }
 
 
 def without_groups(column: Column) -> Column:
@@ -126,11 +276,15 @@ def without_groups(column: Column) -> Column:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """The columns of one file, still in the file's units."""
+    """The columns of one file, still in the file's units.
+
+    `remarks`: sentences about what was done to them, for the notes of a record.
+    """
 
     source: str
     sha256: str
     columns: tuple[Column, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -141,10 +295,15 @@ class Table:
         """Return whether exactly one column is the `quantity` by its name and unit."""
         return len(self._candidates(quantity)) == 1
 
+    def fitting(self, quantity: str, wanted: str | None = None) -> int:
+        """Return the number of columns that `find` would choose from."""
+        return len(self._fits(quantity, wanted)[0])
+
     def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
         """Return the column of a `quantity` ("time", "voltage" or "displacement") in SI units.
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
+        A "?" at its end marks it as a guess.
         `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
 
         Returns
@@ -155,18 +314,52 @@ class Table:
         Raises
         ------
         FileFormatError
-            No such column, several of them, an unknown unit, a scale that does not fit, or cells that are no numbers.
+            No such column, several of them, an unknown unit, a scale that does not fit, cells that are no numbers, or a
+            voltage that looks like a monitor's, without a scale.
         """
         column, unit = self.find(quantity, wanted)
         if column.fault:
-            raise ColumnError(self.source, quantity, f"column '{shortened(column.name)}': {column.fault}", "")
+            problem = f"column '{shortened(column.name)}': {column.fault}"
+            change = ("sample_rate",) if quantity == "time" else ()
+            raise ColumnError(self.source, quantity, problem, "", column, change=change)
         factor = self._scaled(quantity, column, unit, scale) if scale is not None else UNITS[quantity].get(unit)
         if factor is None:
             raise self._unknown_unit(quantity, column, unit)
         # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
             # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            return column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+            values = column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+        if quantity == "voltage" and scale is None and is_divided(column.name, values):
+            raise self._divided(column, values)
+        return values
+
+    def guesses(self, wanted: Mapping[str, str | None]) -> dict[str, str]:
+        """Return what is guessed about the column of each quantity, selected as in `column`; nothing if it is known."""
+        words: dict[str, str] = {}
+        for quantity, name in wanted.items():
+            column, unit = self.find(quantity, name)
+            marked = name is not None and self._without_mark(name) != name
+            selected = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if marked else ""
+            words[quantity] = "; ".join(part for part in (selected, column.guessed) if part)
+        return {quantity: text for quantity, text in words.items() if text}
+
+    def _without_mark(self, wanted: str) -> str:
+        """Return a selection without the mark of a guess; a column may have a name that ends in the same way."""
+        return wanted.removesuffix(GUESS) if not self._named(wanted) else wanted
+
+    def _divided(self, column: Column, volts: Array) -> ColumnError:
+        scale = _option("voltage_scale", f"{GAIN} V/V")
+        return ColumnError(
+            self.source,
+            "voltage",
+            f"column '{shortened(column.name)}' has the name of an output or a monitor, and only {volts.min():.4g} to "
+            f"{volts.max():.4g} V",
+            f"; if an amplifier multiplies or divides it, give {scale} with the gain for {GAIN}; if these are the "
+            f"volts of the actuator, give {_option('voltage_scale', '1 V/V')}",
+            column,
+            f", give its scale, {scale} with a number for {GAIN}",
+            change=("voltage_scale",),
+        )
 
     def _scaled(self, quantity: str, column: Column, unit: str, text: str) -> float:
         scale = scale_of(quantity, text)
@@ -176,6 +369,7 @@ class Table:
                 quantity,
                 f"column '{shortened(column.name)}' has the unit '{shortened(unit)}', but {refusal}",
                 "; give a scale for that unit, or leave it out",
+                change=(f"{quantity}_scale",),
             )
         return scale.apply(unit or scale.per)
 
@@ -185,43 +379,54 @@ class Table:
         advice, hint = f"; known are {', '.join(UNITS[quantity])}. ", ""
         sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
         if sensor:
-            hint = f", give its scale, {_option('displacement_scale', '10 um/' + unit)} for instance"
+            scale = _option("displacement_scale", f"{GAIN} um/{unit}")
+            hint = f", give its scale, {scale} with a number for {GAIN}"
             advice += f"If it is a sensor's voltage{hint}; or select another column with {_option(quantity, 'NAME')}"
         elif quantity_of(unit):
             advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
         else:
-            guess = "UNIT" if unit else plausible_unit(quantity, column.data) or example.rsplit("_")[-1]
-            named = _option(quantity, name + ":" + guess)
+            guess = "" if unit else plausible_unit(quantity, column.data)
+            named = _option(quantity, f"{name}:{guess + GUESS if guess else 'UNIT'}")
             hint = f", try {named}"
             advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
         usable = None if unit and not sensor else column
-        return ColumnError(self.source, quantity, f"column '{name}' has {stated}", advice, usable, hint)
+        change = ("displacement_scale", quantity) if sensor else (quantity,)
+        return ColumnError(self.source, quantity, f"column '{name}' has {stated}", advice, usable, hint, change)
 
     def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
         """Return the column that `column` uses, and its unit."""
-        unit = ""
         if not isinstance(wanted, str | None):
             raise FileFormatError(f"{quantity}: got {wanted!r}, need the name of a column, as '{EXAMPLES[quantity]}'")
         if wanted is None and self.columns and self.columns[0].unnamed:
-            raise ColumnError(self.source, quantity, self.columns[0].unnamed, "")
-        fits = self._candidates(quantity) if wanted is None else self._named(wanted)
-        if wanted is not None and not fits and ":" in wanted:
-            name, unit = (part.strip() for part in wanted.rsplit(":", 1))
-            fits = self._named(name)
+            raise ColumnError(self.source, quantity, self.columns[0].unnamed, "", change=("columns",))
+        fits, unit = self._fits(quantity, None if wanted is None else self._without_mark(wanted))
         if len(fits) == 1:
             stated = fits[0].parts[1]
-            self._refuse_relabelled(quantity, fits[0], stated, symbol_of(unit) or unit)
-            return fits[0], symbol_of(unit) or unit or stated
+            given = symbol_of(unit) or unit
+            if not given or given not in (stated, fits[0].contradiction):
+                self._refuse_contradiction(quantity, fits[0], stated, given)
+                self._refuse_relabelled(quantity, fits[0], stated, given)
+            return fits[0], given or stated
         request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
         hint = f" A name like '{EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
-        rate = " Without one, give sample_rate= in Hz." if quantity == "time" else ""
+        rate = " Without one, give the sample rate in Hz." if quantity == "time" else ""
         raise ColumnError(
             self.source,
             quantity,
             f"{count}{f' as {request}' if fits else ''}",
             f"; the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
+            change=(quantity, "sample_rate") if rate else (quantity,),
         )
+
+    def _refuse_contradiction(self, quantity: str, column: Column, stated: str, given: str) -> None:
+        """Refuse a column that has one unit in its name and another one in the file, unless the user selects one."""
+        if named := column.contradiction if not given else "":
+            name = shortened(column.name)
+            units = [unit for unit in (named, stated) if unit in UNITS[quantity]]
+            hint = ", give " + " or ".join(_option(quantity, f"{name}:{unit}") for unit in units) if units else ""
+            problem = f"column '{name}' has the unit '{named}' in its name, but the file states '{stated}' for it"
+            raise ColumnError(self.source, quantity, problem, f"; correct one of them{hint}", column, hint, (quantity,))
 
     def _refuse_relabelled(self, quantity: str, column: Column, stated: str, given: str) -> None:
         """Refuse to take volts for micrometres, or for millivolts, because a user gives another unit than the file."""
@@ -230,10 +435,11 @@ class Table:
                 self.source,
                 quantity,
                 f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
-                f"; give the scale from one to the other, {_option(f'{quantity}_scale', f'10 {given}/{stated}')} for "
-                "instance"
+                f"; give the scale from one to the other, {_option(f'{quantity}_scale', f'{GAIN} {given}/{stated}')} "
+                f"with a number for {GAIN}"
                 if quantity != "time"
                 else "; select another column",
+                change=(f"{quantity}_scale",) if quantity != "time" else (quantity,),
             )
         known = UNITS[quantity]
         if given in known and stated in known and known[given] != known[stated]:
@@ -244,10 +450,19 @@ class Table:
                 quantity,
                 f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
                 f"; if the file is wrong{right}",
+                change=(f"{quantity}_scale",) if quantity != "time" else (),
             )
 
+    def _fits(self, quantity: str, wanted: str | None) -> tuple[list[Column], str]:
+        """Return the columns of a quantity, or of a name, and the unit that the name states."""
+        fits = self._candidates(quantity) if wanted is None else self._named(wanted)
+        if wanted is None or fits or ":" not in wanted:
+            return fits, ""
+        name, unit = (part.strip() for part in wanted.rsplit(":", 1))
+        return self._named(name), unit
+
     def _candidates(self, quantity: str) -> list[Column]:
-        fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_WORDS[quantity])]
+        fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_QUANTITY_WORDS[quantity])]
         fits = [c for c in fits if not c.foreign] or fits
         fits = [c for c in fits if c.parts[1] in UNITS[quantity]] or fits
         more = (c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_MORE_WORDS[quantity]))
@@ -262,7 +477,7 @@ class Table:
 
 
 def _option(quantity: str, value: str) -> str:
-    return f'{quantity}="{value}"'
+    return f'{quantity.replace("_", " ")} "{value}"'
 
 
 def listed(names: tuple[str, ...]) -> str:

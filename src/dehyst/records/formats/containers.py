@@ -1,71 +1,185 @@
-"""Binary files: NPZ, HDF5, Parquet and TDMS to columns; declared sizes are checked before the data are read."""
+"""The guesses with which a record was read, kept in the record files that dehyst writes."""
 
 from __future__ import annotations
 
-import importlib
 import io
+import json
+import struct
 import zipfile
-from typing import Any
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.records.formats import hdf5_nodes
-from dehyst.records.formats.columns import Column, shortened
-from dehyst.records.formats.file_content import Allowance
+from dehyst._errors import FileFormatError
+from dehyst._units import symbol_of
+from dehyst.records import hdf5 as hdf5_nodes
+from dehyst.records.formats.columns import Column, listed, quantity_of, shortened
+from dehyst.records.formats.file_content import Allowance, library
+
+# Name of the array of an NPZ, and the beginning of the first line of a text.
+MEMBER = "dehyst-guesses"
+_LINE = f"# {MEMBER}: "
+# Longest text of all guesses [bytes].
+LONGEST = 4096
+
+
+def stated(guesses: Any) -> str:
+    """Return the guesses of a record as one line of JSON; empty if there are none."""
+    return json.dumps({str(k): str(v) for k, v in guesses.items()}) if isinstance(guesses, Mapping) and guesses else ""
+
+
+def line_of(text: str) -> list[str]:
+    """Return the first line of a text file with guesses, which every other program skips as a comment."""
+    return [_LINE + text] if text else []
+
+
+def in_first_line(data: bytes) -> str:
+    """Return the guesses that `line_of` put before a table; empty if there are none."""
+    if not data.startswith(_LINE.encode()):
+        return ""
+    line = data[len(_LINE) : LONGEST].splitlines()[:1]
+    return line[0].decode(errors="replace") if line else ""
+
+
+def restored(columns: Sequence[Column], text: str) -> list[Column]:
+    """Return the columns of a record file with the guesses that it states; text that states none is ignored."""
+    try:
+        guesses = json.loads(text) if text else {}
+    except (ValueError, RecursionError):
+        guesses = {}
+    known = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
+    return [replace(column, guessed=known.get(column.name.rpartition("_")[0], column.guessed)) for column in columns]
+
 
 # Longest text of a unit [bytes].
 _LONGEST_UNIT = 256
+# Rows or columns of one array that are taken for series of samples.
+_MOST_SERIES = 32
 
 
-def library(module: str, purpose: str, extra: str = "files") -> Any:
-    """Return a module of an optional package; raise MissingExtraError if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], extra, purpose) from error
+class _Array(NamedTuple):
+    """An array in the NPY format that is not yet read: its header, and how to open it."""
+
+    open: Callable[[], IO[bytes]]
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def kind(self) -> str:
+        """What it may hold: "series" of samples, a "table" of several, "text", or "" for anything else."""
+        count = product(self.shape)
+        if self.dtype.kind == "U" and not self.shape and self.dtype.itemsize <= 4 * LONGEST:
+            return "text"
+        if self.dtype.names is None and self.dtype.kind not in "fiu":
+            return ""
+        if len(self.shape) == 2 and self.dtype.names is None:
+            few, many = sorted(self.shape)
+            if 1 < few <= _MOST_SERIES and many >= 2 * few:
+                return "table"
+        return "series" if self.shape and count > 1 and count == max(self.shape) else ""
 
 
 def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
     """Read arrays of an NPZ archive; objects are never opened, because that would run code."""
-    columns: list[Column] = []
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        for member in members:
-            columns += _member(archive, member, allowance)
-    return columns
+        arrays = [_member(archive, member, allowance) for member in members]
+        series = [array for array in arrays if array.kind == "series"]
+        tables = [array for array in arrays if array.kind == "table"]
+        columns = [column for array in series for column in _series(array, _read(array, allowance), f"{array.name}/")]
+        if not columns and len(tables) == 1:
+            columns = _rows_of(tables[0], allowance)
+        guesses = [str(_read(array, allowance)) for array in arrays if (array.name, array.kind) == (MEMBER, "text")]
+    return restored(columns, "".join(guesses))
 
 
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowance) -> list[Column]:
+def read_npy(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read one array of NumPy: the fields of a structured one by their names, else its rows or columns."""
+    array = _header(partial(io.BytesIO, data), len(data), allowance.path.stem, allowance)
+    if array.kind == "table":
+        return _rows_of(array, allowance)
+    if array.kind != "series":
+        raise FileFormatError(
+            f"{allowance.path}: no numeric columns found in an array of the shape {array.shape}, need 2 to "
+            f"{_MOST_SERIES} series, each with twice as many samples at least; save one array for each series by "
+            "numpy.savez, with the names time_s, voltage_V and displacement_um"
+        )
+    return _series(array, _read(array, allowance), "")
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowance) -> _Array:
     name = member.filename.removesuffix(".npy")
-    what = f"array '{shortened(name)}'"
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise FileFormatError(
-            f"{allowance.path}: {what} is packed in a way that NumPy never uses; save it with numpy.savez"
+            f"{allowance.path}: array '{shortened(name)}' is packed in a way that NumPy never uses; save it with "
+            "numpy.savez"
         )
-    with archive.open(member) as stream:
+    return _header(partial(archive.open, member), member.file_size, name, allowance)
+
+
+def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Allowance) -> _Array:
+    """Read the header of an array of `size` bytes.
+
+    Raises
+    ------
+    FileFormatError
+        It holds Python objects, or may hold series and declares more than it has or is allowed.
+    """
+    what = f"array '{shortened(name)}'"
+    with opened() as stream:
         version = np.lib.format.read_magic(stream)
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         if version not in read_header:
             raise FileFormatError(f"{allowance.path}: {what} has names in its type, need numbers; save plain arrays")
         shape, _, dtype = read_header[version](stream)
-        if dtype.hasobject:
-            raise FileFormatError(
-                f"{allowance.path}: not a readable .npz file: {what} holds Python objects, which are not opened; save "
-                "arrays of numbers"
-            )
-        count = product(shape)
-        if dtype.kind not in "fiu" or not shape or count < 2 or count != max(shape):
-            return []
-        allowance.take(count, what)
-        if count * dtype.itemsize > member.file_size:
-            raise FileFormatError(
-                f"{allowance.path}: {what} declares {count} numbers, but has only {member.file_size} bytes; the "
-                "file is cut off or damaged, take a copy"
-            )
-    with archive.open(member) as stream:
-        return vectors(name, np.lib.format.read_array(stream, allow_pickle=False))
+    if dtype.hasobject:
+        raise FileFormatError(
+            f"{allowance.path}: not a readable {allowance.path.suffix} file: {what} holds Python objects, which are "
+            "not opened; save arrays of numbers"
+        )
+    array, count = _Array(opened, name, shape, dtype), product(shape)
+    if array.kind == "series":
+        allowance.check(8 * count, what)
+    if array.kind and count * dtype.itemsize > size:
+        raise FileFormatError(
+            f"{allowance.path}: {what} declares {count} numbers, but has only {size} bytes; the file is cut off or "
+            "damaged, take a copy"
+        )
+    return array
+
+
+def _read(array: _Array, allowance: Allowance) -> Any:
+    """Read an array after a check of its declared size, as numbers and as it is stored."""
+    count, what = product(array.shape), f"array '{shortened(array.name)}'"
+    allowance.check(count * array.dtype.itemsize, what)
+    allowance.take(count * len(array.dtype.names or "1"), what)
+    with array.open() as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _series(array: _Array, values: Any, prefix: str) -> list[Column]:
+    """Return the columns of an array in one dimension: itself, or its fields."""
+    if array.dtype.names is None:
+        return vectors(array.name, values)
+    return [column for field in array.dtype.names for column in vectors(f"{prefix}{field}", values[field])]
+
+
+def _rows_of(array: _Array, allowance: Allowance) -> list[Column]:
+    """Return the rows of a table without names, or its columns if these are longer."""
+    table = _read(array, allowance)
+    rows, kind = (table, "rows") if array.shape[0] < array.shape[1] else (table.T, "columns")
+    unnamed = (
+        f"its one array has shape {array.shape} and no names; name its {len(rows)} {kind}, or save three arrays with "
+        "the names time_s, voltage_V and displacement_um by numpy.savez"
+    )
+    with np.errstate(all="ignore"):
+        return [Column(str(k), row.astype(np.float64), unnamed=unnamed) for k, row in enumerate(rows, 1)]
 
 
 def product(shape: tuple[int, ...]) -> int:
@@ -96,68 +210,193 @@ def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
             if fault:
                 columns.append(Column(name, np.empty(0), fault=fault, foreign=True))
             elif hdf5_nodes.is_vector(dataset) and dataset.size > 1:
-                columns += vectors(name, hdf5_nodes.samples(dataset, name, allowance), _unit(dataset))
+                found = vectors(name, hdf5_nodes.samples(dataset, name, allowance), _unit(dataset))
+                columns += [_with_unit_of_group(column, dataset) for column in found]
     return columns
 
 
-def _unit(dataset: Any) -> str:
+def _with_unit_of_group(column: Column, dataset: Any) -> Column:
+    """Return a column without a unit with that of its group, unless it has the name of another quantity."""
+    unit = "" if symbol_of(column.parts[1]) else _unit(dataset.parent)
+    named = column.quantities
+    return replace(column, unit=unit) if unit and (not named or quantity_of(unit) in named) else column
+
+
+def _unit(item: Any) -> str:
     """Return the unit that an attribute states; attributes that are no short text are ignored."""
     for name in ("unit", "units"):
-        if name in dataset.attrs:
-            attribute = dataset.attrs.get_id(name)
+        if name in item.attrs:
+            attribute = item.attrs.get_id(name)
             kind, size = attribute.dtype.kind, attribute.dtype.itemsize
             if attribute.shape in ((), (1,)) and kind in "OSU" and size <= _LONGEST_UNIT:
-                unit = dataset.attrs[name]
+                unit = item.attrs[name]
                 unit = unit[0] if isinstance(unit, np.ndarray) else unit
                 return str(unit.decode() if isinstance(unit, bytes) else unit)[:_LONGEST_UNIT].strip()
     return ""
 
 
 def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read columns of whole and real numbers of a Parquet file."""
-    pyarrow = library("pyarrow", "Reading Parquet files")
+    """Read columns of numbers, dates and durations of a Parquet file, an index of pandas among them."""
+    library("pyarrow", "Reading Parquet files")
     file = library("pyarrow.parquet", "Reading Parquet files").ParquetFile(io.BytesIO(data), pre_buffer=False)
-    is_number = pyarrow.types.is_integer, pyarrow.types.is_floating
-    wanted = [field.name for field in file.schema_arrow if any(holds(field.type) for holds in is_number)]
+    wanted = [field.name for field in file.schema_arrow if is_readable(field.type)]
     for name in wanted:
         allowance.take(file.metadata.num_rows, f"column '{shortened(name)}'")
-    table = file.read(columns=wanted, use_threads=False)
-    return [
-        column
-        for name, values in zip(table.column_names, table.columns, strict=True)
-        for column in vectors(name, np.concatenate([arrow_numbers(chunk) for chunk in values.chunks] or [np.empty(0)]))
-    ]
+    return arrow_columns(file.read(columns=wanted, use_threads=False))
 
 
-def arrow_numbers(chunk: Any) -> NDArray[np.float64]:
-    """Return the numbers of an Arrow array, NaN for missing ones; its own conversion to NumPy would import pandas."""
+def is_readable(kind: Any) -> bool:
+    """Return whether an Arrow type is that of real numbers, dates or durations."""
+    types = library("pyarrow", "Reading Parquet files").types
+    return any(holds(kind) for holds in (types.is_integer, types.is_floating, types.is_timestamp, types.is_duration))
+
+
+def arrow_columns(table: Any) -> list[Column]:
+    """Return the columns of an Arrow table; dates and durations in seconds, an index without a name as the time."""
+    columns: list[Column] = []
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        resolution = getattr(values.type, "unit", "")
+        numbers = [_arrow_numbers(chunk, bool(resolution)) for chunk in values.chunks] or [np.empty(0)]
+        array = np.concatenate(numbers)
+        if resolution:
+            array = _elapsed(array, resolution, dates=str(values.type).startswith("timestamp"))
+        index = bool(resolution) and name.startswith("__index_level_")
+        found = vectors("time" if index else name, array, "s" if resolution else "")
+        columns += [replace(column, foreign=index) for column in found]
+    return columns
+
+
+def _arrow_numbers(chunk: Any, ticks: bool) -> NDArray[Any]:
+    """Return the numbers of an Arrow array, NaN for missing ones; its own conversion to NumPy would import pandas.
+
+    `ticks`: whether it counts units of time, which stay whole numbers, the least of them for missing ones.
+    """
     valid, values = chunk.buffers()
     rows = slice(chunk.offset, chunk.offset + len(chunk))
+    kind = np.int64 if ticks else chunk.type.to_pandas_dtype()
     with np.errstate(all="ignore"):
-        numbers = np.frombuffer(values, dtype=chunk.type.to_pandas_dtype())[rows].astype(np.float64)
+        numbers = np.frombuffer(values, dtype=kind)[rows].astype(np.int64 if ticks else np.float64)
     if chunk.null_count:
         bits = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")
-        numbers[bits[rows] == 0] = np.nan
+        numbers[bits[rows] == 0] = np.iinfo(np.int64).min if ticks else np.nan
     return numbers
 
 
+def _elapsed(ticks: Any, resolution: str, *, dates: bool) -> NDArray[np.float64]:
+    """Return dates as seconds since the first, and durations in seconds."""
+    missing = ticks == np.iinfo(np.int64).min
+    first = ticks[~missing][:1] if dates else ticks[:0]
+    a_second = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[resolution]
+    with np.errstate(all="ignore"):
+        # Whole numbers are subtracted first: a double resolves nanoseconds since 1970 to 0.2 us only.
+        elapsed = (ticks - first if first.size else ticks) / a_second
+    elapsed[missing] = np.nan
+    return np.asarray(elapsed, dtype=np.float64)
+
+
 def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read channels of a TDMS file; the time of a waveform follows from its properties."""
+    """Read channels of a TDMS file; the time of a waveform follows from its properties.
+
+    Raise FileFormatError if its channels have clocks of their own.
+    """
     reader = library("nptdms", "Reading TDMS files").TdmsFile
     for group in reader.read_metadata(io.BytesIO(data)).groups():
         for channel in group.channels():
             allowance.take(len(channel), f"channel '{shortened(channel.name)}'")
     columns: list[Column] = []
-    increments: set[tuple[int, float]] = set()
+    clocks: dict[str, tuple[int, float, float, str]] = {}
     for group in reader.read(io.BytesIO(data)).groups():
         for channel in group.channels():
-            unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
-            columns += vectors(f"{group.name}/{channel.name}", channel[:], unit)
-            increments.add((len(channel), float(channel.properties.get("wf_increment", 0.0))))
+            have = channel.properties
+            unit = str(have.get("unit_string", ""))[:_LONGEST_UNIT].strip()
+            found = vectors(f"{group.name}/{channel.name}", channel[:], unit)
+            columns += found
+            times = float(have.get("wf_increment", 0.0)), float(have.get("wf_start_offset", 0.0))
+            clocks |= {column.name: (len(channel), *times, str(have.get("wf_start_time", ""))) for column in found}
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
-    timed = any(column.parts[0].lower() in ("time", "t") for column in columns)
-    if not timed and len(increments) == 1 and (run := increments.pop())[1] > 0:
+    if any(column.parts[0].lower() in ("time", "t") for column in columns):
+        return columns
+    runs = set(clocks.values())
+    if len(runs) > 1 and all(run[1] > 0 for run in runs):
+        raise FileFormatError(
+            f"{allowance.path}: the channels {listed(tuple(clocks))} have clocks of their own: number of samples, "
+            "wf_increment, wf_start_offset or wf_start_time differ",
+            hint="save each in a file of its own with its time, and join the second one",
+            change=("join",),
+        )
+    if len(runs) == 1 and (run := runs.pop())[1] > 0:
         allowance.take(run[0], "the time of its waveforms")
         with np.errstate(all="ignore"):
-            columns.append(Column("time", np.arange(float(run[0])) * run[1], "s"))
+            columns.append(Column("time", run[2] + np.arange(float(run[0])) * run[1], "s"))
     return columns
+
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+# Sizes of the header and of a tag of MAT files of version 5 [bytes], and the type of a compressed variable.
+_MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
+_MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+_CHUNK = 1 << 20
+# Structures in structures.
+_DEEPEST = 8
+
+
+def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read variables of a MAT file of any version; of structures the fields; cells and text are ignored."""
+    if is_hdf5(data):
+        return read_hdf5(data, allowance)
+    scipy_io = library("scipy.io", "Reading .mat files")
+    _refuse_inflated(data, allowance)
+    wanted, structures = [], []
+    for name, shape, kind in scipy_io.whosmat(io.BytesIO(data)):
+        count = product(shape)
+        if kind in _MAT_NUMBERS and shape and count > 1 and count == max(shape) and not name.startswith("__"):
+            allowance.take(count, f"variable '{shortened(name)}'")
+            wanted.append(name)
+        elif kind == "struct" and count == 1:
+            structures.append(name)
+    if not wanted and not structures:
+        return []
+    variables = scipy_io.loadmat(
+        io.BytesIO(data), variable_names=[*wanted, *structures], simplify_cells=bool(structures)
+    )
+    columns = [column for name in wanted for column in vectors(name, variables[name])]
+    fields = [column for name in structures for column in _fields(name, variables[name], allowance)]
+    return columns + [replace(column, foreign=bool(columns)) for column in fields]
+
+
+def _fields(name: str, structure: Any, allowance: Allowance, depth: int = 1) -> list[Column]:
+    """Return the arrays in a structure, and in the structures in it, as data/t."""
+    columns: list[Column] = []
+    for field, value in structure.items() if isinstance(structure, dict) and depth <= _DEEPEST else ():
+        found = _fields(f"{name}/{field}", value, allowance, depth + 1)
+        if not isinstance(value, dict) and (found := vectors(f"{name}/{field}", value)):
+            allowance.take(found[0].data.size, f"field '{shortened(field)}'")
+        columns += found
+    return columns
+
+
+def is_hdf5(data: bytes) -> bool:
+    """Return whether a MAT file has version 7.3."""
+    return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
+
+
+def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
+    """Unpack the compressed variables piece by piece, and check their size."""
+    place, size = _MAT_HEAD, 0
+    order = ">" if data[126:128] == b"MI" else "<"
+    while place + _MAT_TAG <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, place)
+        place += _MAT_TAG
+        if kind == _MAT_COMPRESSED:
+            for piece in _inflate(data[place : place + length]):
+                size += piece
+                allowance.check(size, "its compressed variables")
+        place += length
+
+
+def _inflate(packed: bytes) -> Iterator[int]:
+    """Yield the number of bytes of each unpacked piece."""
+    inflate = zlib.decompressobj()
+    while packed and not inflate.eof:
+        yield len(inflate.decompress(packed, _CHUNK))
+        packed = inflate.unconsumed_tail

@@ -1,9 +1,4 @@
-"""A separate process with limits that reads files with libraries that a damaged file can crash or stop.
-
-Mutated files crash SciPy's reader of MAT files and stop the HDF5 library for ever; neither can be caught in the same
-process. One helper process is started when it is first needed, and ends with the program; it forks a child for each
-file, which takes milliseconds. On systems without fork the helper reads files itself, without the limits.
-"""
+"""The readable formats: for each suffix the function that reads columns from bytes, and the library it needs."""
 
 from __future__ import annotations
 
@@ -14,7 +9,9 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import fields
 from math import ceil
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -24,11 +21,66 @@ import numpy as np
 from dehyst import _errors
 from dehyst._errors import DehystError, FileFormatError
 from dehyst.records import hdf5
-from dehyst.records.formats.columns import Column
-from dehyst.records.formats.containers import library
-from dehyst.records.formats.file_content import Allowance, Content
-from dehyst.records.formats.loaders import LOADERS, package
+from dehyst.records.formats.columns import TEXT, Column
+from dehyst.records.formats.containers import (
+    in_first_line,
+    is_hdf5,
+    read_hdf5,
+    read_mat,
+    read_npy,
+    read_npz,
+    read_parquet,
+    read_tdms,
+    restored,
+)
+from dehyst.records.formats.file_content import Allowance, Content, as_utf8, library
+from dehyst.records.formats.text_table import read_text
+from dehyst.records.formats.vendor_files import is_gcs, is_labview, read_gcs, read_labview, read_xlsx
 from dehyst.records.hdf5 import Stored
+
+_NAMES = {".parquet": "Parquet", ".tdms": "TDMS"}
+
+
+class Format(NamedTuple):
+    """A readable format.
+
+    `load`: function of the bytes and their allowance that returns columns. `library`: module of an optional package
+    that it needs; empty without one. `isolated`: whether it runs in a separate process, because a damaged file may
+    crash or stop its C library.
+    """
+
+    load: Callable[[bytes, Allowance], list[Column]]
+    library: str = ""
+    isolated: bool = False
+
+
+def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read a text file in the format that its first bytes show."""
+    data = as_utf8(data)
+    if is_labview(data):
+        return read_labview(data, allowance)
+    columns = read_gcs(data, allowance) if is_gcs(data) else read_text(data, allowance)
+    return restored(columns, in_first_line(data))
+
+
+LOADERS: dict[str, Format] = {
+    **dict.fromkeys((*TEXT, ".lvm", ".asc"), Format(_read_text)),
+    ".xlsx": Format(read_xlsx, "openpyxl", isolated=True),
+    ".mat": Format(read_mat, "scipy.io", isolated=True),
+    ".h5": Format(read_hdf5, "h5py", isolated=True),
+    ".hdf5": Format(read_hdf5, "h5py", isolated=True),
+    ".parquet": Format(read_parquet, "pyarrow.parquet", isolated=True),
+    ".tdms": Format(read_tdms, "nptdms", isolated=True),
+    ".npy": Format(read_npy),
+    ".npz": Format(read_npz),
+}
+
+
+def package(content: Content) -> tuple[str, str]:
+    """Return the module that reads a file, and its purpose; MAT files of version 7.3 are HDF5."""
+    module = "h5py" if content.suffix == ".mat" and is_hdf5(content.data) else LOADERS[content.suffix].library
+    return module, f"Reading {_NAMES.get(content.suffix, content.suffix)} files"
+
 
 # CPU time for a file [s], and the bytes that add another second.
 _SECONDS, _A_SECOND = 5, 5_000_000
@@ -40,6 +92,9 @@ _START = (
     "import sys, json; sys.path[:] = json.loads(sys.argv[1]); "
     "from dehyst.records.formats import reader_process as r; r.serve()"
 )
+
+
+# Of a column, what is sent before its numbers.
 
 
 class Loaded(NamedTuple):
@@ -88,7 +143,10 @@ class _Helper:
         self._owner = 0
 
     def load(self, content: Content, most: int, with_meta: bool) -> Loaded:
-        process, request = self._running(), [str(content.path), content.suffix, most, with_meta, len(content.data)]
+        process, request = (
+            self._running(),
+            [str(content.path), content.suffix, content.decimal, most, with_meta, len(content.data)],
+        )
         try:
             answer = _exchange(process, request, content.data)
         except BaseException:
@@ -147,15 +205,15 @@ def _exchange(process: subprocess.Popen[bytes], request: list[Any], data: bytes)
         return None
     answer = json.loads(line)
     if "error" in answer:
-        error: DehystError = getattr(_errors, answer["error"])(answer["message"])
+        error: DehystError = getattr(_errors, answer["error"])(**answer["fields"])
         return error
     columns = []
-    for name, size, unit, fault, foreign, unnamed in answer["columns"]:
+    for size, stated in answer["columns"]:
         values = np.empty(size)
         raw = values.view(np.uint8)
         if raw.size and answers.readinto(raw) < raw.size:  # type: ignore[attr-defined]
             return None
-        columns.append(Column(name, values, unit, fault, foreign, unnamed))
+        columns.append(Column(**stated | {"data": values, "ends": tuple(stated["ends"])}))
     return Loaded(columns, Stored(*answer["stored"]) if answer["stored"] else None)
 
 
@@ -177,17 +235,20 @@ def _load_here(content: Content, most: int, with_meta: bool) -> Loaded:
         stored = (
             hdf5.decode(content.path, 2, content.data, most) if with_meta and content.suffix in hdf5.SUFFIXES else None
         )
-        return Loaded(LOADERS[content.suffix].load(content.data, Allowance(content.path, most)), stored)
+        return Loaded(
+            LOADERS[content.suffix].load(content.data, Allowance(content.path, most, content.decimal)), stored
+        )
     except DehystError:
         raise
     except MemoryError as error:
         raise FileFormatError(
-            f"{content.path}: reading it takes more memory than {most / 1e6:.4g} MB of numbers should; the file is "
-            "damaged, or allow more with max_bytes="
+            f"{content.path}: reading it takes more memory than {most / 1e6:.4g} MB of numbers should",
+            hint="the file is damaged, or allow more bytes",
+            change=("max_bytes",),
         ) from error
     except Exception as error:
         raise FileFormatError(
-            f"{content.path}: not a readable {content.suffix} file ({type(error).__name__}: {str(error)[:300]}); check "
+            f"{content.path}: not a readable {content.suffix} file ({str(error)[:300] or type(error).__name__}); check "
             "that the suffix fits"
         ) from error
 
@@ -203,11 +264,11 @@ def serve() -> None:
         # The output of a library must not get into an answer.
         os.dup2(2, 1)
         while line := source.readline():
-            path, suffix, most, with_meta, size = json.loads(line)
+            path, suffix, decimal, most, with_meta, size = json.loads(line)
             data = source.read(size)
             if len(data) < size:
                 return
-            content = Content(Path(path), data, suffix)
+            content = Content(Path(path), data, suffix, decimal)
             if not hasattr(os, "fork"):
                 _answer(content, most, with_meta, answers)
             elif status := _answer_in_child(content, most, with_meta, answers):
@@ -253,9 +314,10 @@ def _answer(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> 
     try:
         columns, stored = _load_here(content, most, with_meta)
     except DehystError as error:
-        answers.write(json.dumps({"error": type(error).__name__, "message": str(error)}).encode() + b"\n")
+        answers.write(json.dumps({"error": type(error).__name__, "fields": vars(error)}).encode() + b"\n")
     else:
-        heads = [[c.name, c.data.size, c.unit, c.fault, c.foreign, c.unnamed] for c in columns]
+        names = [field.name for field in fields(Column) if field.name != "data"]
+        heads = [[column.data.size, {name: getattr(column, name) for name in names}] for column in columns]
         answers.write(json.dumps({"columns": heads, "stored": stored and list(stored)}).encode() + b"\n")
         for column in columns:
             answers.write(np.ascontiguousarray(column.data, dtype=np.float64).data)

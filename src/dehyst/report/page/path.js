@@ -203,6 +203,12 @@ class Trial {
 
   show() {
     const wanted = this.wanted();
+    this.model.reset();
+    try {
+      this.model.lead(wanted[0]);
+    } catch {
+      this.model.reset(); // too slow to get there: the path shows it
+    }
     const own = this.model.trajectory(wanted);
     const scaled = this.byScale(wanted);
     const moved = this.model.simulate(scaled);

@@ -1,4 +1,4 @@
-"""The paper's experiment on a virtual actuator: loops recorded, models identified, a path tracked with each."""
+"""The paper's experiment on a virtual actuator: loops, models, a tracked path, and lower bounds of a class's errors."""
 
 from __future__ import annotations
 
@@ -15,11 +15,100 @@ from dehyst.identification import Method, Norm, identify
 from dehyst.identification.paper_methods import BreakPointLoop, loops_of
 from dehyst.model import Actuator, State
 from dehyst.records import Record
-from dehyst.records.metrics import largest, percent
-from dehyst.studies.paper.error_floors import ClosedLoop
-from dehyst.uncertainty.rest_states import shift
+from dehyst.records.signals import largest, percent
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
+
+# Fine enough that the sampling adds less than 1e-4 % of the range.
+_DRIVE = Sampling(sample_rate=40.0)
+_PLACES = 801
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """The closed major loop of an actuator without noise.
+
+    `rising`, `falling` (2, n): displacement [m] and voltage [V] of the two branches, both with increasing displacement.
+    """
+
+    rising: Array
+    falling: Array
+
+    @classmethod
+    def of(cls, truth: PlayActuator) -> ClosedLoop:
+        """Play two major cycles into a relaxed copy."""
+        twin = replace(truth, noise=0.0)
+        voltage = raised_cosine(truth.highest, cycles=2, drive=_DRIVE).voltage
+        both = np.vstack([twin.play(voltage), voltage])
+        n = (voltage.size - 1) // 4
+        return cls(both[:, 2 * n : 3 * n + 1], both[:, 4 * n : 3 * n - 1 : -1])
+
+    @property
+    def range(self) -> float:
+        """From the lower to the upper turning point [m]."""
+        return float(np.ptp(self.falling[0]))
+
+    def width(self, places: Array, apart: float) -> Array:
+        """Return the voltage between the branches, the rising one moved down, the falling one up by `apart`."""
+        up, down = (places + apart, places - apart)
+        return np.asarray(np.interp(up, *self.rising) - np.interp(down, *self.falling))
+
+
+def symmetric_width_floor(loop: ClosedLoop) -> float:
+    """Return the least largest error [% of the range] of any model whose loop is equally wide at mirrored places.
+
+    At one y the branches of a plain Maxwell-slip model lie ``sum_i 2 kappa_i min(...)`` apart, which is the same at the
+    mirror image of y about the loop's centre (theory, section 6), whatever N and the spring. If the error of the model
+    is at most e on both branches, its width at y lies between that of the true loop with the branches moved together by
+    e and that with them moved apart. The bound is the least e for which these intervals overlap at every mirrored pair;
+    the centre of the model's loop is free within e.
+    """
+    places = np.linspace(float(loop.falling[0, 0]), float(loop.falling[0, -1]), _PLACES)
+
+    def possible(e: float) -> bool:
+        least, most = loop.width(places, -e), loop.width(places, e)
+        return any(_overlap(places, least, most, moved) for moved in np.linspace(-e, e, 21))
+
+    low, high = 0.0, loop.range
+    while high - low > 1e-6 * loop.range:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if possible(middle) else (middle, high)
+    return percent(high, loop.range)
+
+
+def chord_error(loop: ClosedLoop, elements: int) -> float:
+    """Return the largest error [% of the range] of straight segments through the break points of N = `elements`.
+
+    A model that passes through every break point has it; most of it lies in the first segment after a turning point.
+    """
+    errors = []
+    for displacement, voltage in (loop.rising, loop.falling):
+        knots = np.linspace(displacement[0], displacement[-1], elements + 1)
+        chord = np.interp(voltage, np.interp(knots, displacement, voltage), knots)
+        errors.append(np.abs(chord - displacement).max())
+    return percent(float(max(errors)), loop.range)
+
+
+def parabola_chord_error(nominal: float, elements: int) -> float:
+    """Return `chord_error` [%] of a parabola (Rayleigh's law) that leaves the straight line by `nominal` [%].
+
+    With y = s u + (1 - s) u^2, u the share of the voltage, y that of the displacement, the branch leaves the line by
+    (1 - s)/4; the first chord ends where y = 1/N, and leaves the branch by (1 - s) u^2 / 4.
+    """
+    bend = 4 * nominal / 100
+    start = 1 - bend
+    u = (-start + np.sqrt(start**2 + 4 * bend / elements)) / (2 * bend)
+    return float(100 * bend * u**2 / 4)
+
+
+def _overlap(places: Array, least: Array, most: Array, moved: float) -> bool:
+    """Return whether one width fits at each place and at its mirror image about the centre moved by `moved`."""
+    mirrored = places[0] + places[-1] + 2 * moved - places
+    inside = (mirrored >= places[0]) & (mirrored <= places[-1])
+    rounding = 1e-9 * float(most.max())
+    there = np.interp(mirrored, places, least), np.interp(mirrored, places, most)
+    return bool(np.all((least <= there[1] + rounding)[inside] & (there[0] <= most + rounding)[inside]))
+
 
 # The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
 PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
@@ -147,11 +236,6 @@ class PaperTrial:
     remarks: tuple[str, ...]
 
 
-def true_errors(trial: PaperTrial) -> str:
-    """Return the largest errors against the truth (major, medium, small loop), for a sentence."""
-    return ", ".join(f"{trial.errors[loop].true:.2f}" for loop in PEAKS)
-
-
 class Shift(NamedTuple):
     """The loop after pre-energising minus the relaxed loop [m]: mean and standard deviation from the first peak on.
 
@@ -251,7 +335,7 @@ def _trial(
         errors[loop] = PaperError(*(percent(largest(miss), truth.stroke) for miss in misses))
     energised = _after(actuator, ENERGISED.voltage, actuator.relaxed())
     tracking = _track(truth, run, actuator)
-    return PaperTrial(key, actuator, simulated, errors, tracking, shift(actuator, energised), outcome, tuple(remarks))
+    return PaperTrial(key, actuator, simulated, errors, tracking, _shift(actuator, energised), outcome, tuple(remarks))
 
 
 def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
@@ -282,3 +366,12 @@ def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> St
 def _bottom(run: Measured) -> float:
     """Return the lower turning point of the major loop as the sensor shows it [m]."""
     return float(run.record.displacement[[_CYCLE * i for i in range(1, CYCLES + 1)]].mean())
+
+
+def _shift(actuator: Actuator, state: State) -> float:
+    """Return by how much a loop from `state` lies above the one from the relaxed state [m] (Eq. 10).
+
+    The sensor reads y - y(0), and once every element has slid y does not depend on the start (Lemma 1): the rest of the
+    loop moves in the (v, y) plane by ``-(y(0) - y_relaxed)``, the paper's ``-(keq/km) x(0)``.
+    """
+    return actuator.relaxed(actuator.voltage(state), extrapolate=True).displacement - state.displacement

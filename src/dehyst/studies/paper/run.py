@@ -10,9 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dehyst._io.drafts import PathLike, write_atomically
-from dehyst._io.json_files import write_json
-from dehyst._io.marks import demand_own_folder, make_own_folder
+from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_atomically, write_json
 from dehyst._types import Progress
 from dehyst.records import write_columns
 from dehyst.studies.paper import experiment, tables

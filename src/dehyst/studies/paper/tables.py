@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.model import Physical
-from dehyst.studies.paper.error_floors import chord_error, parabola_chord_error, symmetric_width_floor
 from dehyst.studies.paper.experiment import (
     CYCLES,
     DRIVE,
@@ -20,6 +20,9 @@ from dehyst.studies.paper.experiment import (
     Experiment,
     PaperPlan,
     PaperTrial,
+    chord_error,
+    parabola_chord_error,
+    symmetric_width_floor,
 )
 from dehyst.virtual import PlayActuator
 
@@ -64,15 +67,9 @@ class Quantity:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "key": self.key,
-            "quantity": self.words,
-            "unit": self.unit,
-            "paper": self.paper,
-            "actuator": self.actuator,
-            **{key: self.models.get(key) for key in MODELS},
-            "against_measurement": dict(self.against_noise),
-        }
+        models = {key: self.models.get(key) for key in MODELS}
+        against = json_values(self, "against_measurement=against_noise")
+        return {**json_values(self, "key quantity=words unit paper actuator"), **models, **against}
 
 
 @dataclass(frozen=True)
@@ -97,17 +94,8 @@ class Limit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        plan = self.plan
-        return {
-            "key": plan.key,
-            "method": plan.method,
-            "elements": plan.elements,
-            "norm": plan.norm,
-            "descending_tops": plan.tops,
-            "perfect_sensor": plan.noiseless,
-            **self.errors,
-            "outcome": self.outcome,
-        }
+        plan = json_values(self.plan, "key method elements norm descending_tops=tops perfect_sensor=noiseless")
+        return {**plan, **self.errors, "outcome": self.outcome}
 
 
 def summary(found: Experiment) -> tuple[Quantity, ...]:
@@ -150,7 +138,7 @@ def limits(found: Experiment) -> tuple[Limit, ...]:
 
 
 def floors(found: Experiment) -> dict[str, float]:
-    """Return lower bounds of the error of any model [% of the range]; see `dehyst.studies.paper.error_floors`."""
+    """Return lower bounds of the error of any model [% of the range]; see `dehyst.studies.paper.experiment`."""
     chords = {f"chords_{n}": chord_error(found.exact, n) for n in (10, 20, 40)}
     parabola = parabola_chord_error(PAPER["nominal"], 10)
     return {"symmetric_width": symmetric_width_floor(found.exact), **chords, "parabola_chords_10": parabola}
@@ -201,16 +189,8 @@ def as_dict(found: Experiment) -> dict[str, Any]:
 
 def actuator(truth: PlayActuator) -> dict[str, Any]:
     """Return the parameters of the virtual actuator as JSON values."""
-    return {
-        "stroke_um": 1e6 * truth.stroke,
-        "highest_V": truth.highest,
-        "width": truth.width,
-        "asymmetry": truth.asymmetry,
-        "bend": truth.bend,
-        "plays": truth.plays,
-        "noise_nm": 1e9 * truth.noise,
-        "seed": truth.seed,
-    }
+    shape = json_values(truth, "highest_V=highest width asymmetry bend plays")
+    return {"stroke_um": 1e6 * truth.stroke, **shape, "noise_nm": 1e9 * truth.noise, "seed": truth.seed}
 
 
 def protocol() -> dict[str, Any]:

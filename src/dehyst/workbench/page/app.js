@@ -6,10 +6,11 @@ import { buildPath } from "./path.js";
 import { buildRecords } from "./records.js";
 import { buildRig } from "./rig.js";
 import { buildRigBar } from "./rig_bar.js";
-import { connect, watch } from "./state.js";
+import { connect, session, watch } from "./state.js";
 import { buildSteps } from "./steps.js";
 import { buildTrust } from "./trust.js";
-import { bindDrops } from "./upload.js";
+import { canMove } from "./stop.js";
+import { bindDrops, isSending } from "./upload.js";
 
 for (const build of [buildRecords, buildModels, buildTrust, buildPath, buildExport, buildRig, buildRigBar, buildSteps]) build();
 bindDrops();
@@ -20,5 +21,14 @@ watch("connection", (connected) => {
 watch("state", (state) => {
   say(byId("folder"), state.folder ?? "\u2013");
   document.title = `${state.folder ? `${state.folder} \u00b7 ` : ""}dehyst workbench`;
+});
+const keeper = new Worker("/page/keepalive.js");
+// Leaving the page ends an upload and what a rig plays.
+window.addEventListener("beforeunload", (event) => {
+  const { rig, jobs } = session.state;
+  if (!canMove(rig) && !isSending() && !jobs.some((one) => one.status === "running")) return;
+  event.preventDefault();
+  keeper.postMessage(true);
+  setTimeout(() => keeper.postMessage(false));
 });
 connect();

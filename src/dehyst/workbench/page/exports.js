@@ -1,7 +1,7 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
 import { post } from "./api.js";
 import { action, announce, byId, errorPlace, h, keyed, say, show } from "./dom.js";
-import { goTo, modelChoice, reportOf } from "./models.js";
+import { goTo, modelChoice } from "./models.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path.js";
 import { chosenModel, jobsOf, session, watch } from "./state.js";
@@ -60,7 +60,7 @@ function refresh(state) {
   show(byId("export-empty"), !model);
   show(byId("export-body"), Boolean(model));
   if (model) {
-    keyed(byId("export-model"), [{ id: model.id, files: ownFiles(model, state) }], { create: modelLinks });
+    keyed(byId("export-model"), [model], { create: modelLinks });
     const jobs = jobsOf(model.id, "export").filter((one) => one.status === "running");
     const last = jobsOf(model.id, "export").at(-1);
     keyed(byId("export-jobs"), last?.status === "failed" ? [...jobs, last] : jobs, { create: jobCard });
@@ -72,13 +72,7 @@ function refresh(state) {
   say(byId("script"), state.log.join("\n") || "# nothing was done yet");
 }
 
-// The model itself and its report: they exist as soon as the model does.
-function ownFiles(model, state) {
-  const exists = state.files.some((one) => one.path === model.file);
-  return { model: exists ? model.file : null, report: reportOf(model, state) };
-}
-
-function modelLinks({ files }) {
+function modelLinks({ file, report }) {
   return h(
     "div",
     {},
@@ -87,9 +81,9 @@ function modelLinks({ files }) {
     h(
       "p",
       { class: "row" },
-      files.model && fileLink(files.model, "Model (JSON)", { class: "button main" }),
-      files.report && fileLink(files.report, "Report (HTML)", { class: "button main" }),
-      files.report && fileLink(files.report, "Look at the report", { class: "button", download: null, target: "_blank", rel: "noopener" }),
+      fileLink(file, "Model (JSON)", { class: "button main" }),
+      report && fileLink(report, "Report (HTML)", { class: "button main" }),
+      report && fileLink(report, "Look at the report", { class: "button", download: null, target: "_blank", rel: "noopener" }),
     ),
   );
 }

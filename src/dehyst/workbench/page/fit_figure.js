@@ -67,6 +67,8 @@ export class FitFigure {
     this.stamp = model.id;
     try {
       const traces = await tracesOf(model);
+      if (this.model !== model) return;
+      this.element.hidden = !traces.length;
       this.offer(traces);
       const trace = traces[Number(this.select.value) || 0];
       const data = trace && (await traceColumns(trace));

@@ -1,6 +1,7 @@
 // The form that starts an identification.
 import { post } from "./api.js";
 import { action, announce, byId, choice, errorPlace, field, h, number, say } from "./dom.js";
+import { LABELS } from "./labels.js";
 import { parsed } from "./numbers.js";
 import { roleOf } from "./records.js";
 import { chooseModel, readyRecords, watch } from "./state.js";
@@ -8,7 +9,7 @@ import { openStep } from "./steps.js";
 
 const STRUCTURES = [
   ["auto", "Automatic: select the parts by cross-validation"],
-  ["paper", "Plain: slip elements and a spring (seconds)"],
+  ["maxwell_slip", "Maxwell-slip: slip elements and a spring (seconds)"],
 ];
 const NORMS = [
   ["l1", "Sum of absolute errors (robust)"],
@@ -25,6 +26,7 @@ export function identifyForm() {
     structure: choice(STRUCTURES, "auto"),
     goal: number({ value: "1" }),
     time_limit: number({ placeholder: "none" }),
+    sensor_lag: number({ placeholder: "unknown" }),
     norm: choice(NORMS, "l1"),
     name: h("input", { type: "text", autocomplete: "off", placeholder: "of the first record", maxlength: "60" }),
   };
@@ -44,10 +46,11 @@ export function identifyForm() {
       "details",
       {},
       h("summary", {}, "Options"),
-      field("Structure", inputs.structure),
-      field("Goal: largest error", inputs.goal, { unit: "% of the stroke", hint: "With an error below it the model is ready for use." }),
-      field("Time limit", inputs.time_limit, { unit: "s", hint: "Then the best model so far is completed." }),
-      field("Norm of the error", inputs.norm),
+      field(LABELS.structure, inputs.structure),
+      field(LABELS.goal, inputs.goal, { unit: "% of the stroke", hint: "With an error below it the model is ready for use." }),
+      field(LABELS.time_limit, inputs.time_limit, { unit: "s", hint: "Then the best model so far is completed." }),
+      field(LABELS.sensor_lag, inputs.sensor_lag, { unit: "s", hint: "Time constant of its filter; 0 if it has none." }),
+      field(LABELS.norm, inputs.norm),
       field("Name of the model", inputs.name),
     ),
   );
@@ -65,9 +68,10 @@ function refresh() {
 
 async function identify() {
   const options = { structure: inputs.structure.value, norm: inputs.norm.value };
-  for (const [name, label] of [["goal", "Goal"], ["time_limit", "Time limit"]]) {
+  for (const name of ["goal", "time_limit", "sensor_lag"]) {
     const value = parsed(inputs[name].value);
-    if (value !== null && !(value > 0)) throw new Error(`${label}: got ${inputs[name].value}, need a number above 0.`);
+    const zero = name === "sensor_lag";
+    if (value !== null && !(value > 0 || (zero && value === 0))) throw new Error(`${LABELS[name]}: got ${inputs[name].value}, need a number above 0${zero ? ", or 0" : ""}.`);
     if (value !== null) options[name] = value;
   }
   if (inputs.name.value.trim()) options.name = inputs.name.value.trim();

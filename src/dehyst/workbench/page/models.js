@@ -3,6 +3,7 @@ import { post, remove } from "./api.js";
 import { action, announce, byId, errorPlace, h, keyed, say, show, table } from "./dom.js";
 import { ComparisonFigure } from "./comparison.js";
 import { FitFigure } from "./fit_figure.js";
+import { inPage } from "./labels.js";
 import { duration, percent, range } from "./numbers.js";
 import { chooseModel, chosenModel, jobsOf, recordOf, rememberModel, session, watch } from "./state.js";
 import { onStep, openStep } from "./steps.js";
@@ -54,15 +55,9 @@ function refresh(state) {
   show(byId("model-body"), model !== null);
   if (!model) return;
   keyed(byId("verdict"), [{ id: model.id, verdict: model.verdict }], { create: (one) => h("div", {}, verdictBlock(one)) });
-  keyed(byId("model-report"), [{ id: model.id, file: reportOf(model, state) }], { create: ({ file }) => h("span", {}, file && fileLink(file, "Read the report", { class: "button", download: null, target: "_blank" })) });
+  keyed(byId("model-report"), [model], { create: ({ report }) => h("span", {}, report && fileLink(report, "Read the report", { class: "button", download: null, target: "_blank" })) });
   keyed(byId("model-more"), [{ ...model, insight: null }], { create: () => details(model) });
   draw();
-}
-
-// The file of a model's report, as soon as it exists.
-export function reportOf(model, state) {
-  const stem = model.file?.split("/").at(-1).replace(/\.json$/, "") ?? model.name;
-  return state.files.map((one) => one.path).find((one) => one.endsWith(`/${stem}.html`));
 }
 
 function draw() {
@@ -141,8 +136,8 @@ function details(model) {
     { class: "more" },
     h("h3", {}, "Error on each record, in % of the stroke"),
     table("Error on each record", heads, rows),
-    h("p", { class: "muted" }, `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}. Identified in ${duration(model.seconds)}.`),
-    model.summary?.length > 0 && h("details", {}, h("summary", {}, "Notes of the identification"), h("ul", {}, model.summary.map((one) => h("li", {}, one)))),
+    h("p", { class: "muted" }, `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}. ${model.rig ? `Calibrated on ${model.rig}.` : `Identified in ${duration(model.seconds)}.`}`),
+    model.summary?.length > 0 && h("details", {}, h("summary", {}, "Notes of the identification"), h("ul", {}, model.summary.map((one) => h("li", {}, inPage(one))))),
     h("p", { class: "row" }, removeButton(model, problem)),
     problem,
   );

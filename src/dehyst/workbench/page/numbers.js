@@ -50,8 +50,21 @@ export function short(value, significant = 3) {
   return (text.includes(".") ? text.replace(/\.?0+$/, "") : text).replaceAll("-", MINUS);
 }
 
-export const range = (pair, unit, significant = 4) =>
-  pair?.length === 2 ? `${short(pair[0], significant)} to ${short(pair[1], significant)} ${unit}` : `\u2013 ${unit}`;
+// The same for a field that is typed into.
+export const plain = (value, significant) => short(value, significant).replaceAll(MINUS, "-");
+
+// The largest of 1, 2 and 5 times a power of ten that is not above a positive value.
+export function roundDown(value) {
+  const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
+  return power * [5, 2, 1].find((one) => one * power <= value * (1 + 1e-9));
+}
+
+// An end that is zero but for rounding is written as 0.
+export function range(pair, unit, significant = 4) {
+  if (pair?.length !== 2) return `\u2013 ${unit}`;
+  const [low, high] = pair.map((one) => short(Math.abs(one) < 1e-5 * (pair[1] - pair[0]) ? 0 : one, significant));
+  return `${low} to ${high} ${unit}`;
+}
 
 export const percent = (value) => `${short(value, value >= 10 ? 3 : 2)} %`;
 

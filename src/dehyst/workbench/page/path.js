@@ -2,7 +2,7 @@
 import { getColumns, post } from "./api.js";
 import { action, announce, byId, errorPlace, field, h, number, say, show } from "./dom.js";
 import { modelChoice, goTo } from "./models.js";
-import { duration, length, parsed, percent, range, short, whole } from "./numbers.js";
+import { duration, length, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { PathFigures } from "./path_figures.js";
 import { parsedPath, sampled } from "./path_points.js";
 import { compensatorOf, plan } from "./planner.js";
@@ -86,9 +86,17 @@ function outputForm() {
   );
 }
 
+// Reachable ranges a second that a suggested path goes at most: half of the speed of the model's records, as hysteresis
+// makes a voltage steeper than its path.
+function pace({ range_v: [low, high], slew_v_per_s: slew }) {
+  return slew ? (0.5 * slew) / (high - low) : Infinity;
+}
+
 function firstPoints() {
   const [low, high] = chosenModel().range_um;
-  return [0, 0.25, 0.5, 0.75, 1].map((t, k) => [t, low + [0.2, 0.75, 0.35, 0.6, 0.2][k] * (high - low)]);
+  // The first quarter goes through 0.55 of the range.
+  const seconds = 1 / roundDown(Math.min(1, pace(chosenModel()) / 2.2));
+  return [0, 0.25, 0.5, 0.75, 1].map((t, k) => [t * seconds, low + [0.2, 0.75, 0.35, 0.6, 0.2][k] * (high - low)]);
 }
 
 async function readPathFile(file) {
@@ -111,9 +119,9 @@ function refresh() {
   if (!model || view.model === model.id) return;
   view.model = model.id;
   view.points = view.source === "points" ? firstPoints() : null;
-  const plain = (value) => short(value, 6).replaceAll("\u2212", "-");
-  [form.low.value, form.high.value] = model.range_v.map(plain);
-  scans.suggest(model.range_um);
+  [form.low.value, form.high.value] = model.range_v.map((one) => plain(one, 6));
+  form.slew.value = model.slew_v_per_s ? plain(model.slew_v_per_s, 6) : "";
+  scans.suggest(model.range_um, pace(model));
   replan();
 }
 
@@ -187,7 +195,7 @@ function describe(model, { time }, planned) {
     ? ["red", `${cut.join(" and ")}: the path is missed by up to ${length(planned.missed)}.`]
     : [lightOf(model.verdict)[0], `The path can be followed: expect it within ${length(bandOf(model))} (${percent(model.verdict.largest_percent)} of the stroke).`];
   const facts = [
-    `${range(planned.range, "V", 3)}, at most ${short(planned.steepest)} V/s, ${whole(time.length)} samples in ${duration(time.at(-1) - time[0])}.`,
+    `${range(planned.range, "V", 3)}, at most ${short(planned.steepest)} V/s${speedWords(model, planned)}, ${whole(time.length)} samples in ${duration(time.at(-1) - time[0])}.`,
     `A straight gain would miss it by up to ${length(planned.straightMissed)} (${share} of the stroke).`,
   ];
   const remarks = remarksOf(model.verdict);
@@ -199,13 +207,22 @@ function describe(model, { time }, planned) {
   words.replaceChildren(h("p", { class: "first" }, verdict[1]), ...facts.map((one) => h("p", {}, one)), ...more);
 }
 
+// How fast the path is beside the records of the model. It is no line of its own: the picture below would jump while a
+// point is dragged.
+function speedWords({ slew_v_per_s: recorded }, { steepest, clamps }) {
+  if (!recorded) return parsed(form.slew.value) === null ? " (not limited: the speed of the model's records is unknown)" : "";
+  if (steepest > recorded * 1.001) return ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
+  return clamps.slewed ? ` (recorded: up to ${short(recorded)} V/s)` : "";
+}
+
 async function writeVoltage() {
-  const { limits, slew, rate } = options();
-  const model = chosenModel();
-  await post(`/api/models/${model.id}/path`, { ...request[view.source](), limits, slew, rate });
+  await post(`/api/models/${chosenModel().id}/path`, currentRequest());
   announce("The voltage is being computed.");
 }
 
 // For measurements: how long the last plan and its pictures took (ms).
 export const lastPlan = () => view.took;
-export const currentRequest = () => ({ ...request[view.source](), ...options() });
+export const currentRequest = () => {
+  const { slew, ...others } = options();
+  return { ...request[view.source](), ...others, slew: slew ?? "none" };
+};

@@ -1,7 +1,7 @@
 // The two pictures of a plan, path and voltage, and the points of a drawn path as a table.
 import { h, number } from "./dom.js";
 import { Figure } from "./figure.js";
-import { length, parsed, short } from "./numbers.js";
+import { length, parsed, plain, short } from "./numbers.js";
 import { KEYS, PathEditor } from "./path_editor.js";
 import { inserted, moved, removed } from "./path_points.js";
 
@@ -54,8 +54,7 @@ export class PathFigures {
   }
 
   row(points, [time, displacement], k) {
-    const plain = (value) => short(value, 5).replaceAll("\u2212", "-");
-    const inputs = [number({ value: plain(time), "aria-label": `Time of point ${k + 1} in s`, disabled: k === 0 }), number({ value: plain(displacement), "aria-label": `Displacement of point ${k + 1} in \u00b5m` })];
+    const inputs = [number({ value: plain(time, 5), "aria-label": `Time of point ${k + 1} in s`, disabled: k === 0 }), number({ value: plain(displacement, 5), "aria-label": `Displacement of point ${k + 1} in \u00b5m` })];
     const change = () => {
       const values = inputs.map((one) => parsed(one.value));
       if (values.every(Number.isFinite)) this.edited(moved(this.editor.points, k, values, 1e-6));

@@ -40,8 +40,8 @@ export function removed(points, index) {
   return points.length <= 2 || index <= 0 ? points : points.filter((_, k) => k !== index);
 }
 
-const TIMES = { s: 1, ms: 1e-3, us: 1e-6, "\u00b5s": 1e-6, min: 60 };
-const LENGTHS = { m: 1e6, mm: 1e3, um: 1, "\u00b5m": 1, "\u03bcm": 1, nm: 1e-3 };
+const TIMES = { s: 1, ms: 1e-3, us: 1e-6, "\u00b5s": 1e-6, "\u03bcs": 1e-6, ns: 1e-9, min: 60 };
+const LENGTHS = { m: 1e6, mm: 1e3, um: 1, "\u00b5m": 1, "\u03bcm": 1, nm: 1e-3, pm: 1e-6 };
 
 // A table of time and displacement as text: two columns, or more with names that say which. Units come from the names.
 export function parsedPath(text) {

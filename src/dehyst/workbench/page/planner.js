@@ -29,6 +29,8 @@ export function plan(compensator, wanted) {
   const began = performance.now();
   const metres = new Float64Array(wanted.length);
   for (let i = 0; i < metres.length; i += 1) metres[i] = MICRO * wanted[i];
+  compensator.reset();
+  const way = compensator.lead(metres[0]);
   const { voltage, displacement, clamped } = compensator.trajectory(metres);
   const straight = straightGain(compensator, metres);
   const reached = compensator.simulate(straight);
@@ -42,6 +44,7 @@ export function plan(compensator, wanted) {
     clamps: counts(clamped),
     range: ends(voltage),
     steepest: steepest(voltage, compensator.period),
+    way: way * compensator.period, // seconds from the model's start to the first sample, within the slew rate
   };
   result.took = performance.now() - began;
   return result;

@@ -2,18 +2,20 @@
 import { remove } from "./api.js";
 import { byId, errorPlace, h, keyed, say, show } from "./dom.js";
 import { identifyForm } from "./identify.js";
+import { inPage } from "./labels.js";
 import { duration, range, short, whole } from "./numbers.js";
-import { inForm, readingForm } from "./reading.js";
+import { readingForm } from "./reading.js";
 import { RecordFigure } from "./record_figure.js";
 import { readyRecords, session, watch } from "./state.js";
 import { onStep } from "./steps.js";
-import { sendAll } from "./upload.js";
+import { sendAll, sendExample } from "./upload.js";
 
 // Colours of curves; their values are in app.css.
 export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
 const unseen = new Set(); // records that are not drawn
+const lately = new Map(); // status of each record as last seen
 export const roleOf = (id) => roles.get(id) ?? "train";
 export const colourOf = (id) => COLOURS[Math.max(0, session.state.records.findIndex((one) => one.id === id)) % COLOURS.length];
 
@@ -35,9 +37,11 @@ export function buildRecords() {
       "div",
       { class: "drop", id: "drop" },
       h("p", { class: "big" }, "Drop a record here"),
-      h("p", {}, "A measurement of your actuator: time, voltage and displacement. CSV and text tables, NPZ, MAT, HDF5, TDMS, Parquet."),
-      h("p", {}, input, h("label", { for: "file", class: "button main" }, "Choose a file")),
-      h("p", { class: "muted" }, "It stays on this computer."),
+      h("p", {}, "A measurement of your actuator: time, voltage and displacement. CSV and other text, Excel, LabVIEW (LVM, TDMS), MATLAB, HDF5, NumPy, Parquet."),
+      h("p", {}, "Units stand in the names of the columns:"),
+      h("pre", {}, SAMPLE),
+      h("p", { class: "row" }, input, h("label", { for: "file", class: "button main" }, "Choose a file"), h("button", { type: "button", id: "example", onclick: sendExample }, "Try with an example")),
+      h("p", { class: "muted" }, "Files stay on this computer. The example is a record of a virtual actuator."),
     ),
     h("ul", { id: "uploads", class: "uploads" }),
     journey(),
@@ -52,18 +56,16 @@ export function buildRecords() {
   onStep("records", () => figure.draw(seenRecords()));
 }
 
+const SAMPLE = "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02";
 const JOURNEY = [
-  ["Record", "Play loops of several heights and write down time, voltage and displacement. Units stand in the names of the columns:"],
+  ["Record", "Play loops of several heights and write down time, voltage and displacement."],
   ["Identify", "One click. A first model exists within seconds; it comes with the error to expect, in words."],
   ["Trust", "See measured and simulated, what the records determine, and what to record next."],
   ["Voltage", "Draw a path or choose a scan: the voltage appears as you drag. Download it as CSV."],
   ["Use", "Play it on a rig from here, or export C, an FMU, WebAssembly or a wave table."],
 ];
 
-function journey() {
-  const sample = h("pre", {}, "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02");
-  return h("ol", { class: "journey", id: "journey" }, JOURNEY.map(([title, text], k) => h("li", {}, h("b", {}, title), text, k === 0 && sample)));
-}
+const journey = () => h("ol", { class: "journey", id: "journey" }, JOURNEY.map(([title, text]) => h("li", {}, h("b", {}, title), text)));
 
 const seenRecords = () => readyRecords().filter((one) => !unseen.has(one.id));
 
@@ -72,13 +74,20 @@ function refresh(state) {
   show(byId("journey"), state.records.length === 0);
   byId("drop").classList.toggle("small", state.records.length > 0);
   const items = state.records.map((one) => ({ ...one, role: roleOf(one.id), seen: !unseen.has(one.id), colour: colourOf(one.id) }));
-  keyed(byId("record-list"), items, { create: card });
+  // What is open comes first, the newest on top.
+  const open = items.filter((one) => one.status !== "ready").reverse();
+  const first = open.find((one) => one.status === "refused" && one.columns?.length)?.id;
+  keyed(byId("record-list"), [...open, ...items.filter((one) => one.status === "ready")], { create: (one) => card(one, one.id === first) });
+  for (const { id, status } of state.records) {
+    if (status === "refused" && lately.get(id) === "reading") byId("record-list").querySelector(`[data-key="${id}"]`).scrollIntoView({ block: "nearest" });
+    lately.set(id, status);
+  }
   show(figure.element, readyRecords().length > 0);
   figure.draw(seenRecords());
 }
 
-function card(record) {
-  const parts = { reading: readingCard, ready: readyCard, refused: refusedCard }[record.status](record);
+function card(record, first) {
+  const parts = { reading: readingCard, ready: readyCard, refused: refusedCard }[record.status](record, first);
   return h("li", { class: `card ${record.status}` }, parts);
 }
 
@@ -89,12 +98,13 @@ function readingCard(record) {
   return [head(record), h("p", { class: "muted" }, "Reading\u2026"), h("progress", { "aria-label": `Reading ${record.name}` })];
 }
 
-function refusedCard(record) {
+// The form of the newest is open; without columns there is nothing to say but to try again.
+function refusedCard(record, first) {
+  const form = readingForm(record);
   return [
     head(record),
-    h("p", { class: "error", role: "alert" }, inForm(record.error ?? "It could not be read.")),
-    record.hint && h("p", {}, "The marked options below may mend it."),
-    h("details", { open: true }, h("summary", {}, "Say how to read it"), readingForm(record)),
+    h("p", { class: "error", role: "alert" }, inPage(record.error ?? "It could not be read.")),
+    record.columns?.length ? h("details", { open: first }, h("summary", {}, "Say how to read it"), record.hint && h("p", {}, "The marked options may mend it."), form) : form,
   ];
 }
 

@@ -6,7 +6,7 @@ import { LiveFigures } from "./live.js";
 import { duration, parsed, range, short, whole } from "./numbers.js";
 import { planTable, resultBlock } from "./rig_plan.js";
 import { WORDS } from "./rig_bar.js";
-import { watch } from "./state.js";
+import { session, watch } from "./state.js";
 import { onStep } from "./steps.js";
 import { canMove } from "./stop.js";
 
@@ -107,11 +107,11 @@ function planCard() {
   );
 }
 
-// Arming repeats the limits: the person types them again, and the server compares.
+// Arming repeats the limits: the person types them again. The rig's process compares, and that it is the rig shown here.
 function armCard() {
   Object.assign(arm, { low: number({ id: "arm-low" }), high: number({ id: "arm-high" }), slew: number({ id: "arm-slew" }) });
   const work = async () => {
-    await post("/api/rig/arm", { limits: limitsOf(arm), slew: valueOf(arm.slew, "Largest slew rate", 0) });
+    await post("/api/rig/arm", { identity: session.state.rig.identity, limits: limitsOf(arm), slew: valueOf(arm.slew, "Largest slew rate", 0) });
     for (const input of Object.values(arm)) input.value = "";
   };
   return h(
@@ -149,7 +149,7 @@ function refresh(state) {
   byId("rig-stage").dataset.moving = String(["playing", "calibrating", "stopping"].includes(rig.status));
   byId("rig-calibrate").disabled = rig.status !== "armed" || !rig.plan;
   say(byId("rig-calibrate-words"), NEEDS[rig.status]?.(rig) ?? "");
-  say(byId("rig-arm-words"), `Type the limits again to confirm them: ${range(rig.limits, "V")}, at most ${short(rig.slew)} V/s. Check the actuator and the amplifier first. Safe voltage: ${short(rig.safe)} V.`);
+  say(byId("rig-arm-words"), `Rig: ${rig.identity}. Type the limits again to confirm them: ${range(rig.limits, "V")}, at most ${short(rig.slew)} V/s. Check the actuator and the amplifier first. Safe voltage: ${short(rig.safe)} V.`);
   keyed(byId("rig-facts"), facts(rig), { key: ([name]) => name, create: ([name, value]) => h("div", {}, fact(name, value)) });
   keyed(byId("rig-plan"), rig.plan ? [{ id: "plan", plan: rig.plan }] : [], { create: (one) => h("div", {}, planTable(one.plan)) });
   keyed(byId("rig-result"), rig.result ? [{ id: "result", result: rig.result }] : [], { create: (one) => h("div", {}, resultBlock(one.result)) });

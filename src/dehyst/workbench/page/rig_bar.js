@@ -14,6 +14,8 @@ export const WORDS = {
   lost: "lost",
 };
 const parts = {};
+let answer = ""; // to the stop, until the rig is armed again
+let moved = false;
 
 export function buildRigBar() {
   parts.button = h("button", { type: "button", class: "stop", onclick: press, "aria-keyshortcuts": "Escape" }, "STOP", h("small", {}, "Esc"));
@@ -31,24 +33,23 @@ export function buildRigBar() {
 
 async function press() {
   parts.button.classList.add("pressed");
-  try {
-    say(parts.answer, await stop());
-  } catch (error) {
-    say(parts.answer, error.message);
-  } finally {
-    parts.button.classList.remove("pressed");
-  }
+  answer = await stop().catch((error) => error.message);
+  say(parts.answer, answer);
+  parts.button.classList.remove("pressed");
 }
 
 function refresh({ rig }) {
   show(byId("rig-bar"), rig.status !== "none");
-  if (rig.status === "none") {
-    say(parts.answer, "");
-    return;
-  }
+  const moves = canMove(rig);
+  if (moves && !moved) answer = "";
+  moved = moves;
+  say(parts.answer, (!moves && (rig.words ?? []).slice(-2).join(" ")) || answer);
+  if (rig.status === "none") return;
   byId("rig-bar").dataset.status = rig.status;
+  parts.name.title = rig.name ?? "";
   say(parts.name, [rig.name, rig.axis && `axis ${rig.axis}`].filter(Boolean).join(", ") || rig.address || "Rig");
-  const gone = session.connected ? "" : " (the server does not answer; STOP still works)";
+  const silent = Number.isFinite(rig.silent) ? ` (the rig's process does not answer since ${rig.silent} s: switch the amplifier off by hand)` : "";
+  const gone = session.connected ? silent : " (the server does not answer; STOP still works)";
   say(parts.status, `${WORDS[rig.status] ?? rig.status}${rig.step ? `: ${rig.step}` : ""}${gone}`);
   values(rig.voltage, rig.displacement_um);
   const share = rig.progress;
@@ -57,7 +58,6 @@ function refresh({ rig }) {
     parts.progress.value = share;
     parts.progress.title = percent(100 * share);
   }
-  if (!canMove(rig)) say(parts.answer, (rig.words ?? []).slice(-2).join(" "));
 }
 
 function values(voltage, displacement) {

@@ -1,48 +1,38 @@
-// The form of the named scans: the options of `dehyst compensate --scan`, with their units.
+// The form of the named scans: the options that the library declares, and those of how often and where it is played.
 import { choice, field, h, number } from "./dom.js";
-import { parsed, short } from "./numbers.js";
+import { parsed, plain, roundDown } from "./numbers.js";
+import { DECLARED } from "./scan_options.js";
 
-const UM = "\u00b5m";
-const ROUNDING = [["", "parabola: constant acceleration"], ["cosine", "cosine: no jumps of the acceleration"]];
+const UNITS = { um: "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", share: "" };
+const label = (unit) => UNITS[unit] ?? unit;
+const hint = (words) => (words ? `default: ${words}` : "");
+const choices = (kind) => (kind instanceof Array ? kind.map((word, k) => [k ? word : "", word]) : undefined);
 const OPTIONS = {
-  low: ["Lowest displacement", UM],
-  high: ["Highest displacement", UM],
-  frequency: ["Cycles a second", "Hz"],
-  cycles: ["Cycles", "", "default: 1"],
-  turns: ["Share of the time spent turning", "", "default: 0.1"],
-  rising: ["Share of the time spent rising", "", "default: 0.5"],
-  speed: ["Largest speed", "\u00b5m/s"],
-  acceleration: ["Largest acceleration", "\u00b5m/s\u00b2"],
-  rounding: ["Shape of turns", "", "", ROUNDING],
-  y_low: ["First line, along y", UM, "default: as along x"],
-  y_high: ["Last line, along y", UM, "default: as along x"],
-  lines: ["Lines", ""],
-  slow: ["Along y", "", "", [["", "staircase"], ["ramp", "ramp"]]],
-  back: ["Lines that y takes back", "", "default: fewest"],
-  revolutions: ["Revolutions outwards", "", "1/4 is added"],
-  constant: ["Constant speed", "", "", [["", "linear"], ["angular", "angular"]]],
-  ratio: ["Ratio of cycles, x and y", "", "two whole numbers, e.g. 3 2"],
-  phase: ["Phase of y", "degrees", "default: widest figure"],
-  levels: ["Levels", UM, "with spaces or semicolons between them; it returns to the first"],
-  dwell: ["Time on each level", "s"],
-  edge: ["Time between levels", "s", "default: as the limits allow"],
-  shape: ["Shape of a change of level", "", "", [["", "minimum jerk"], ["trapezoid", "trapezoid"]]],
-  axis: ["Axis that the model moves", "", "", [["", "x"], ["y", "y"]]],
+  ...Object.fromEntries(Object.entries(DECLARED.options).map(([name, { kind, unit, help, default: words }]) => [name, [help, label(unit), hint(words), choices(kind)]])),
+  cycles: ["Cycles", "", hint("1")],
+  axis: ["Axis that the model moves", "", "", choices(["x", "y"])],
 };
-const TURNING = ["turns", "speed", "acceleration", "rounding"];
-const PLANE = ["axis", "y_low", "y_high"];
-export const SCANS = {
-  triangle: { title: "Triangle", needs: ["low", "high", "frequency"], may: ["cycles", "rising", ...TURNING] },
-  raster: { title: "Raster", needs: ["low", "high", "frequency", "lines"], may: [...PLANE, "slow", "back", "cycles", "rising", ...TURNING] },
-  spiral: { title: "Spiral", needs: ["low", "high", "frequency", "revolutions"], may: [...PLANE, "constant", "cycles", ...TURNING] },
-  lissajous: { title: "Lissajous", needs: ["low", "high", "frequency", "ratio"], may: [...PLANE, "phase", "cycles", "speed", "acceleration"] },
-  steps: { title: "Steps", needs: ["levels", "dwell"], may: ["edge", "shape", "speed", "acceleration"] },
-};
+OPTIONS.levels[2] = "with spaces or semicolons between them; it returns to the first";
+OPTIONS.ratio[2] = "two whole numbers, e.g. 3 2";
+// The largest speed of the scan that is suggested, in its widths a cycle.
+const SPEEDS = { triangle: 2.11, raster: 2.11, spiral: 17.6, lissajous: 9.43 };
+export const SCANS = Object.fromEntries(
+  Object.entries(DECLARED.scans).map(([name, { needs, may }]) => {
+    const played = [...(may.includes("y_low") ? ["axis"] : []), ...(name in SPEEDS ? ["cycles"] : [])];
+    const shown = may.includes("ratio") ? [...needs, "ratio"] : needs;
+    const more = [...played, ...may].filter((one) => !shown.includes(one));
+    return [name, { title: name[0].toUpperCase() + name.slice(1), speed: SPEEDS[name], needs: shown, may: more }];
+  }),
+);
+
+const SUGGESTED = [0.2, 0.8]; // of the reachable range
+const STEEPEST = 0.5 * 1.875; // widths of a change of level, times its duration
 
 export class ScanForm {
   constructor(changed) {
     this.changed = changed;
-    this.values = { frequency: "1", lines: "16", revolutions: "5", ratio: "3 2", dwell: "0.2", edge: "0.05" };
+    this.values = { lines: "16", revolutions: "5", ratio: "3 2", dwell: "0.2" };
+    this.frequencies = {};
     this.kind = choice(Object.entries(SCANS).map(([name, one]) => [name, one.title]), "triangle", { id: "scan-kind" });
     this.body = h("div", { class: "scan-options" });
     this.element = h("div", {}, field("Scan", this.kind), this.body);
@@ -53,13 +43,19 @@ export class ScanForm {
     this.build();
   }
 
-  // Fill in displacements that the model reaches, as long as the person gave none.
-  suggest([low, high]) {
-    const place = (share) => short(low + share * (high - low), 3).replaceAll("\u2212", "-");
-    const suggested = { low: place(0.2), high: place(0.8), levels: [0.2, 0.5, 0.8, 0.5].map(place).join(" ") };
-    const stamp = JSON.stringify(suggested);
+  // Fill in displacements that the model reaches, and speeds of at most `pace` reachable ranges a second.
+  suggest([low, high], pace) {
+    const place = (share) => plain(low + share * (high - low), 3);
+    const [from, to] = SUGGESTED;
+    const widths = pace / (to - from);
+    const edge = plain(1 / roundDown(Math.min(20, widths / STEEPEST)));
+    const suggested = { low: place(from), high: place(to), levels: [from, 0.5, to, 0.5].map(place).join(" "), edge };
+    const frequencies = Object.fromEntries(Object.entries(SCANS).map(([kind, { speed }]) => [kind, speed && plain(roundDown(Math.min(1, widths / speed)))]));
+    const stamp = JSON.stringify([suggested, frequencies]);
     if (this.suggested === stamp) return;
     this.suggested = stamp;
+    this.frequencies = frequencies;
+    delete this.values.frequency;
     Object.assign(this.values, suggested);
     this.build();
   }
@@ -75,7 +71,7 @@ export class ScanForm {
 
   control(name) {
     const [label, unit, hint, choices] = OPTIONS[name];
-    const value = this.values[name] ?? "";
+    const value = this.text(name);
     const input = choices ? choice(choices, value) : number({ value });
     input.id = `scan-${name.replace("_", "-")}`;
     input.addEventListener(choices ? "change" : "input", () => {
@@ -85,13 +81,17 @@ export class ScanForm {
     return field(label, input, { unit, hint });
   }
 
+  text(name) {
+    return this.values[name] ?? (name === "frequency" ? this.frequencies[this.kind.value] : undefined) ?? "";
+  }
+
   // The options as the server takes them; an Error says which is wrong.
   scan() {
     const kind = this.kind.value;
     const { needs, may } = SCANS[kind];
     const scan = { kind };
     for (const name of [...needs, ...may]) {
-      const value = valueOf(name, (this.values[name] ?? "").trim());
+      const value = valueOf(name, this.text(name).trim());
       if (value !== null) scan[name] = value;
       else if (needs.includes(name)) throw new Error(`${OPTIONS[name][0]}: is empty, need ${OPTIONS[name][1] || "a number"}.`);
     }

@@ -48,8 +48,11 @@ export function openStep(wanted, { focus = false } = {}) {
     tab.tabIndex = open ? 0 : -1;
     byId(id).hidden = !open;
   }
-  if (location.hash.slice(1) !== current) history.replaceState(null, "", `#${current}`);
+  const before = location.hash.slice(1);
+  // Back leads to the step before; the page's own first entry is no step.
+  if (before !== current) history[STEPS.some(([id]) => id === before) ? "pushState" : "replaceState"](null, "", `#${current}`);
   if (!wasOpen) window.scrollTo({ top: 0, behavior: "instant" });
+  byId(`step-${current}`).scrollIntoView({ block: "nearest", inline: "nearest", behavior: "instant" });
   for (const [id, watcher] of shown) if (id === current) watcher();
   if (focus) byId(`step-${current}`).focus();
 }
@@ -74,7 +77,8 @@ function refresh(state) {
 function recordsState(state) {
   if (state.records.some((one) => one.status === "reading")) return { text: "reading\u2026", mark: "busy" };
   const count = readyRecords().length;
-  if (state.records.some((one) => one.status === "refused")) return { text: "one needs help", mark: "bad" };
+  const refused = state.records.filter((one) => one.status === "refused").length;
+  if (refused) return { text: refused === 1 ? "1 needs help" : `${refused} need help`, mark: "bad" };
   return count ? { text: count === 1 ? "1 ready" : `${count} ready`, mark: "done" } : { text: "none yet" };
 }
 

@@ -1,6 +1,7 @@
 // The third step: how far to trust a model. What it rests on, and the assessment by `dehyst insight`.
 import { post } from "./api.js";
 import { action, announce, byId, errorPlace, h, keyed, show, table } from "./dom.js";
+import { inPage } from "./labels.js";
 import { goTo, modelChoice } from "./models.js";
 import { duration, length, percent, short } from "./numbers.js";
 import { chosenModel, jobsOf, watch } from "./state.js";
@@ -59,10 +60,10 @@ function assessment(insight, model) {
       [known?.others, known?.next].filter(Boolean).map((one) => h("p", {}, one)),
     ),
     section("To know", list(warnings)),
-    section("To record next", next(advice ?? [], suggested)),
-    directions?.of && section("Directions", h("p", {}, `${directions.determined} of ${directions.of} directions of the stiffnesses are determined. ${(directions.sentences ?? []).join(" ")}`)),
+    (advice || suggested) && section("To record next", next(advice ?? [], suggested)),
+    directions?.of && section("Directions", h("p", {}, `${directions.determined} of ${directions.of} directions are determined. ${(directions.sentences ?? []).join(" ")}`)),
     section("From when on the state is known", stateTable(insight.state)),
-    section("Homing", homing && h("p", {}, homingText(homing))),
+    section("Homing", homing && homingText(homing)),
     parts(insight.parts ?? [], insight.level),
     known?.rule && h("p", { class: "muted" }, known.rule),
     insight.misfit_m && h("p", { class: "muted" }, `Misfit of the model class: ${length(1e6 * insight.misfit_m)} of a stroke of ${length(1e6 * insight.stroke_m)}. Model ${model.name}.`),
@@ -70,7 +71,7 @@ function assessment(insight, model) {
 }
 
 const section = (title, content) => content && h("section", {}, h("h3", {}, title), content);
-const list = (items) => (items?.length ? h("ul", {}, items.map((one) => h("li", {}, one))) : null);
+const list = (items) => (items?.length ? h("ul", {}, items.map((one) => h("li", {}, inPage(one)))) : null);
 
 // Excitations that determine more, the best first, with the command that writes the voltage.
 function next(advice, suggested) {
@@ -95,7 +96,7 @@ function stateTable(rows) {
 
 function homingText({ turns_V: turns, certified, remarks = [] }) {
   const route = turns.map((one) => short(one)).join(", ");
-  return `Voltages ${route} V bring the actuator to one state${certified ? "" : ", which is not certified"}. ${remarks.map((one) => `It ${one}.`).join(" ")}`;
+  return [h("p", {}, `Voltages ${route} V bring the actuator to one state${certified ? "" : ", which is not certified"}.`), list(remarks)];
 }
 
 function parts(list, level) {

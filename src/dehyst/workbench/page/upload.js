@@ -1,11 +1,13 @@
 // Files on their way to the server: dropped anywhere on the page, or chosen.
-import { upload } from "./api.js";
+import { getBuffer, upload } from "./api.js";
 import { announce, byId, h, say, show } from "./dom.js";
 import { bytes, percent } from "./numbers.js";
 import { openStep } from "./steps.js";
 import { session } from "./state.js";
 
 let depth = 0;
+let sending = 0;
+export const isSending = () => sending > 0;
 
 export function bindDrops() {
   const cover = byId("drop-cover");
@@ -29,6 +31,10 @@ export function bindDrops() {
   });
 }
 
+export async function sendExample() {
+  send(new File([await getBuffer("/page/example.csv")], "example.csv"));
+}
+
 export function sendAll(files) {
   openStep("records");
   for (const file of files) send(file);
@@ -40,6 +46,7 @@ async function send(file) {
   const row = h("li", {}, words, bar);
   byId("uploads").append(row);
   const limit = session.state.upload_limit;
+  sending += 1;
   try {
     if (limit && file.size > limit) throw new Error(`it has ${bytes(file.size)}, and at most ${bytes(limit)} can be read`);
     await upload(`/api/records?name=${encodeURIComponent(file.name)}`, file, (share) => {
@@ -50,6 +57,8 @@ async function send(file) {
     announce(`${file.name} was sent and is being read.`);
   } catch (error) {
     refused(row, file, error.message);
+  } finally {
+    sending -= 1;
   }
 }
 

@@ -1,5 +1,6 @@
 // What to expect of a model: first in words with a number and a colour, then why.
 import { h } from "./dom.js";
+import { inPage } from "./labels.js";
 import { length, percent } from "./numbers.js";
 
 const LIGHTS = {
@@ -14,7 +15,7 @@ export const lightOf = (verdict) => LIGHTS[readiness(verdict)] ?? ["amber", Stri
 export function verdictBlock(model) {
   const { verdict } = model;
   const [light, words] = lightOf(verdict);
-  const reasons = verdict.why ?? [];
+  const reasons = (verdict.why ?? []).map(inPage);
   return h(
     "div",
     { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
@@ -27,7 +28,7 @@ export function verdictBlock(model) {
 }
 
 // What the records did not show: it limits what the verdict is worth.
-export const remarksOf = (verdict) => verdict.remarks ?? [];
+export const remarksOf = (verdict) => (verdict.remarks ?? []).map(inPage);
 
 const basis = (text) => text || "the records";
 

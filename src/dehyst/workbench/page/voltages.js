@@ -1,6 +1,7 @@
 // The voltages that were written, with their downloads, and the jobs that write one.
 import { post } from "./api.js";
 import { action, byId, errorPlace, h, keyed, show } from "./dom.js";
+import { inPage } from "./labels.js";
 import { duration, range, whole } from "./numbers.js";
 import { modelOf, watch } from "./state.js";
 
@@ -22,7 +23,7 @@ function refresh(state) {
 
 // A running or failed job, with the way to end it.
 export function jobCard(job) {
-  if (job.status === "failed") return h("li", { class: "card refused" }, h("p", { class: "error", role: "alert" }, job.error ?? "It failed."));
+  if (job.status === "failed") return h("li", { class: "card refused" }, h("p", { class: "error", role: "alert" }, inPage(job.error ?? "It failed.")));
   const problem = errorPlace();
   const cancel = action(h("button", { type: "button", class: "quiet" }, "Cancel"), problem, () => post(`/api/jobs/${job.id}/cancel`));
   return h("li", { class: "card" }, h("p", { role: "status" }, job.progress || "Computing\u2026"), h("progress", { "aria-label": "Job" }), cancel, problem);
@@ -31,7 +32,7 @@ export function jobCard(job) {
 // The first remark, and the others on request.
 function remarks([first, ...others]) {
   if (!first) return null;
-  const list = (items) => h("ul", { class: "remarks" }, items.map((one) => h("li", {}, one)));
+  const list = (items) => h("ul", { class: "remarks" }, items.map((one) => h("li", {}, inPage(one))));
   return [list([first]), others.length > 0 && h("details", {}, h("summary", {}, others.length === 1 ? "One more thing to know" : `${others.length} more things to know`), list(others))];
 }
 

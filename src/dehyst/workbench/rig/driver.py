@@ -12,16 +12,16 @@ from typing import Any
 from dehyst._errors import DehystError, RigError
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
-from dehyst.workbench.rig.live_feed import LiveFeed
-from dehyst.workbench.rig.outlet import Outlet
-from dehyst.workbench.rig.requests import Request, number, pair, text
-from dehyst.workbench.rig.tasks import Task, calibrating, planned, playing
+from dehyst.workbench.rig.messages import Outlet, Request, number, pair, text
+from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
 from dehyst.workbench.rig.watchdog import Stopped, Watchdog
 
 # Seconds between two readings of a rig at rest, and longest wait for a command.
 _PERIOD, _TICK = 0.1, 0.02
 # Readings in a row that must fail before a rig that is not armed counts as lost.
 _LOST_AFTER = 3
+# Fields of the state that belong to one rig.
+OF_RIG = ("name", "identity", "axis", "limits", "slew", "safe", "plan")
 # Begin of the note that AbstractRig adds to an error if the retreat failed too.
 _NOT_SAFE = "The voltage could not be brought"
 
@@ -29,7 +29,8 @@ _NOT_SAFE = "The voltage could not be brought"
 class RigDriver:
     """A rig, its state, and what the server may ask of it. All of it but `take` runs in the main thread.
 
-    Nothing sends a voltage unless armed, and arming repeats limits and slew rate in force.
+    Nothing sends a voltage unless armed, and arming repeats identity, limits and slew rate in force. A request with an
+    "id" is answered once: when it is done, refused or stopped.
 
     Parameters
     ----------
@@ -51,6 +52,8 @@ class RigDriver:
         self._waiting: SimpleQueue[Request] = SimpleQueue()
         self._status, self._busy = "none", ""
         self._read_at, self._failures, self._fresh = 0.0, 0, True
+        # What the last stop said, until the rig is armed again or closed.
+        self._stopped: list[str] = []
         self._commands: dict[str, Callable[[Request], None]] = {
             "connect": self._connect,
             "arm": self._arm,
@@ -68,17 +71,19 @@ class RigDriver:
             return
         command = request.get("do")
         if command == "stop":
-            self._watchdog.trip("the stop was pressed")
+            key = request.get("id")
+            self._watchdog.stop("the stop was pressed", lambda armed: self._outlet.done(key, armed=armed))
         elif not isinstance(command, str) or command not in self._commands:
             known = ", ".join([*self._commands, "stop"])
-            self._outlet.error(f"do: got {str(command)[:60]!r}, need one of {known}")
+            self._refuse(request, f"do: got {str(command)[:60]!r}, need one of {known}")
         elif not self._busy:
             self._waiting.put(request)
         elif command in ("disarm", "disconnect"):
             self._watchdog.trip(f"{command} was requested")
             self._waiting.put(request)
         else:
-            self._outlet.error(f"{command}: the rig is busy ({self._busy}); wait until it is done, or stop it first")
+            busy = f"the rig is busy ({self._busy}); wait until it is done, or stop it first"
+            self._refuse(request, f"{command}: {busy}")
 
     def run(self) -> None:
         """Serve until the process is to end; leave the rig closed, its voltage safe if it was armed."""
@@ -88,8 +93,8 @@ class RigDriver:
             while not (self._watchdog.ends and self._watchdog.reason is None):
                 self._guarded_turn()
             self._close()
-            if self._status != "lost":
-                self._show("none")
+            # From here on no request is read.
+            self._outlet.state(ends=True, **({} if self._status == "lost" else {"status": "none"}))
 
     def _guarded_turn(self) -> None:
         try:
@@ -112,26 +117,39 @@ class RigDriver:
             return
         self._do(request)
 
+    def _refuse(self, request: Request, sentence: str) -> None:
+        self._outlet.error(sentence)
+        self._outlet.done(request.get("id"), error=sentence)
+
     def _do(self, request: Request) -> None:
         self._busy = request["do"]
+        outcome: str | None = f"{self._busy}: was stopped"
         try:
             self._commands[request["do"]](request)
+            outcome = None
         # A driver, its library or a file may raise anything; the voltage is safe all the same.
         except Exception as error:
+            outcome = reason_of(error)
             self._fail(error)
         finally:
             self._busy = ""
+            self._outlet.done(request.get("id"), error=outcome)
 
     def _connect(self, request: Request) -> None:
         if self.rig is not None:
             raise RigError("connect: a rig is connected; disconnect it first")
         address, limits, slew = text(request, "address"), pair(request, "limits"), number(request, "slew")
         self._show("connecting", address=address, error=None, words=[], plan=None, result=None)
-        self.rig = rig = open_rig(address, limits=limits, slew_rate=slew)
-        self.address, self._failures, self._fresh = address, 0, True
+        rig = open_rig(address, limits=limits, slew_rate=slew)
+        if len(rig.axes) > 1:
+            rig.close()
+            raise RigError(f"connect: {address} names several axes, the workbench drives one; give one of them")
+        self.rig = rig
+        self.address, self._failures, self._fresh, self._stopped = address, 0, True, []
         self._show(
             "connected",
             name=rig.name,
+            identity=rig.identity,
             axis=rig.axis,
             limits=[rig.limits.low, rig.limits.high],
             slew=rig.slew_rate,
@@ -141,6 +159,11 @@ class RigDriver:
     def _arm(self, request: Request) -> None:
         rig = self._connected()
         limits, slew = pair(request, "limits"), number(request, "slew")
+        if request.get("identity") != rig.identity:
+            raise RigError(
+                f"arm: got the rig {str(request.get('identity'))[:200]!r}, but {rig.identity!r} is connected; "
+                "confirm that one, or connect another"
+            )
         if limits != (rig.limits.low, rig.limits.high) or slew != rig.slew_rate:
             raise RigError(
                 f"arm: got the limits {limits} V and {slew} V/s, but {rig.limits.low!r} to {rig.limits.high!r} V and "
@@ -154,6 +177,7 @@ class RigDriver:
                 "by hand, or connect with wider limits if device and actuator allow it"
             )
         self._watchdog.arm(ramp_seconds(rig))
+        self._stopped = []
         self._show("armed", error=None, words=[])
 
     def _plan(self, request: Request) -> None:
@@ -195,7 +219,7 @@ class RigDriver:
                 # Lost meanwhile: that must stay visible.
                 return
         self._close()
-        self._show("none", address=None, name=None, axis=None, limits=None, slew=None, safe=None, plan=None)
+        self._show("none", **dict.fromkeys(("address", *OF_RIG)))
 
     def _stop(self, reason: str) -> None:
         """Retreat if armed, disarm, and forget what was requested before."""
@@ -207,7 +231,8 @@ class RigDriver:
                 self._show("stopping", words=[sentence])
                 self._retreat([sentence])
             elif self.rig is not None:
-                self._outlet.state(words=[sentence, "Nothing was armed, and the voltage was not moved."])
+                idle = "Nothing was armed, and the voltage was not moved."
+                self._outlet.state(words=[*self._stopped, sentence, idle])
         finally:
             self._watchdog.settle()
 
@@ -224,7 +249,8 @@ class RigDriver:
             self._lose(f"{_NOT_SAFE} to {rig.safe:.6g} V ({reason_of(error)}).", words)
             return
         self._watchdog.disarm()
-        self._show("connected", voltage=voltage, words=[*words, f"The voltage was brought to {voltage:.6g} V."])
+        self._stopped = [*words, f"The voltage was brought to {voltage:.6g} V."]
+        self._show("connected", voltage=voltage, words=self._stopped)
 
     def _fail(self, error: Exception) -> None:
         """Send an error. If it came while a voltage was sent, the base class has retreated: disarm."""
@@ -236,7 +262,7 @@ class RigDriver:
         if self.rig is None:
             self._show("none")
         elif not self._watchdog.armed or self._status == "armed":
-            self._outlet.state(words=notes)
+            self._show(self._status, words=notes)
         elif any(note.startswith(_NOT_SAFE) for note in notes):
             self._lose(" ".join(notes), stopped)
             self._watchdog.settle()
@@ -251,6 +277,7 @@ class RigDriver:
         if last is not None:
             known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
         advice = "The device holds, or plays to its end, what it has; see to it by hand."
+        self._watchdog.lose()
         self._close()
         self._show("lost", words=[*words, outcome, known, *([] if "see to it by hand" in outcome else [advice])])
 
@@ -302,7 +329,7 @@ class RigDriver:
                 if request["do"] == "disconnect":
                     kept.append(request)
                 elif request["do"] != "disarm":
-                    self._outlet.error(f"{request['do']}: was not begun, because of the stop")
+                    self._refuse(request, f"{request['do']}: was not begun, because of the stop")
         for request in kept:
             self._waiting.put(request)
 

@@ -7,12 +7,14 @@ import json
 import secrets
 import socket
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from dehyst._errors import LinkError
+from dehyst.workbench.rig.driver import OF_RIG
 from dehyst.workbench.rig.rescue import command_of
 
 Message = dict[str, Any]
@@ -20,9 +22,11 @@ Message = dict[str, Any]
 _LONGEST, _MOST_WAITING = 1 << 22, 1 << 16
 # Seconds that a command may wait to be written, and that the process has to retreat and end.
 _PATIENCE, _RETREAT = 5.0, 60.0
+# Seconds that the process has until its first message.
+_BEGIN = 10.0
 _ARMED = ("armed", "playing", "calibrating", "stopping")
 _ALIVE = b'{"alive": true}\n'
-_NO_RIG: Message = {"name": None, "axis": None, "limits": None, "slew": None, "safe": None, "plan": None, "step": None}
+_NO_RIG: Message = dict.fromkeys((*OF_RIG, "step"))
 
 
 class RigLink:
@@ -44,7 +48,8 @@ class RigLink:
     Attributes
     ----------
     stop : dict
-        Port and key of the emergency stop: the same for all processes that this link starts.
+        Port and key of the emergency stop. Each process has a socket and a key of its own; the port stays the same if
+        it is still free.
     """
 
     def __init__(
@@ -52,14 +57,11 @@ class RigLink:
     ) -> None:
         self._on_message, self._origins, self._errors = on_message, list(origins), errors
         self._listening = _bound(0)
-        self.stop: dict[str, Any] = {"port": self._port, "key": secrets.token_urlsafe(32)}
+        self.stop: dict[str, Any] = {"port": self._listening.getsockname()[1], "key": ""}
         self._process: asyncio.subprocess.Process | None = None
         self._reader: asyncio.Task[None] | None = None
         self._state: Message = {}
-
-    @property
-    def _port(self) -> int:
-        return int(self._listening.getsockname()[1]) if self._listening.fileno() >= 0 else int(self.stop["port"])
+        self._starting, self._ending, self._heard_at = asyncio.Lock(), False, 0.0
 
     @property
     def running(self) -> bool:
@@ -71,16 +73,30 @@ class RigLink:
         """Number of the process, if it runs."""
         return None if self._process is None else self._process.pid
 
+    @property
+    def silent(self) -> float:
+        """Seconds since the process sent its last message; 0 if it does not run."""
+        return 0.0 if self._process is None else max(0.0, time.monotonic() - self._heard_at)
+
     async def start(self) -> None:
-        """Start the process, if it does not run; raise `LinkError` if it cannot be started."""
-        if self._process is not None:
-            return
-        listening = self._listening.fileno()
-        command = [sys.executable, "-m", "dehyst.workbench.rig.process", "--stop-fd", str(listening)]
-        self._state = {}
-        self._process = await self._started(command, pass_fds=(listening,))
-        self._write({"stop_key": self.stop["key"], "origins": self._origins})
-        self._reader = asyncio.create_task(self._read(self._process), name="rig link")
+        """Start the process, if it does not run; raise `LinkError` if it cannot be started.
+
+        Of two calls at once the second one waits for the first. One that comes while a process ends waits for that end.
+        """
+        async with self._starting:
+            if self._ending and self._reader is not None:
+                await asyncio.shield(self._reader)
+            if self._process is not None:
+                return
+            listening = self._listening.fileno()
+            command = [sys.executable, "-m", "dehyst.workbench.rig.process", "--stop-fd", str(listening)]
+            self._state, self.stop["key"] = {}, secrets.token_urlsafe(32)
+            self._heard_at = time.monotonic() + _BEGIN
+            self._process = await self._started(command, pass_fds=(listening,))
+            # The process has its own copy: with it ends the socket.
+            self._listening.close()
+            self._write({"stop_key": self.stop["key"], "origins": self._origins})
+            self._reader = asyncio.create_task(self._read(self._process), name="rig link")
 
     async def send(self, command: Message) -> None:
         """Send a command such as ``{"do": "arm", "limits": [0, 100], "slew": 100}``.
@@ -109,7 +125,8 @@ class RigLink:
 
     async def close(self) -> None:
         """Let the process retreat and end; wait for that, a minute at most, and never kill it."""
-        process, reader = self._process, self._reader
+        async with self._starting:
+            process, reader = self._process, self._reader
         if process is not None and process.stdin is not None:
             process.stdin.close()
         if reader is not None:
@@ -142,13 +159,14 @@ class RigLink:
     async def _read(self, process: asyncio.subprocess.Process) -> None:
         """Pass messages on until the process, and a fresh one that replaces it, have ended."""
         await self._pass_on(process)
+        self._ending = True
         status = await process.wait()
         state = self._state
         if status and state.get("status") in _ARMED:
             await self._rescue(f"the rig's process ended, with status {status}, before the voltage was safe")
-        self._process = None
-        self._listening = _renewed(self._listening)
-        self.stop["port"] = self._port
+        self._process, self._ending = None, False
+        self._listening = _renewed(self.stop["port"])
+        self.stop["port"] = self._listening.getsockname()[1]
         words = self._state.get("words", [])
         final = "lost" if self._state.get("status") == "lost" else "none"
         self._hand_over({"kind": "rig", "status": final, **_NO_RIG, "words": words})
@@ -178,7 +196,11 @@ class RigLink:
                     self._hand_over(message)
 
     def _hand_over(self, message: Message) -> None:
+        self._heard_at = time.monotonic()
+        if message.get("kind") == "alive":
+            return
         if message.get("kind") == "rig":
+            self._ending = message.pop("ends", self._ending)
             if "stop" in message:
                 message = {**message, "stop": dict(self.stop)}
             self._state.update(message)
@@ -198,12 +220,8 @@ def _bound(port: int) -> socket.socket:
     return bound
 
 
-def _renewed(listening: socket.socket) -> socket.socket:
-    """Return a socket at the same port that nobody listens at; the same one if that fails."""
-    if listening.fileno() < 0:
-        return listening
-    port = listening.getsockname()[1]
-    listening.close()
+def _renewed(port: int) -> socket.socket:
+    """Return a socket at this port that nobody listens at; at another one if it is taken."""
     try:
         return _bound(port)
     except OSError:

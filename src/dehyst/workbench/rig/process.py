@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst.workbench.rig.driver import RigDriver
-from dehyst.workbench.rig.inlet import Inlet, lines_of
-from dehyst.workbench.rig.outlet import Outlet
+from dehyst.workbench.rig.messages import Inlet, Outlet, lines_of
 from dehyst.workbench.rig.rescue import command_of
 from dehyst.workbench.rig.stop_listener import StopListener
 from dehyst.workbench.rig.watchdog import Watchdog
@@ -43,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     watchdog.start()
     lines: Iterator[bytes | None] = lines_of(0)
     key, origins = _secret(next(lines, None))
-    listener = StopListener(_listening(options), key, origins, lambda: watchdog.trip("the emergency stop was pressed"))
+    reason = "the emergency stop was pressed"
+    listener = StopListener(_listening(options), key, origins, lambda confirm: watchdog.stop(reason, confirm))
     listener.start()
     Inlet(lines, driver.take, outlet.error, lambda: watchdog.trip("the workbench ended", ends=True)).start()
     outlet.state(status="none", stop={"port": listener.port})

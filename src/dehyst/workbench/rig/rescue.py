@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 
 from dehyst.instruments import open_rig
-from dehyst.workbench.rig.outlet import Outlet
+from dehyst.workbench.rig.messages import Outlet
 
 # Seconds that the process before may take to end, and attempts to connect: a controller takes one client at a time.
 _PATIENCE, _ATTEMPTS, _PAUSE = 5.0, 3, 0.5

@@ -1,6 +1,7 @@
 """The emergency stop: an HTTP listener of the rig's own process, which works while the workbench's server hangs.
 
 One thread serves all connections without waiting for any: slow, small or malformed requests cannot keep a stop out.
+A stop is answered when the rig's process confirms it, with 409 if nothing was armed, with 504 if it does not in time.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 
 KEY_HEADER = "x-dehyst-stop"
-# Bytes of the longest request, seconds that one may take, and most connections: beyond, the oldest is closed.
+# Bytes of the longest request, seconds that it and the confirmation may take each, and most connections: beyond, the
+# oldest is closed.
 _LONGEST, _PATIENCE, _MOST = 8192, 2.0, 32
-_TICK = 0.1
+# Seconds between two looks, without and with a stop that waits for its confirmation.
+_TICK, _SOON = 0.1, 0.01
 _REASONS = {200: "OK", 204: "No Content", 400: "Bad Request", 403: "Forbidden", 404: "Not Found"}
-_REASONS |= {405: "Method Not Allowed", 413: "Content Too Large"}
+_REASONS |= {405: "Method Not Allowed", 409: "Conflict", 413: "Content Too Large", 504: "Gateway Timeout"}
 
 
 class StopRules:
@@ -63,6 +66,13 @@ class _Request:
 
     def __init__(self, link: socket.socket) -> None:
         self.link, self.received, self.answer, self.began = link, bytearray(), b"", time.monotonic()
+        # Whether a stop waits for its confirmation, and of which origin it is; then whether the rig was armed.
+        self.pressed, self.origin = False, ""
+        self.armed: bool | None = None
+
+    def confirm(self, armed: bool) -> None:
+        """Confirm the stop, in any thread."""
+        self.armed = armed
 
 
 class StopListener:
@@ -75,10 +85,17 @@ class StopListener:
     key, origins : str, collection of str
         As in `StopRules`.
     stop : callable
-        Called without arguments, in the listener's thread, before the stop is answered.
+        Called in the listener's thread with a function, which is to be called once the stop has taken effect: with
+        whether the rig was armed.
     """
 
-    def __init__(self, listening: socket.socket, key: str, origins: Collection[str], stop: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        listening: socket.socket,
+        key: str,
+        origins: Collection[str],
+        stop: Callable[[Callable[[bool], None]], None],
+    ) -> None:
         listening.listen(128)
         listening.setblocking(False)
         self.port = int(listening.getsockname()[1])
@@ -99,12 +116,19 @@ class StopListener:
                 self._turn()
 
     def _turn(self) -> None:
-        for key, _ in self._selector.select(_TICK):
+        waiting = [request for request in self._requests.values() if request.pressed]
+        for key, _ in self._selector.select(_SOON if waiting else _TICK):
             if key.fileobj is self._listening:
                 self._accept()
             else:
                 self._attend(key.data)
         late = time.monotonic() - _PATIENCE
+        for request in waiting:
+            if request.armed is not None or request.began < late:
+                request.pressed, request.began = False, time.monotonic()
+                status = {True: 200, False: 409, None: 504}[request.armed]
+                request.answer = _response(status, request.origin)
+                self._attend(request)
         for request in [request for request in self._requests.values() if request.began < late]:
             self._end(request)
 
@@ -115,7 +139,8 @@ class StopListener:
             return
         link.setblocking(False)
         if len(self._requests) >= _MOST:
-            self._end(next(iter(self._requests.values())))
+            others = (request for request in self._requests.values() if not request.pressed)
+            self._end(next(others, next(iter(self._requests.values()))))
         self._requests[link] = request = _Request(link)
         self._selector.register(link, selectors.EVENT_READ, request)
 
@@ -138,14 +163,17 @@ class StopListener:
         data = request.link.recv(_LONGEST)
         if not data:
             raise ConnectionResetError
+        if request.pressed:
+            return
         request.received += data
         if len(request.received) > _LONGEST:
             request.answer = _response(413, None)
         elif b"\r\n\r\n" in request.received:
-            request.answer = self._answer(bytes(request.received))
+            request.answer = self._answer(request)
 
-    def _answer(self, received: bytes) -> bytes:
-        head = received.split(b"\r\n\r\n", 1)[0].decode("latin-1")
+    def _answer(self, request: _Request) -> bytes:
+        """Return the answer to a request; nothing for a stop, which is answered when it is confirmed."""
+        head = bytes(request.received).split(b"\r\n\r\n", 1)[0].decode("latin-1")
         first, *lines = head.split("\r\n")
         words = first.split(" ")
         headers = _headers(lines)
@@ -153,7 +181,9 @@ class StopListener:
             return _response(400, None)
         status = self._rules.answer(words[0], words[1], headers)
         if status == 200:
-            self._stop()
+            request.pressed, request.origin, request.began = True, headers["origin"], time.monotonic()
+            self._stop(request.confirm)
+            return b""
         return _response(status, headers["origin"] if self._rules.knows(headers) else None)
 
     def _end(self, request: _Request) -> None:
@@ -178,7 +208,7 @@ def _headers(lines: list[str]) -> dict[str, str] | None:
 
 def _response(status: int, origin: str | None) -> bytes:
     """Return an answer; only the workbench's own `origin` may read it."""
-    body = b'{"stopped": true}' if status == 200 else b""
+    body = {200: b'{"stopped": true}', 409: b'{"stopped": false}'}.get(status, b"")
     lines = [f"HTTP/1.1 {status} {_REASONS[status]}", "Connection: close", "Cache-Control: no-store", "Vary: Origin"]
     if status != 204:
         lines += ["Content-Type: application/json", f"Content-Length: {len(body)}"]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
+from queue import SimpleQueue
 from types import FrameType
 
 from dehyst.instruments import AbstractRig
@@ -22,6 +24,10 @@ _LEFT_OUT = 3
 _NEXT_BATCH = 0.25
 # A main thread that neither stops nor retreats for this time [s] hangs; one in a retreat, for this and the ramp's.
 _HANGS, _HANGS_IN_RETREAT = 3.0, 30.0
+# A clock that goes on while the computer is suspended, where there is one.
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+# A thread that waits for Python's lock wakes 200 times a second; one of a process that is stopped does not wake.
+_WAKES = 10.0
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Sent by this process to its own main thread; with a session of its own it has no terminal that could send it.
 _NUDGE = signal.SIGHUP
@@ -29,6 +35,30 @@ _NUDGE = signal.SIGHUP
 
 class Stopped(BaseException):
     """What the main thread is doing is to end, for a reason; no driver's `except Exception` catches it."""
+
+
+class _Nap:
+    """Whether this process slept between two looks: it was stopped or frozen, or the computer was suspended."""
+
+    def __init__(self) -> None:
+        self._at, self._wakes = time.clock_gettime(_CLOCK), _wakes()
+
+    def seconds(self) -> float:
+        """Return the seconds that it slept since the last call; 0 if the thread waited for Python's lock only."""
+        at, wakes = time.clock_gettime(_CLOCK), _wakes()
+        passed, woken = at - self._at, wakes - self._wakes
+        self._at, self._wakes = at, wakes
+        return passed if woken < _WAKES * passed else 0.0
+
+
+def _wakes() -> int:
+    """Return how often this thread waited until now; 0 where that is not counted."""
+    who = getattr(resource, "RUSAGE_THREAD", None)
+    return 0 if who is None else resource.getrusage(who).ru_nvcsw
+
+
+# What confirms a stop, and whether the rig was armed.
+_Press = tuple[Callable[[bool], None], bool]
 
 
 class Watchdog:
@@ -61,9 +91,11 @@ class Watchdog:
         self.ends = self.armed = self.active = False
         self.ramp = 1.0
         self._hung, self._parent = hung, os.getppid()
-        self._acknowledged = self._nudging = self._retreated = False
+        self._acknowledged = self._nudging = self._retreated = self._lost = False
         self._alive_at = self._tripped_at = self._nudged_at = 0.0
         self._main = threading.main_thread().ident or 0
+        self._pressed: SimpleQueue[_Press] = SimpleQueue()
+        self._unconfirmed: list[_Press] = []
 
     def start(self) -> None:
         """Handle signals, and begin to watch."""
@@ -73,11 +105,16 @@ class Watchdog:
 
     def arm(self, ramp: float) -> None:
         """Require signs of life from now on; `ramp` [s] is the time of the longest ramp to the safe voltage."""
+        self._lost = False
         self.ramp, self._alive_at, self.armed = ramp, time.monotonic(), True
 
     def disarm(self) -> None:
         """Require no signs of life any more."""
         self.armed = False
+
+    def lose(self) -> None:
+        """Confirm no stop until the rig is armed again: the voltage cannot be brought anywhere."""
+        self._lost, self.armed = True, False
 
     def alive(self) -> None:
         """Take note of a sign of life."""
@@ -90,6 +127,16 @@ class Watchdog:
         if self.reason is None:
             self._tripped_at = time.monotonic()
             self.reason = reason
+
+    def stop(self, reason: str, confirm: Callable[[bool], None]) -> None:
+        """Stop for a `reason` as `trip` does, and confirm that.
+
+        `confirm` is called in the watchdog's thread: with True once the main thread of an armed rig is seen to retreat,
+        or has; with False if the rig was not armed. If the main thread hangs, or the rig is lost, it is not called.
+        """
+        armed = self.armed
+        self.trip(reason)
+        self._pressed.put((confirm, armed))
 
     def check(self) -> None:
         """Raise `Stopped` if there is a reason that was not raised yet."""
@@ -120,15 +167,28 @@ class Watchdog:
         return 0.0 if self.reason is None else time.monotonic() - self._tripped_at
 
     def _watch(self) -> None:
-        looked, late = time.monotonic(), 0
+        looked, late, nap = time.monotonic(), 0, _Nap()
         while True:
             time.sleep(_LOOK)
             now = time.monotonic()
+            if (slept := nap.seconds()) > HEARTBEAT and self.armed:
+                self.trip(f"the rig's process did not run for {slept:.1f} s")
             # If this thread did not run, neither did the one that reads the signs of life: let it read first.
             late = late + 1 if now - looked > _LATE else 0
             looked = now
             if not 0 < late <= _LEFT_OUT:
                 self._look(now)
+                self._confirm()
+
+    def _confirm(self) -> None:
+        while not self._pressed.empty():
+            self._unconfirmed.append(self._pressed.get_nowait())
+        if self._lost:
+            self._unconfirmed.clear()
+        heeded = self.reason is None or self._retreated
+        for confirm, armed in [one for one in self._unconfirmed if heeded or not one[1]]:
+            confirm(armed)
+        self._unconfirmed = [one for one in self._unconfirmed if one[1] and not heeded]
 
     def _look(self, now: float) -> None:
         if self.armed and now - self._alive_at > HEARTBEAT:

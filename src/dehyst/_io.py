@@ -1,0 +1,447 @@
+"""Files and folders: read strictly, written wholly or not at all.
+
+A file is written as a draft in its folder and then renamed. In a command it replaces an existing file that begins as
+it does, any other one only by force: both are JSON of one "format", name dehyst as their generator, are NumPy archives
+with the same first array, are tables with a computed displacement, or are text with the same first line, such as the
+header of a table.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import re
+import secrets
+import stat
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import DehystError, FileFormatError
+from dehyst._version import __version__
+
+PathLike: TypeAlias = str | os.PathLike[str]
+# Short and of one length, so that the draft of every valid file name has a valid name.
+_DRAFT = re.compile(r"\.dehyst-[0-9a-f]{8}\.tmp")
+# Errors of file systems that cannot sync.
+_NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
+
+GENERATOR = f"dehyst {__version__}"
+# Column of a displacement that a model gives: no measured table has it.
+COMPUTED = "expected_um"
+_HEAD = 4096
+_FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"')
+# HTML, SVG, FMU, WebAssembly, and a table of a fleet, whose metadata are at the end of the file.
+_GENERATED = re.compile(
+    rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst |<\?xml.{0,1500}?<dc:title>dehyst '
+    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about|PAR1.*dehyst-fleet',
+    re.DOTALL,
+)
+_BINARY = (b"<", b"PK", b"\0", b"PAR1", b"\x89")
+# Where a ZIP archive has the length and the name of its first file.
+_ZIP_LENGTH, _ZIP_NAME = slice(26, 28), 30
+_HEADER = re.compile(r"\w+_\w+([,\t]\w+)*|\w+([,\t]\w+)*[,\t]\w+_\w+")
+_PROTECTS: ContextVar[bool] = ContextVar("protects", default=False)
+# Types of data that are no file, and what makes a record of them.
+_TABLES = {"DataFrame": "from_dataframe", "Dataset": "from_xarray", "ndarray": "from_arrays"}
+# A model has some hundred numbers, a calibration's results some ten thousand.
+_MOST_JSON = 100_000_000
+
+
+def draft_of(target: Path) -> Path:
+    """Return a new hidden name beside the target for an incomplete file; one left by a killed process does no harm."""
+    return target.with_name(f".dehyst-{secrets.token_hex(4)}.tmp")
+
+
+def is_draft(name: str) -> bool:
+    """Return whether a file or folder of this name is a draft."""
+    return _DRAFT.fullmatch(name) is not None
+
+
+def unwritten(path: PathLike, error: OSError) -> FileFormatError:
+    """Return the error for a file or a folder that cannot be written, with advice that fits."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        advice = "make room there, or name a place that has some"
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        advice = "check the folder's rights"
+    elif error.errno == errno.ENAMETOOLONG:
+        advice = "give a shorter name"
+    else:
+        advice = "check the name, and the folder's room and rights"
+    return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
+
+
+def write_atomically(path: PathLike, data: str | bytes) -> None:
+    """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
+
+    Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode; in a
+    command only if it begins as the new one (`demand_alike`).
+
+    Raises
+    ------
+    FileFormatError
+        The folder is missing or not writable, or the path is a folder.
+    """
+    content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
+    try:
+        mode = mode_of(path)
+        if mode is not None and stat.S_ISDIR(mode):
+            raise FileFormatError(f"{path}: this is a folder; add a file name")
+        # A device such as /dev/null, or a pipe, is written to, never replaced.
+        if mode is not None and not stat.S_ISREG(mode):
+            Path(path).write_bytes(content)
+            return
+        demand_alike(path, content)
+        # A link keeps pointing at its file.
+        target = Path(os.path.realpath(path))
+        if not target.parent.is_dir():
+            raise FileFormatError(f"{path}: the folder {Path(path).parent} does not exist; create it first")
+        _replace(target, content, mode)
+    except OSError as error:
+        raise unwritten(path, error) from error
+
+
+def mode_of(path: PathLike) -> int | None:
+    """Return type and mode of what lies at a path; None if there is nothing."""
+    try:
+        return Path(path).stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def _replace(target: Path, content: bytes, mode: int | None) -> None:
+    draft = draft_of(target)
+    try:
+        _write_through(draft, content, mode)
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+    settle_folder(target.parent)
+
+
+def _write_through(draft: Path, content: bytes, mode: int | None) -> None:
+    with draft.open("xb") as stream:
+        if mode is not None:
+            # Not every file system has modes.
+            with suppress(OSError):
+                draft.chmod(stat.S_IMODE(mode))
+        stream.write(content)
+        stream.flush()
+        settle(stream.fileno())
+
+
+def settle(descriptor: int) -> None:
+    """Wait until an open file is on the disk, if the file system can sync; raise OSError on failure."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+
+
+def settle_file(path: Path) -> None:
+    """Wait until a file that another process may have written, and its name, are on the disk.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        descriptor = os.open(path, os.O_RDWR)
+        try:
+            settle(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise unwritten(path, error) from error
+    settle_folder(path.parent)
+
+
+def settle_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, if the system can sync folders."""
+    # Windows opens no folders, and some file systems cannot sync them.
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def path_of(value: object) -> Path:
+    """Return a path; raise FileFormatError for anything else."""
+    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
+        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
+    return Path(name)
+
+
+@contextmanager
+def protecting(*, force: bool) -> Iterator[None]:
+    """Let `demand_alike` refuse, unless forced, until the context ends; without it outputs replace any file."""
+    token = _PROTECTS.set(not force)
+    try:
+        yield
+    finally:
+        _PROTECTS.reset(token)
+
+
+def demand_alike(path: PathLike, content: bytes | None = None) -> None:
+    """Refuse to replace a file that does not begin as its new content does; an empty file may be replaced.
+
+    Without `content`, which is not known before a computation, any file is accepted that begins as an output may. Only
+    the commands protect files, see `protecting`.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        mode = mode_of(path)
+        if mode is not None and stat.S_ISBLK(mode):
+            raise FileFormatError(f"{path}: is a disk; give the name of a file")
+        if not _PROTECTS.get() or mode is None or not stat.S_ISREG(mode) or not Path(path).stat().st_size:
+            return
+    except OSError as error:
+        raise unwritten(path, error) from error
+    kind = _kind(_sample(path))
+    if kind is not None and (_may_be_output(kind) if content is None else kind == _kind(content)):
+        return
+    raise FileFormatError(
+        f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"
+    )
+
+
+def format_of(path: PathLike) -> str | None:
+    """Return the "format" at the beginning of a JSON file; None for any other file."""
+    match = _FORMAT.match(_sample(path))
+    return match[1].decode() if match else None
+
+
+def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
+    """Refuse a folder that is neither new, nor empty, nor one whose `marker` is JSON of the format `kind`.
+
+    `option` is that of the command by which the folder is given.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    try:
+        names = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
+    except FileNotFoundError:
+        return
+    except NotADirectoryError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder (it is a file); give another one with {option}"
+        ) from error
+    except OSError as error:
+        raise unwritten(folder, error) from error
+    if names and format_of(Path(folder) / marker) != kind:
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        raise FileFormatError(
+            f"{folder}: holds other files ({', '.join(names[:3])}{more}); give the name of a new or an empty folder "
+            f"with {option}"
+        )
+
+
+def make_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> Path:
+    """Return a folder that may be written to, created if necessary; raise as `demand_own_folder` does."""
+    demand_own_folder(folder, marker, kind, option=option)
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with {option}"
+        ) from error
+    return Path(folder)
+
+
+def _kind(content: bytes) -> str | None:
+    """Return what files that begin alike have in common; None if nothing shows it."""
+    head = content[:_HEAD]
+    if match := _FORMAT.match(head):
+        return match[1].decode()
+    if _GENERATED.match(content if head.startswith(b"PAR1") else head):
+        return "dehyst"
+    if head.startswith(b"PK\3\4"):
+        name = head[_ZIP_NAME : _ZIP_NAME + int.from_bytes(head[_ZIP_LENGTH], "little")].decode(errors="replace")
+        return name if name.endswith(".npy") else None
+    if head.startswith(_BINARY):
+        return None
+    first = head.partition(b"\n")[0].decode(errors="replace").strip()
+    names = first.replace("\t", ",").split(",")
+    if any("expected_" in name for name in names):
+        return "table of a model"
+    # Options of a command may add these columns.
+    return ",".join(name for name in names if name not in ("time_s", "phase"))
+
+
+def _may_be_output(kind: str) -> bool:
+    return (
+        kind.startswith(("dehyst", "table of a model", "// dehyst: "))
+        or kind.endswith(".npy")
+        or _HEADER.fullmatch(kind) is not None
+    )
+
+
+def _sample(path: PathLike) -> bytes:
+    """Return the first and the last bytes of a regular file; none if it cannot be read."""
+    try:
+        if not Path(path).is_file():
+            return b""
+        with Path(path).open("rb") as stream:
+            head = stream.read(_HEAD)
+            stream.seek(max(len(head), stream.seek(0, 2) - _HEAD))
+            return head + stream.read(_HEAD)
+    except OSError:
+        return b""
+
+
+def named(path: object, what: str = "path") -> Path:
+    """Return the name of a file as a path; raise FileFormatError if it cannot be one."""
+    if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
+        return Path(path)
+    kind = type(path).__name__
+    if kind in _TABLES:
+        raise FileFormatError(
+            argument=what,
+            got=kind,
+            need="the name of a file",
+            hint=f"make a record of it with dehyst.Record.{_TABLES[kind]}",
+        )
+    raise FileFormatError(argument=what, got=repr(path), need="the name of a file, as 'loops.csv' or a pathlib.Path")
+
+
+@contextmanager
+def reading_errors(path: Path, kind: str) -> Iterator[None]:
+    """Raise FileFormatError for any error while a file of this kind is read."""
+    try:
+        yield
+    except DehystError:
+        raise
+    except FileNotFoundError as error:
+        raise FileFormatError(f"{path}: no such file; check the name and the folder") from error
+    except IsADirectoryError as error:
+        raise FileFormatError(f"{path}: this is a folder; give one of the files in it") from error
+    except PermissionError as error:
+        raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
+    except Exception as error:  # every library has its own errors for broken content
+        raise FileFormatError(
+            f"{path}: not a readable {kind} file ({type(error).__name__}: {error}); check that the suffix fits"
+        ) from error
+
+
+def read_json(path: PathLike) -> dict[str, Any]:
+    """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
+
+    Raises
+    ------
+    FileFormatError
+        No name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, no object, a
+        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
+    """
+    path = named(path)
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        if len(set(keys)) < len(keys):
+            twice = next(key for i, key in enumerate(keys) if key in keys[:i])
+            raise FileFormatError(f"{path}: the key '{twice}' is there twice in one object; remove one of the two")
+        return dict(pairs)
+
+    def number(digits: str) -> float | int:
+        if not isfinite(float(digits)):
+            short = digits if len(digits) <= 30 else f"{digits[:30]}..."
+            raise FileFormatError(f"{path}: the number {short} is too large for a float; correct it")
+        return float(digits) if set(digits) & set(".eE") else int(digits)
+
+    def constant(word: str) -> float:
+        raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
+
+    with reading_errors(path, "JSON"):
+        _demand_regular(path, _MOST_JSON)
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+            data = json.loads(
+                text, object_pairs_hook=unique, parse_float=number, parse_int=number, parse_constant=constant
+            )
+        except UnicodeDecodeError as error:
+            raise FileFormatError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from error
+        except json.JSONDecodeError as error:
+            raise FileFormatError(
+                f"{path}: line {error.lineno}, column {error.colno}: no valid JSON ({error.msg}); correct it there, or "
+                "write the file again if it was cut off"
+            ) from error
+    if not isinstance(data, dict):
+        raise FileFormatError(f"{path}: holds a JSON {type(data).__name__}, but an object {{...}} is needed")
+    return data
+
+
+def write_json(path: PathLike, data: Mapping[str, Any]) -> None:
+    """Write an object as JSON with its keys in the order given; raise FileFormatError for NaN, inf and other types."""
+    write_atomically(path, to_json(data, f"{path}:", indent=1) + "\n")
+
+
+def to_json(data: Mapping[str, Any], what: str, indent: int | None = None) -> str:
+    """Return an object as JSON in ASCII, by default on one line; raise FileFormatError for NaN, inf and other types."""
+    try:
+        return json.dumps(dict(data), indent=indent, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FileFormatError(
+            f"{what} cannot be written as JSON ({error}); use text, finite numbers, booleans, None, lists and dicts"
+        ) from error
+
+
+def finite(value: Any) -> Any:
+    """Replace numbers that JSON does not have by None, in lists and dicts too."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
+
+
+def _demand_regular(path: Path, most: int) -> None:
+    """Refuse a device or a pipe before it is opened, and a file of more bytes than `most`."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(status.st_mode):
+        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
+    if status.st_size > most:
+        raise FileFormatError(
+            f"{path}: has {status.st_size / 1e6:.0f} MB, need {most / 1e6:g} MB at most; check the name"
+        )
+
+
+def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return arrays as the content of an .npz file, in their order, not compressed."""
+    content, named = io.BytesIO(), dict[str, Any](arrays)
+    np.savez(content, **named)
+    return content.getvalue()
+
+
+def lock(descriptor: int) -> None:
+    """Lock an open file until it is closed; raise BlockingIOError if another process has locked it.
+
+    Without an error, nothing is locked on Windows, or on a file system that has no locks.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        return

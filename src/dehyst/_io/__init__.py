@@ -1,1 +1,0 @@
-"""Files and folders: read strictly, written wholly or not at all."""

@@ -1,0 +1,40 @@
+"""JSON values of an object, from a list of its keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+
+def json_values(owner: object, keys: str) -> dict[str, Any]:
+    """Return attributes of an object as JSON values.
+
+    Parameters
+    ----------
+    owner : object
+    keys : str
+        Names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
+        "key=outer.inner" from one of an attribute.
+    """
+    pairs = (entry.partition("=") for entry in keys.split())
+    return {key: json_value(attrgetter(name or key)(owner)) for key, _, name in pairs}
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as JSON has it: arrays and tuples as lists, members of an enumeration by name, objects as dicts.
+
+    Objects have a method `as_dict`.
+    """
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if hasattr(value, "as_dict"):
+        return value.as_dict()
+    if isinstance(value, Mapping):
+        return {str(key): json_value(one) for key, one in value.items()}
+    return [json_value(one) for one in value] if isinstance(value, tuple | list) else value

@@ -1,0 +1,299 @@
+"""A session: a folder of records in which no sample is lost, and complete records of one axis are not played again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dehyst._errors import FileFormatError, RecordError
+from dehyst._io import PathLike, read_json, unwritten, write_json
+from dehyst._types import Array
+from dehyst._version import __version__
+from dehyst.calibration.comparison_loop import Agreement, agreement, replay
+from dehyst.instruments import AbstractRig, Samples
+from dehyst.records import Record, Recording, read
+from dehyst.records.hdf5 import sha256_of
+from dehyst.records.recording import demand_disk_space, salvage, unused_path
+from dehyst.waveforms import Excitation
+
+FORMAT = "dehyst-calibration"
+
+
+class ProgressListener(Protocol):
+    """A receiver of the progress of a calibration."""
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """Receive the begin of step `name`, which plays for `seconds` [s]; 0 for one that computes."""
+
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Receive `samples`; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
+
+    def message(self, text: str) -> None:
+        """Receive a `text` on what the step does now."""
+
+
+class NullProgress:
+    """A listener that ignores the progress."""
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """Ignore the step."""
+
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Ignore the samples."""
+
+    def message(self, text: str) -> None:
+        """Ignore the message."""
+
+
+class Session:
+    """Records on one rig, in one folder: ``records/NAME.h5``, of several axes ``records/NAME-AXIS.h5``.
+
+    Records of one axis that are complete are kept. Those of several are moved to ``records/set-aside`` before the first
+    one is played.
+
+    Raise `FileFormatError` if the folder cannot be made, or belongs to another instrument.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it does not exist. The session continues in the folder of a calibration of the same instrument.
+    rig : AbstractRig
+    listener : ProgressListener
+        Receives the samples, of several axes those of the axis that is farthest off its path.
+
+    Attributes
+    ----------
+    sequence : list of Record
+        The requested records, in order.
+    played, kept : list of str
+        Names of the records that were played, and of those that were on disk.
+    agreement : Agreement or None
+        Of a loop on disk, played again; None if no record on disk was kept.
+    salvaged : tuple of Path
+        Records that a killed process had left incomplete.
+    """
+
+    def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
+        self.folder, self.rig, self._listener = Path(folder), rig, listener
+        self.records = claimed(self.folder, rig.identity, rig.axis)
+        self._several = len(rig.axes) > 1
+        self._comparisons = self.records / "comparisons"
+        self.salvaged = tuple(salvage(self.records))
+        if self._comparisons.is_dir():
+            salvage(self._comparisons)
+        self.played: list[str] = []
+        self.kept: list[str] = []
+        self.sequence: list[Record] = []
+        self.agreement: Agreement | None = None
+        self._replayed: Record | None = None
+
+    def record(
+        self,
+        excitation: Excitation,
+        name: str,
+        *,
+        wanted: Array | None = None,
+        stroke: Any = None,
+        afresh: bool = False,
+    ) -> Record:
+        """Play an excitation and write its record, unless it is on disk already.
+
+        Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
+        `RigError` as `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
+        Raise `FileFormatError` if nothing can be written.
+
+        Parameters
+        ----------
+        excitation : Excitation
+        name : str
+            Of the record and its files.
+        wanted : (n,) or (n, axes) array, optional
+            Wanted displacement [m] at each voltage, for the listener; NaN where none is wanted.
+        stroke : float or (axes,) array, optional
+            Reference of its error [m].
+        afresh : bool
+            Whether to play it although it is on disk.
+        """
+        paths = self._paths(name)
+        stored = None if afresh or self._several else self._stored(paths[0], excitation)
+        if stored is not None and self._agrees(stored.with_name(name), excitation):
+            self.kept.append(name)
+            self.sequence.append(stored)
+            return stored
+        self._begin(excitation)
+        for path in paths:
+            set_aside(path)
+        record = self._play(paths, name, excitation, wanted, stroke)
+        if name in self.kept:
+            self.kept.remove(name)
+        self.played.append(name)
+        if self._replayed is not None:
+            self.sequence.append(self._replayed)
+            self._replayed = None
+        self.sequence.append(record)
+        return record
+
+    def _begin(self, excitation: Excitation) -> None:
+        """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
+        demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
+        if self.played or self.agreement is not None:
+            return
+        self.rig.retreat()
+        if self._several:
+            # Not before it is known that something can be played.
+            for path in sorted(self.records.glob("*.h5")):
+                set_aside(path)
+
+    def _paths(self, name: str) -> list[Path]:
+        """Return the files of a record: one an axis."""
+        return [self.records / f"{name}{f'-{axis}' if self._several else ''}.h5" for axis in self.rig.axes]
+
+    def _play(
+        self, paths: list[Path], name: str, excitation: Excitation, wanted: Array | None = None, stroke: Any = None
+    ) -> Record:
+        """Play an excitation and record each axis to its file."""
+        self._listener.step(name, excitation.duration)
+        meta = {
+            "identity": self.rig.identity,
+            "excitation": excitation.name,
+            "key": self._key(excitation),
+            "program": __version__,
+        }
+        rows = self.rig.rows(len(excitation))
+        files = [
+            Recording(path, name=f"{name}, axis {axis}" if self._several else name, meta={**meta, "axis": axis})
+            for path, axis in zip(paths, self.rig.axes, strict=True)
+        ]
+        try:
+            with ExitStack() as stack:
+                for one in files:
+                    stack.enter_context(one)
+
+                def listen(samples: Samples) -> None:
+                    indices = rows[files[0].samples : files[0].samples + samples.time.size]
+                    for j, one in enumerate(files):
+                        one.add(samples.axis(j))
+                    self._report(samples, None if wanted is None else wanted[indices], stroke)
+
+                played = self.rig.play(excitation, listen)
+                columns = Samples(played.time, played.voltage, played.displacement)
+                for j, one in enumerate(files):
+                    meta = {**played.meta, "axis": self.rig.axes[j]}
+                    one.finish(Record(*columns.axis(j), one.name, meta))
+        except BaseException:
+            for one in files:
+                if not one.samples:
+                    one.path.unlink(missing_ok=True)
+            raise
+        return played.with_name(name) if self._several else read(paths[0])
+
+    def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
+        """Hand samples to the listener: of several axes, those of the axis with the largest error."""
+        if wanted is None or not self._several:
+            self._listener.samples(samples.axis(0), wanted, stroke)
+            return
+        # Nothing is wanted during a homing.
+        error = np.nan_to_num(np.abs(samples.displacement - wanted)) / stroke
+        worst = int(error.max(axis=0).argmax())
+        self._listener.samples(samples.axis(worst), wanted[:, worst], float(stroke[worst]))
+
+    def _agrees(self, stored: Record, excitation: Excitation) -> bool:
+        """Return whether a record on disk may be kept; once a session, play one of its loops again and compare.
+
+        False if it has no loop to compare. Raises RecordError if it is of another actuator.
+        """
+        if self.agreement is not None or stored.name in self.played:
+            return True
+        loop = replay(excitation)
+        if loop is None:
+            return False
+        folder = made_folder(self._comparisons)
+        self._begin(loop)
+        played = self._play([unused_path(folder / f"{loop.name}.h5")], loop.name, loop)
+        rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
+        result = agreement(stored, excitation, played, *rows)
+        if not result.good:
+            raise RecordError(f"{self.folder}: {result.refusal}")
+        self._listener.message(result.words)
+        self.agreement, self._replayed = result, played
+        return True
+
+    def is_complete(self, excitation: Excitation, name: str) -> bool:
+        """Return whether the complete record of an excitation is on disk."""
+        return not self._several and self._stored(self._paths(name)[0], excitation) is not None
+
+    def hashes(self) -> dict[str, str]:
+        """Return the SHA-256 of the file of each requested record."""
+        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+    def _stored(self, path: Path, excitation: Excitation) -> Record | None:
+        """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""
+        try:
+            record = read(path)
+        except (FileFormatError, RecordError):
+            return None
+        meta, samples = record.meta, (record.time, record.voltage, record.displacement)
+        of_this = meta.get("key") == self._key(excitation) and meta.get("sha256") == sha256_of(samples)
+        fits = len(record) == self.rig.rows(len(excitation)).size
+        return record if of_this and fits and meta.get("complete") is True else None
+
+    def _key(self, excitation: Excitation) -> str:
+        """Return a digest that identifies this excitation on this instrument."""
+        header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
+        return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
+
+
+def claimed(folder: Path, rig: str, axis: str) -> Path:
+    """Make a `folder` for records and claim it for an instrument: its identity `rig` and its `axis` or axes.
+
+    Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
+    """
+    records = folder / "records"
+    try:
+        records.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
+        ) from error
+    path = folder / "campaign.json"
+    instrument: dict[str, Any] = {"rig": rig, "axis": axis}
+    if not os.path.lexists(path):
+        write_json(path, {"format": FORMAT, "version": 1, **instrument})
+        return records
+    try:
+        owner = read_json(path)
+    except FileFormatError as error:
+        raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
+    if {key: owner.get(key) for key in instrument} != instrument:
+        raise FileFormatError(
+            f"{folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
+            f"{rig}, axis {axis}; give another folder with -o"
+        )
+    return records
+
+
+def set_aside(path: Path) -> None:
+    """Move a file of records, if it exists, to the folder `set-aside` beside it; raises FileFormatError."""
+    if os.path.lexists(path):
+        aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
+        try:
+            path.rename(aside)
+        except OSError as error:
+            raise unwritten(aside, error) from error
+
+
+def made_folder(path: Path) -> Path:
+    """Return the folder of this name, made if it does not exist; raises FileFormatError."""
+    try:
+        path.mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise FileFormatError(f"{path}: is a file where a folder is needed; move it elsewhere") from error
+    except OSError as error:
+        raise unwritten(path, error) from error
+    return path

@@ -1,0 +1,276 @@
+"""Tracking: a path, the voltages for it with and without a model, and the displacement that they reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import cycle, islice
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.control import Compensator, VoltageLimits
+from dehyst.model import Actuator
+from dehyst.model.states import beginning
+from dehyst.records import Record
+from dehyst.records.signals import largest, percent, rms
+from dehyst.stages import Stage, StageCompensator, StageTrace
+from dehyst.stages.excitation import RATIO
+from dehyst.stages.stage import apply
+from dehyst.waveforms import Excitation
+from dehyst.waveforms.standard import TURNS, wanted_path
+
+# Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
+# later than the axis before.
+_USED, _LATER = 0.96, 3
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedRun:
+    """A path to follow after a homing, and a voltage for it.
+
+    Attributes
+    ----------
+    wanted : (n,) or (n, axes) array
+        Wanted reading of the sensor [m] at each sample of the excitation; NaN during the homing.
+    begin : int
+        First sample of the path, after the homing and the way to the path.
+    excitation : Excitation
+    stroke : float or (axes,) array
+        Of the major loop [m].
+    warnings : tuple of str
+        Where the voltage could not follow.
+    """
+
+    wanted: Array
+    begin: int
+    excitation: Excitation
+    stroke: Any
+    warnings: tuple[str, ...] = ()
+
+
+class _Place(NamedTuple):
+    """Where a path lies: readings [m] of each axis (axes,).
+
+    `low`: at its lowest voltage, the others at theirs. `stroke`: of its major loop. `origin`, `reach`: the path is
+    `origin` and from 0 to 1 of the `reach`.
+    """
+
+    low: Array
+    stroke: Array
+    origin: Array
+    reach: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PathPlanner:
+    """A planner of a path through most of the stroke after a homing, of one axis or of several that move together.
+
+    Parameters
+    ----------
+    homing : Excitation
+        Two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate too.
+    limits : sequence of VoltageLimits
+        Voltages allowed [V] on each axis, and their slew rate.
+    leg : int
+        Samples from one turning point to the next, of the first axis; several axes have periods that do not repeat.
+    ends : (float, float), optional
+        Of one axis, measured displacement [m] at the lowest and highest voltage of the homing. Those of several axes
+        follow from the model.
+    """
+
+    homing: Excitation
+    limits: Sequence[VoltageLimits]
+    leg: int = 200
+    ends: tuple[float, float] | None = None
+
+    @property
+    def samples(self) -> int:
+        """Samples of a path with the way to it, after the homing."""
+        return self.leg + (len(TURNS) - 1) * max(self._legs)
+
+    def nominal(self, stage: Stage | None = None, before: Sequence[Record] = ()) -> PlannedRun:
+        """Plan the run with a constant ratio of voltage to displacement, as if there was no coupling.
+
+        Of several axes, the path lies where the model of the `stage` expects it after all records until now, `before`.
+        """
+        if self.ends is not None or stage is None:
+            low, high = self.ends or (0.0, 1.0)
+            place = _Place(*(np.array([value]) for value in (low, high - low, low, high - low)))
+            start = place.low
+        else:
+            homed, datum = self._homed(stage, before)
+            place, start = self._place(stage, homed, datum), homed.displacement[-1] + datum
+        bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
+        wanted = self._wanted(place, start)
+        voltage = bottom + (wanted - place.low) * (top - bottom) / place.stroke
+        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place)
+
+    def compensated(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
+        """Plan the run with a `model`; its state follows from all earlier records, its zero from the last.
+
+        `before`: all records until now, in order; the last is that of the nominal run. Its path corrects for what
+        happened before the records, and for the drift of the sensor.
+        """
+        stage = model if isinstance(model, Stage) else Stage((model,))
+        homed, datum = self._homed(stage, before)
+        place = self._place(stage, homed, datum)
+        wanted = self._wanted(place, homed.displacement[-1] + datum)
+        time = np.arange(len(wanted)) / self.homing.sample_rate
+        ahead = np.column_stack(
+            [
+                np.interp(time + one.delay, time, column) - zero
+                for one, column, zero in zip(stage.actuators, wanted.T, datum.tolist(), strict=True)
+            ]
+        )
+        bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
+        if isinstance(model, Stage):
+            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=homed.states)
+            command = several.trajectory(ahead, time=time)
+            pairs = zip(model.axes, command.remarks, strict=True)
+            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own)
+            return self._run("compensated", wanted, command.voltage, place, remarks)
+        one = Compensator(model, bounds[0], rates[0])
+        present = float(self.homing.voltage[-1])
+        followed = one.trajectory(ahead[:, 0], time=time, state=homed.states[0], present=present)
+        return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
+
+    @property
+    def _legs(self) -> list[int]:
+        """Samples between two turning points of each axis."""
+        return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
+
+    def _homed(self, stage: Stage, before: Sequence[Record]) -> tuple[StageTrace, Array]:
+        """Return the motion of the next homing, and the zeros (axes,) [m] of the sensors by the last record."""
+        time, voltage, displacement = _joined(before)
+        starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
+        played = stage.simulate(voltage, time=time, states=starts, extrapolate=True)
+        late = (len(TURNS) - 1) * self.leg if len(stage.axes) == 1 else len(before[-1]) // 2
+        datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
+        homing = self.homing
+        rows = homing.voltage.reshape(len(homing), -1)
+        return stage.simulate(rows, time=homing.time, states=played.states, extrapolate=True), datum
+
+    def _place(self, stage: Stage, homed: StageTrace, datum: Array) -> _Place:
+        if self.ends is not None:
+            low, high = self.ends
+            return _Place(*(np.array([value]) for value in (low, high - low, low, high - low)))
+        # Each actuator alone at the ends of its major loop.
+        moved = apply(stage.decoupling, homed.displacement)[len(self.homing) // 2 :]
+        bottom, top = moved.min(axis=0), moved.max(axis=0)
+        stroke = top - bottom
+        # So large that whatever the other axes do no actuator leaves its range.
+        share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
+        middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + datum
+        low = apply(stage.coupling, bottom[None])[0] + datum
+        return _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
+
+    def _wanted(self, place: _Place, start: Array) -> Array:
+        """Return the way from the end of the homing to the path, and the path [m]: (n, axes)."""
+        legs = self._legs
+        # As many samples as the slowest axis needs for all its turning points.
+        count = (len(TURNS) - 1) * max(legs) + 1
+        paths = [wanted_path(1.0, self._turns(j, count, leg), leg=leg)[:count] for j, leg in enumerate(legs)]
+        path = place.origin + place.reach * np.column_stack(paths)
+        way = [wanted_path(1.0, ends, leg=self.leg) for ends in zip(start.tolist(), path[0].tolist(), strict=True)]
+        return np.vstack([np.column_stack(way)[1:], path[1:]])
+
+    def _turns(self, j: int, count: int, leg: int) -> tuple[float, ...]:
+        """Return the turning points of axis `j` for `count` samples."""
+        if len(self.limits) == 1:
+            return TURNS
+        return tuple(islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // leg + 2))
+
+    def _run(
+        self, name: str, wanted: Array, voltage: Array, place: _Place, warnings: tuple[str, ...] = ()
+    ) -> PlannedRun:
+        home, one = self.homing, self.homing.voltage.ndim == 1
+        stroke = float(place.stroke[0]) if one else place.stroke
+        shape = (-1,) if one else (-1, len(self.limits))
+        excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
+        shown = np.concatenate([np.full(home.voltage.shape, np.nan), wanted.reshape(shape)])
+        return PlannedRun(shown, len(home) + self.leg - 1, excitation, stroke, warnings)
+
+
+def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:
+    """Return the records joined, as far back as their times increase: time (n,), voltage, displacement (n, axes)."""
+    kept = [records[-1]]
+    for record in records[-2::-1]:
+        if record.time[-1] >= kept[0].time[0]:
+            break
+        kept.insert(0, record)
+    time, voltage, displacement = (
+        np.concatenate([getattr(record, column) for record in kept]) for column in ("time", "voltage", "displacement")
+    )
+    return time, voltage.reshape(time.size, -1), displacement.reshape(time.size, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPath:
+    """A measured path of one axis or several.
+
+    Attributes
+    ----------
+    time : (n,) array
+        [s].
+    wanted, reached : (n,) or (n, axes) array
+        Displacement [m].
+    stroke : float or (axes,) array
+        [m].
+    axes : tuple of str
+        Names of several axes.
+    """
+
+    time: Array
+    wanted: Array
+    reached: Array
+    stroke: Any
+    axes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, played: PlannedRun, record: Record, rows: NDArray[np.intp]) -> TrackedPath:
+        """Compare the `record` of a run `played` with its path; `rows` maps its samples to those of the excitation."""
+        along = rows >= played.begin
+        time = record.time[along] - record.time[along][0]
+        return cls(time, played.wanted[rows[along]], record.displacement[along], played.stroke, record.axes)
+
+    @property
+    def error(self) -> Array:
+        """Reached minus wanted displacement (n,) or (n, axes) [m]."""
+        return self.reached - self.wanted
+
+    @property
+    def largest_percent(self) -> Any:
+        """Largest error in % of the stroke; of several axes a tuple, one each."""
+        if self.axes:
+            return tuple(one.largest_percent for one in self.each)
+        return percent(largest(self.error), self.stroke)
+
+    @property
+    def rms_percent(self) -> Any:
+        """RMS error in % of the stroke; of several axes a tuple, one each."""
+        if self.axes:
+            return tuple(one.rms_percent for one in self.each)
+        return percent(rms(self.error), self.stroke)
+
+    @property
+    def each(self) -> tuple[TrackedPath, ...]:
+        """The path of each axis."""
+        if not self.axes:
+            return (self,)
+        columns = zip(self.wanted.T, self.reached.T, self.stroke.tolist(), strict=True)
+        return tuple(TrackedPath(self.time, wanted, reached, stroke) for wanted, reached, stroke in columns)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values; of several axes by their names."""
+        if self.axes:
+            return {axis: one.as_dict() for axis, one in zip(self.axes, self.each, strict=True)}
+        return {
+            "largest_percent": self.largest_percent,
+            "rms_percent": self.rms_percent,
+            "mean_percent": percent(float(self.error.mean()), self.stroke),
+            "largest_m": largest(self.error),
+            "stroke_m": self.stroke,
+        }

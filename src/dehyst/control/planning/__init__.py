@@ -1,0 +1,1 @@
+"""Planning of a path: what its start may be, homing, and wave tables."""

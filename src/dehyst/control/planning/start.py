@@ -1,0 +1,297 @@
+"""What is known of an actuator's state before a motion, and how much of the motion an unknown start leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._units import per_metre
+from dehyst._validation import choice, vector
+from dehyst.control.planning.bounds import middle_of, possible_states
+from dehyst.control.planning.homing import shortest_homing
+from dehyst.model import Actuator, State
+from dehyst.model.states import state_within_limits
+from dehyst.waveforms import Sampling
+
+StartName = Literal["top", "bottom", "relaxed", "homed"]
+NAMES: tuple[str, ...] = get_args(StartName)
+# Shares of the stroke: the error of a good model, for a model whose file does not hold its own, and the least one.
+_MODEL_ERROR, _LEAST = 1e-3, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PossibleStart:
+    """The state before a motion, or the states that bound it.
+
+    Attributes
+    ----------
+    name : str
+        "top", "bottom", "relaxed", "homed", "unknown", or the name of what led there.
+    states : tuple of State
+        One if the state is known; else states that bound all possible ones.
+    """
+
+    name: str
+    states: tuple[State, ...]
+
+    @property
+    def known(self) -> bool:
+        """Whether there is one possible state only."""
+        return len(self.states) == 1
+
+    @property
+    def state(self) -> State:
+        """The state, or the middle of the possible ones."""
+        return middle_of(self.states)
+
+    def within(self, actuator: Actuator, limits: tuple[float, float] | None) -> State:
+        """Return the state, or the nearest one within the `limits` [V], by default those of the `actuator`."""
+        allowed = limits or actuator.limits
+        return self.state if allowed is None else state_within_limits(actuator, self.state, allowed)
+
+    def standing_at(self, actuator: Actuator, voltage: float) -> PossibleStart:
+        """Return the start after a slow motion of the `actuator` to the `voltage` [V] that is on it."""
+        there = tuple(state_within_limits(actuator, state, (voltage, voltage)) for state in self.states)
+        return replace(self, states=there)
+
+    def error_along(
+        self,
+        actuator: Actuator,
+        voltage: ArrayLike,
+        limits: tuple[float, float] | None = None,
+        *,
+        time: ArrayLike | None = None,
+        first: int = 0,
+    ) -> StartError:
+        """Return what the start leaves open of the motion by a voltage, see `StartError.along`.
+
+        Parameters
+        ----------
+        actuator : Actuator
+        voltage : (n,) array_like
+            [V].
+        limits : (2,) tuple, optional
+            An actuator of unknown history rests at the first voltage, after voltages within these [V].
+        time : (n,) array_like, optional
+            [s].
+        first : int, optional
+            Sample from which errors count.
+        """
+        v, states = vector(voltage, "voltage"), self.states
+        if self.name == "unknown" and v.size:
+            states = possible_states(actuator, float(v[0]), limits)
+        return StartError.along(actuator, states, v, time=time, first=first)
+
+    @classmethod
+    def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
+        """Return the state of a name.
+
+        `actuator`: the model. `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or
+        "homed", as after the voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for
+        another name, or if the actuator cannot be homed, for it has no limits.
+        """
+        choice(name, "start", NAMES, error=ModelError)
+        knots = actuator.spring.displacement
+        if name == "relaxed":
+            return cls(name, (actuator.relaxed(),))
+        if name == "homed":
+            return cls(name, (_homed(actuator),))
+        rising = name == "top"
+        return cls(name, (actuator.turned(float(knots[-1 if rising else 0]), rising=rising),))
+
+    @classmethod
+    def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
+        """Return the states at a `voltage` [V] if nothing is known of what was before.
+
+        They bound all those in which the `actuator` may stand there: two extreme states, or more if states keep no
+        order. `limits` [V]: range of all earlier voltages, for an actuator that moves in time; default its
+        `voltage_range`. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
+        """
+        return cls("unknown", possible_states(actuator, voltage, limits))
+
+    @classmethod
+    def after(
+        cls,
+        actuator: Actuator,
+        voltage: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        limits: tuple[float, float] | None = None,
+        name: str = "history",
+    ) -> PossibleStart:
+        """Return the states after a voltage that was played from an unknown state.
+
+        Parameters
+        ----------
+        actuator : Actuator
+        voltage : (n,) array_like
+            [V].
+        time : (n,) array_like, optional
+            [s], if the actuator needs it.
+        limits : (float, float), optional
+            Range of all voltages before these, as in `unknown`.
+        name : str, optional
+            Of the start.
+
+        Raises
+        ------
+        ModelError
+            If there is no voltage, it is not finite, or the time does not fit.
+        """
+        v = vector(voltage, "voltage")
+        if not v.size:
+            raise ModelError(argument="voltage", got="no samples", need="those that were played before")
+        when = time if actuator.needs_time else None
+        before = possible_states(actuator, float(v[0]), limits)
+        return cls(
+            name, tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
+        )
+
+
+def _homed(actuator: Actuator) -> State:
+    """Return the state after the homing voltage that `dehyst excite homing` writes by default."""
+    low, high = actuator.limits or (0.0, 0.0)
+    end = min(max(0.0, low), high)
+    return shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state
+
+
+@dataclass(frozen=True, eq=False)
+class StartError:
+    """The displacements that a voltage causes from all possible states.
+
+    Attributes
+    ----------
+    lowest, highest : (n,) array
+        Bounds of the displacement [m, or `units`]; with dynamics those of its slow part, about which a mass may ring.
+    stroke : float
+        Between the voltage limits [m, or `units`], to which percentages refer.
+    model_error : float
+        Largest error of the model on its training records [m, or `units`]; a thousandth of the stroke if the model does
+        not hold it.
+    time : (n,) array or None
+        [s].
+    units : str
+        Of all lengths, "m" by default.
+    """
+
+    lowest: Array
+    highest: Array
+    stroke: float
+    model_error: float
+    time: Array | None = None
+    units: str = "m"
+
+    def in_units(self, units: str) -> StartError:
+        """Return the same with its lengths, now in metres, in `units`, such as "um"."""
+        counts = per_metre(units)
+        return replace(
+            self,
+            lowest=self.lowest * counts,
+            highest=self.highest * counts,
+            stroke=self.stroke * counts,
+            model_error=self.model_error * counts,
+            units=units,
+        )
+
+    @classmethod
+    def along(
+        cls,
+        actuator: Actuator,
+        states: Sequence[State],
+        voltage: ArrayLike,
+        *,
+        time: ArrayLike | None = None,
+        first: int = 0,
+    ) -> StartError:
+        """Play a voltage from each of the possible states.
+
+        Parameters
+        ----------
+        actuator : Actuator
+        states : sequence of State
+            That bound the start: `PossibleStart.states`.
+        voltage : (n,) array_like
+            [V].
+        time : (n,) array_like, optional
+            [s]; needed by an actuator with creep, dynamics or a lag.
+        first : int, optional
+            Leave out the samples before this one, such as those of a homing.
+
+        Raises
+        ------
+        ModelError
+            If the voltage is not finite, or the time or a state does not fit.
+        """
+        v = vector(voltage, "voltage")
+        when = time if actuator.needs_time else None
+        lowest, highest = np.full(v.size - first, np.inf), np.full(v.size - first, -np.inf)
+        for state in states:
+            y = actuator.simulate(v, time=when, state=state, extrapolate=True).displacement[first:]
+            np.minimum(lowest, y, out=lowest)
+            np.maximum(highest, y, out=highest)
+        stroke = float(np.ptp(actuator.reach))
+        kept = None if time is None else vector(time, "time")[first:]
+        return cls(lowest, highest, stroke, model_error(actuator), kept)
+
+    @property
+    def difference(self) -> Array:
+        """Between the highest and the lowest displacement (n,) [m, or `units`]."""
+        return self.highest - self.lowest
+
+    @property
+    def first(self) -> float:
+        """Difference at the first sample [m, or `units`]."""
+        return float(self.difference[0]) if self.difference.size else 0.0
+
+    @property
+    def largest(self) -> float:
+        """Largest difference [m, or `units`]."""
+        return float(self.difference.max(initial=0.0))
+
+    @property
+    def matters(self) -> bool:
+        """Whether the start matters more than the error of the model, somewhere along the voltage."""
+        return self.largest > self.model_error
+
+    @property
+    def settled(self) -> int | None:
+        """First sample from which the difference stays below the model's error; None if it is above at the end."""
+        above = np.flatnonzero(self.difference > self.model_error)
+        after = int(above[-1]) + 1 if above.size else 0
+        return after if after < self.difference.size or not above.size else None
+
+    @property
+    def settled_seconds(self) -> float | None:
+        """Seconds from the first sample to `settled`; None without it, or without a time."""
+        settled = self.settled
+        if settled is None or self.time is None or not self.time.size:
+            return None
+        return float(self.time[settled] - self.time[0])
+
+    def percent(self, length: float) -> float:
+        """Return a `length` [m, or `units`] in % of the stroke."""
+        return 100 * length / self.stroke
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "first_difference_percent": self.percent(self.first),
+            "largest_difference_percent": self.percent(self.largest),
+            "model_error_percent": self.percent(self.model_error),
+            "settled_sample": self.settled,
+            "settled_s": self.settled_seconds,
+        }
+
+
+def model_error(actuator: Actuator) -> float:
+    """Return the largest error [m] of the model on its training records; a thousandth of the stroke if not known."""
+    known, stroke = actuator.identification, float(np.ptp(actuator.reach))
+    if known is None or known.largest_error is None:
+        return _MODEL_ERROR * stroke
+    return max(known.largest_error, _LEAST * stroke)

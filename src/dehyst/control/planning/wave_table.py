@@ -1,0 +1,311 @@
+"""The wave table of a periodic scan: homing, lead-in, start-up, and the steady cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, inf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
+from dehyst.control.compensator import Compensator
+from dehyst.control.planning.played_homing import FASTEST_LEG, played_homing, rows_of
+from dehyst.control.planning.steady_cycle import StartUp, settle, start_up_cycles, timed
+from dehyst.model import Actuator, State
+from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan, ScanPath
+from dehyst.waveforms.excitation import positive, refuse_long
+from dehyst.waveforms.scan import Bridge, PathPoint, whole
+
+# Share of the stroke: deviation of the first steady cycle from the later ones.
+_TOLERANCE = 1e-4
+HOMING, START_UP, CYCLE = 0, 1, 2
+# Least and most samples of a lead-in, and the factor by which it is lengthened.
+_LEAST, _MOST = 4, 2_000_000
+_LONGER = 2**0.25
+# Quintic of least jerk: largest speed over height per time, largest acceleration over height per time squared.
+_FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
+
+
+class Played(NamedTuple):
+    """Homing, start-up and cycles in a row (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected [m].
+
+    During the homing nothing is wanted, and both displacements are those of a model that begins relaxed. A long homing
+    has rows farther apart than the rest; between rows the voltage is linear.
+    """
+
+    time: Array
+    phase: Array
+    voltage: Array
+    displacement: Array
+    expected: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WaveTable:
+    """The voltages of a periodic scan of one axis: homing, then start-up, then the cycle any number of times.
+
+    Attributes
+    ----------
+    homing : Excitation or None
+        Leads to a known state; None if the state was given, or is known after any history. A long one has a sample
+        rate of its own: the scan's over a whole number.
+    start_up : StartUp
+        From the present displacement at rest to the cycle's first sample, then cycles whose voltages still change. The
+        sample after its last is the cycle's first.
+    cycle : StartUp
+        One period in its steady cycle.
+    cycles : int
+        Cycles in the start-up, after which the steady table may be played.
+    error : float
+        Deviation of the first cycle of the steady table from the later ones [m], by the model.
+    tolerance : float
+        Largest allowed deviation [m].
+    unknown : float
+        Error bar of the displacement after the homing [m]; 0 if the state was given.
+    certified : bool
+        Whether the state before the start-up is known: it was given, or the homing is certified.
+    state : State
+        At the first sample of the steady cycle.
+    start : State
+        Where the start-up begins.
+    actuator : Actuator
+        The actuator of the table.
+    clamped : int
+        Samples of start-up and cycle whose voltage was changed to keep the limits.
+    warnings : tuple of str
+        Deviations from the request, in sentences.
+    """
+
+    homing: Excitation | None
+    start_up: StartUp
+    cycle: StartUp
+    cycles: int
+    error: float
+    tolerance: float
+    unknown: float
+    certified: bool
+    state: State
+    start: State
+    actuator: Actuator
+    clamped: int
+    warnings: tuple[str, ...]
+
+    @property
+    def settled(self) -> bool:
+        """Whether the tolerance is kept."""
+        return self.error <= self.tolerance
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples a second [Hz] of start-up and cycle, and of a homing that is not long."""
+        return self.cycle.sample_rate
+
+    @cached_property
+    def homing_rows(self) -> NDArray[np.int64]:
+        """Samples of the homing (k,) in `played`: all, or ever fewer of a long hold; not the last."""
+        if self.homing is None:
+            return np.zeros(0, dtype=np.int64)
+        # The last sample is the first of the start-up.
+        return rows_of(self.homing.voltage[:-1])
+
+    def rows(self, cycles: int = 1) -> int:
+        """Return the number of rows of `played` with `cycles` cycles."""
+        return self.homing_rows.size + len(self.start_up) + cycles * len(self.cycle)
+
+    def played(self, cycles: int = 1) -> Played:
+        """Return all parts in a row, with `cycles` cycles of the steady table.
+
+        Raise `RecordError` if `cycles` is not a number of cycles, or there are more than 5e7 samples.
+        """
+        times = whole(cycles, "cycles", 0)
+        refuse_long(self.rows(times), self.sample_rate)
+        parts = [self.start_up] + [self.cycle] * times
+        voltage, wanted, expected = (
+            [getattr(part, name) for part in parts] for name in ("voltage", "displacement", "expected")
+        )
+        phase = [np.full(len(part), START_UP if k == 0 else CYCLE) for k, part in enumerate(parts)]
+        time = np.arange(sum(map(len, parts))) / self.sample_rate
+        if self.homing is not None:
+            rows = self.homing_rows
+            v, y = self.homing.voltage[rows], self._homing_displacement()[rows]
+            voltage, wanted, expected = [v, *voltage], [y, *wanted], [y, *expected]
+            phase = [np.full(rows.size, HOMING), *phase]
+            time = np.concatenate([rows / self.homing.sample_rate, self.homing.duration + time])
+        return Played(time, *map(np.concatenate, (phase, voltage, wanted, expected)))
+
+    def _homing_displacement(self) -> Array:
+        if self.homing is None:
+            return np.zeros(0)
+        v = self.homing.voltage
+        relaxed = self.actuator.relaxed(float(v[0]), extrapolate=True)
+        time = self.homing.time if self.actuator.needs_time else None
+        return self.actuator.simulate(v, time=time, state=relaxed, extrapolate=True).displacement
+
+
+class _Begin(NamedTuple):
+    """The state before the start-up, and the homing that leads to it; as in `WaveTable`."""
+
+    start: State
+    homing: Excitation | None = None
+    unknown: float = 0.0
+    certified: bool = True
+    warnings: tuple[str, ...] = ()
+
+
+def wave_table(
+    actuator: Actuator,
+    scan: Scan,
+    *,
+    axis: str = "x",
+    limits: tuple[float, float] | None = None,
+    slew_rate: float | None = None,
+    state: State | None = None,
+    present: float | None = None,
+    drive: Sampling | None = None,
+    approach: float | None = None,
+    cycles: int | None = None,
+    tolerance: float | None = None,
+) -> WaveTable:
+    """Compute the wave table of a periodic scan.
+
+    Without creep and smooth elements the second cycle repeats, because the first wipes out all that the scan can wipe
+    out. Creep and smooth elements settle slowly: their steady cycle is computed directly (`steady_state`), and the
+    start-up follows the path with its own voltages until the steady ones may be played.
+
+    Parameters
+    ----------
+    actuator : Actuator
+    scan : Scan
+        Periodic.
+    axis : str
+        Of the scan; each axis has an actuator of its own.
+    limits, slew_rate
+        Of the voltage, as in `Compensator`.
+    state : State, optional
+        State of the actuator, at rest; by default it is unknown and the shortest homing comes first.
+    present : float, optional
+        With homing: present voltage [V]; by default 0 V or the nearest limit.
+    drive : Sampling, optional
+        Speed and shape of the homing; by default 1 Hz or the scan's frequency if that is lower, and with creep as slow
+        as the default of `shortest_homing`. It has the scan's sample rate; above 1e5 samples 200 a leg at least.
+    approach : float, optional
+        Seconds to the first sample; by default as short as the speed and acceleration of the scan and the limits allow.
+    cycles : int, optional
+        Cycles in the start-up; by default as many as the tolerance requires, 1000 and 5e6 samples at most; with
+        clamped voltages, 47 and 1e5 samples at most. Give the axes of one scan the same `approach` and `cycles`, those
+        of the slower one.
+    tolerance : float, optional
+        Largest deviation of the first steady cycle [m]; by default 1e-4 of the stroke.
+
+    Raises
+    ------
+    RecordError
+        If the scan is not periodic or has no such axis, or a number is impossible.
+    ModelError
+        If there are no limits, the state does not fit the actuator, or the scan lies more than one stroke outside of
+        its reach.
+    """
+    if not scan.periodic:
+        raise RecordError(
+            argument="scan", got="one that ends elsewhere than it begins", need="a periodic one", hint="close it"
+        )
+    path, compensator = scan.path(axis), Compensator(actuator, limits, slew_rate, period=1 / scan.rate)
+    if sentence := compensator.strays(path.displacement):
+        raise ModelError(sentence)
+    stroke = path.range[1] - path.range[0]
+    least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
+    count = None if cycles is None else start_up_cycles(cycles, path)
+    begin = _homed(compensator, scan, present, drive) if state is None else _Begin(state)
+    motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
+    way = approach_to(path, compensator, begin.start, motion, approach)
+    # The last row of the homing: without a certificate its voltage need not be the one that holds the state.
+    present = None if begin.homing is None else float(begin.homing.voltage[-2])
+    settled = settle(compensator, path, way, begin.start, least, count, present)
+    warnings = (*scan.warnings, *begin.warnings, *settled.warnings)
+    table = {**vars(settled), **begin._asdict(), "warnings": warnings, "tolerance": least}
+    return WaveTable(actuator=actuator, **table)
+
+
+def _homed(compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None) -> _Begin:
+    """Return the state after the shortest homing, by default no faster than the scan."""
+    leg = max(FASTEST_LEG, 0.5 * scan.period)
+    excitation, homing, remarks = played_homing(compensator, scan.rate, leg, present=present, drive=drive)
+    return _Begin(homing.state, excitation, homing.error, homing.certified, remarks)
+
+
+def approach_to(
+    path: ScanPath, compensator: Compensator, state: State, limits: MotionLimits, seconds: float | None = None
+) -> ScanPath | None:
+    """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
+
+    Raise `RecordError` if `seconds` is not positive, or too long.
+
+    Parameters
+    ----------
+    path : ScanPath
+    compensator : Compensator
+        Its slew rate limits the lead-in.
+    state : State
+    limits : MotionLimits
+        Of speed and acceleration; those that are not given are the path's own extremes.
+    seconds : float, optional
+        Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
+        first, then the slew rate if any duration keeps it.
+    """
+    now, first, rate, ends = _present(state), path.first, path.sample_rate, _ends(path)
+    if seconds is not None:
+        duration = positive(seconds, "approach")
+        refuse_long(int(min(duration * rate, 1e15)), rate)
+        return _sampled(now, ends[0], max(_LEAST, ceil(duration * rate * (1 - 1e-12))), path)
+    stroke = path.range[1] - path.range[0]
+    if not any(now[1:]) and not ends[0].velocity and abs(now.displacement - first.displacement) <= 1e-12 * stroke:
+        return None
+    motion = MotionLimits(limits.speed or _extreme(path.velocity), limits.acceleration or _extreme(path.acceleration))
+    height = abs(first.displacement - now.displacement)
+    least = max(_FASTEST * height / (motion.speed or 1), sqrt(_HARDEST * height / (motion.acceleration or 1)))
+    slew = inf if compensator.slew_rate is None else compensator.slew_rate
+    count, shortest = max(_LEAST, ceil(least * rate * (1 - 1e-9))), None
+    while count <= _MOST:
+        for end in ends:
+            if not motion.allow(Bridge(now, end, count / rate).peaks):
+                continue
+            way = _sampled(now, end, count, path)
+            shortest = shortest or way
+            if _steepest(compensator, way.then(path.repeated(0)), state) <= slew / rate:
+                return way
+        count = ceil(count * _LONGER)
+    refuse_long(count, rate)
+    return shortest or _sampled(now, ends[-1], count, path)
+
+
+def _steepest(compensator: Compensator, path: ScanPath, state: State) -> float:
+    """Return the largest voltage step [V] along a path, before any limit."""
+    motion = compensator.actuator.compensate(path.displacement, **timed(path), state=state, extrapolate=True)
+    return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
+
+
+def _present(state: State) -> PathPoint:
+    """Return displacement and velocity of a state."""
+    return PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
+
+
+def _extreme(row: Array) -> float:
+    return float(np.abs(row).max())
+
+
+def _ends(path: ScanPath) -> tuple[PathPoint, ...]:
+    """Return the ends to try: the begin of the scan, and the same without acceleration, which may need a detour."""
+    y, v, _ = path.first
+    # From rest, an acceleration at the end would make the way overshoot and come back.
+    if abs(v) <= 1e-9 * _extreme(path.velocity):
+        return (PathPoint(y),)
+    return path.first, PathPoint(y, v)
+
+
+def _sampled(now: PathPoint, end: PathPoint, count: int, path: ScanPath) -> ScanPath:
+    travel = Bridge(now, end, count / path.sample_rate).at(np.arange(count) / path.sample_rate)
+    return ScanPath(*travel, path.sample_rate, periodic=False)

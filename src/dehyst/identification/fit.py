@@ -1,0 +1,257 @@
+"""The result of an identification, and its summary in lines and in HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Literal
+
+from dehyst._text import escaped
+from dehyst._views import html, tables
+from dehyst._views.lines import length, percent
+from dehyst._views.pictures import plotted
+from dehyst.identification.expectation import Expectation, Readiness
+from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace
+from dehyst.identification.structure import Structure
+from dehyst.model import Actuator, State
+from dehyst.model.identification import Outcome
+from dehyst.model.summary import parts_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The result of an identification.
+
+    Attributes
+    ----------
+    actuator : AbstractModel or None
+        None only when the outcome is `Outcome.FAILED`.
+    outcome : Outcome
+    errors : tuple of RecordErrors
+        One for each record, training first, then validation.
+    repairs : tuple of str
+        Sentences: what was left out, shifted or removed before or during the fit.
+    remarks : tuple of str
+        Sentences: limits of the result.
+    traces : tuple of Trace
+        Measured and simulated displacement of each record.
+    status : str
+        Status text of the solver.
+    gap : float
+        Duality gap, relative to the sum of the absolute weighted voltages.
+    options : Mapping
+        Options as requested and as used.
+    checks : tuple of Check
+        Assumptions of the model, tested on the records.
+    trials : tuple of dehyst.identification.structure_selection.StructureTrial
+        Structures that were tried, if one was selected.
+    expectation : Expectation or None
+        How well a path will be followed, and the verdict; None when the outcome is `Outcome.FAILED`.
+    remaining : tuple of RemainingError
+        Where the error of each record comes from.
+    """
+
+    actuator: Any
+    outcome: Outcome
+    errors: tuple[RecordErrors, ...] = ()
+    repairs: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    status: str = ""
+    gap: float = float("nan")
+    options: Mapping[str, Any] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
+    trials: tuple[Any, ...] = ()
+    expectation: Expectation | None = None
+    remaining: tuple[RemainingError, ...] = ()
+
+    def __repr__(self) -> str:
+        records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
+        more = f" and {len(self.errors) - 3} more" if len(self.errors) > 3 else ""
+        verdict = "" if self.expectation is None else f"{self.expectation.words}; "
+        return f"<Fit of {records or 'no record'}{more}: {verdict}{self.outcome.name}>"
+
+    def __str__(self) -> str:
+        return escaped(_one_line(self))
+
+    def _repr_html_(self) -> str:
+        return _as_html(self)
+
+    def summary(self) -> str:
+        """Return what `dehyst identify` prints: verdict, errors, structures, parts, repairs and remarks, in lines."""
+        return "\n".join(escaped(line) for line in _lines(self))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the errors as a pandas DataFrame, a row a record: in % of the stroke and in nm.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        names = "record", "role", "samples", "left_out", "largest_percent", "rms_percent"
+        columns = {name: [getattr(error, name) for error in self.errors] for name in names}
+        lengths = {f"{name}_nm": [getattr(error, name) * 1e9 for error in self.errors] for name in ("largest", "rms")}
+        drift = [error.drifted_percent for error in self.errors]
+        return tables.frame({**columns, **lengths, "drifted_percent": drift})
+
+    def plot(
+        self,
+        kind: Literal["loops", "hysteresis", "residuals", "residuals in time"] = "loops",
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw the fit: all records, measured and simulated.
+
+        Parameters
+        ----------
+        kind : str
+            "loops": displacement over voltage. "hysteresis": the same less the straight line through the measured
+            loops, which shows hysteresis and misfit enlarged. "residuals": measured minus simulated over displacement,
+            rising and falling branches apart. "residuals in time".
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or nothing to draw: an identification that failed.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("fit", self, kind, ax)
+
+    @property
+    def good(self) -> bool:
+        """Whether the model may be used: neither its outcome nor what is expected of it forbids that."""
+        usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
+        return self.outcome.good and usable
+
+    @property
+    def starts(self) -> dict[str, tuple[State, ...]]:
+        """The states from which each record was simulated, by its name; one for each of its pieces."""
+        return {error.record: error.starts for error in self.errors}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without the traces."""
+        return {
+            "outcome": self.outcome.name,
+            "sentence": self.outcome.value,
+            "good": self.good,
+            "verdict": None if self.expectation is None else self.expectation.as_dict(),
+            "remaining": [one.as_dict() for one in self.remaining],
+            "errors": [error.as_dict() for error in self.errors],
+            "checks": [check.as_dict() for check in self.checks],
+            "repairs": list(self.repairs),
+            "remarks": list(self.remarks),
+            "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
+            "options": dict(self.options),
+            "trials": [trial.as_dict() for trial in self.trials],
+        }
+
+
+# Structures, best first.
+_SHOWN = 5
+_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
+
+
+def label(structure: Structure, trials: Sequence[Any]) -> str:
+    """Describe a structure in words, with its smoothing if only that differs from another trial."""
+    smoothings = {trial.structure.smoothing for trial in trials if trial.structure.words == structure.words}
+    return structure.words if len(smoothings) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
+
+
+def _one_line(fit: Fit) -> str:
+    """Return the verdict with its numbers, or how the fit ended."""
+    return fit.outcome.value if fit.expectation is None else fit.expectation.sentence
+
+
+def _lines(fit: Fit) -> Iterator[str]:
+    """Yield the _lines of a summary: verdict, errors, structures, parts, repairs, remaining error, remarks, solver."""
+    if fit.expectation is not None:
+        yield fit.expectation.sentence
+    yield fit.outcome.value
+    yield from _error_table(fit.errors)
+    yield from _structures(fit)
+    if parts := _parts_of(fit.actuator):
+        yield from ("", "The model is made of:", *(f"  {name + ':':<18}{sentence}" for name, sentence in parts))
+    for title, sentences in _lists(fit):
+        if sentences:
+            yield from ("", f"{title}:", *(f"  - {sentence}" for sentence in sentences))
+    yield ""
+    yield f"Solver: {fit.status}, duality gap {fit.gap:.1g}"
+
+
+def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
+    if not errors:
+        return
+    names = [escaped(error.record) for error in errors]
+    width = max(6, *map(len, names))
+    yield ""
+    yield f"{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}"
+    yield f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}"
+    for name, error in zip(names, errors, strict=True):
+        drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
+        yield (
+            f"{name:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
+            f"  {error.largest_percent:>7.3f} % {error.rms_percent:>7.3f} %"
+            f"  {error.largest * 1e9:>6.0f} nm {error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
+        )
+
+
+def _structures(fit: Fit) -> Iterator[str]:
+    if not fit.trials:
+        return
+    yield ""
+    yield "Structures tried, RMS error of cycles held out in turn:"
+    structure = fit.options.get("structure")
+    for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
+        chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
+        yield f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}"
+    yield "  (A part is kept only if it lowers this error by at least 3 %.)"
+
+
+def _parts_of(actuator: Any) -> list[tuple[str, str]]:
+    """Return name and sentence of each part of a wider actuator."""
+    wide = isinstance(actuator, Actuator) and actuator.wide
+    return [(part.name, part.sentence) for part in parts_of(actuator)] if wide else []
+
+
+def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:
+    causes = [one.sentence(fit.errors[0].stroke) for one in fit.remaining]
+    return ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)
+
+
+def _as_html(fit: Fit) -> str:
+    """Return a fit for a notebook: verdict, errors, and what opens with a click."""
+    head = ("record", "role", "samples", "left out", "largest", "RMS", "largest, % of stroke", "RMS, % of stroke")
+    rows = [
+        (
+            error.record,
+            error.role,
+            error.samples,
+            error.left_out,
+            length(error.largest),
+            length(error.rms),
+            percent(error.largest, error.stroke),
+            percent(error.rms, error.stroke),
+        )
+        for error in fit.errors
+    ]
+    verdict = fit.expectation
+    return html.block(
+        "Fit" if verdict is None else f"Fit: {verdict.readiness.value}",
+        html.line(_one_line(fit)),
+        html.line(fit.outcome.value) if verdict is not None else "",
+        html.table(head, rows) if rows else "",
+        html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator)]),
+        html.folded("Assumptions", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in fit.checks]),
+        *(html.folded(title, sentences) for title, sentences in _lists(fit)),
+        colour="red" if not fit.good else "" if verdict is None else _COLOURS[verdict.readiness],
+    )

@@ -1,0 +1,258 @@
+"""Held-out errors: time-block cross-validation by simulation, held-out loop sizes, and disagreement of structures.
+
+Folds that interleave cycles never extrapolate, and the equation of a row knows the measured displacement: both let a
+resonance filter the sensor's noise, and creep follow a drift. Here sixths of the time, two at a time, are simulated
+from the voltages alone by a model of the others. Where parts that move in time compete, a straight line in time is
+taken from the residual of each record: drift is no reason for such a part.
+
+Records of loops that all turn at one end, or of a few heights, hold no other loops; a path does. Two numbers say how
+much a model knows of them: the error on held-out sizes of loops, and the disagreement, on a random path, of structures
+whose held-out errors are about equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array, Mask, Progress
+from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.regression.fold_sums import FoldSums, blocks, first_weights, least_squares_of_sums
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.rules import RULES
+from dehyst.identification.structure import Structure
+from dehyst.identification.structure_selection import StructureTrial
+from dehyst.identification.training_data import FEW_STEPS, TrainingData
+from dehyst.identification.validation import ComparisonOptions, compare, counted_of, errors_beside
+from dehyst.model import Actuator
+from dehyst.records.signals import rms
+
+_ROWS = 4000
+_PARTS = 6
+# A start is not fitted where this part of a record comes after all elements are known.
+_SOON = 0.5
+# The structure with which drift and creep compete, and the branches of creep.
+_STEADY = Structure(elements=20, grades=3, transformer=10, smooth=True)
+_BRANCHES = 4
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A part that the records do not support.
+
+    Attributes
+    ----------
+    part : str
+        "inertia", "creep" or "delay".
+    without, within : float
+        Error [m] of time that was not trained on, without the part and with it.
+    """
+
+    part: str
+    without: float
+    within: float
+
+
+def extrapolation_error(frame: TrainingData, structure: Structure) -> float:
+    """Return the error [m] of parts of the time that were not trained on, less a straight line in each record."""
+    parts = _Parts(frame, frame.regression(structure, _ROWS))
+    return _typical([_detrended(*one)[where] for one, where in parts.residuals()])
+
+
+def block_error(frame: TrainingData, regression: Regression) -> float:
+    """Return the error [m] of parts of the time that were not trained on."""
+    return _typical([residual[where] for (_, residual), where in _Parts(frame, regression.thinned(_ROWS)).residuals()])
+
+
+def drift_and_creep(frame: TrainingData) -> tuple[bool, bool]:
+    """Return whether a drift predicts time that was not trained on, and whether creep does so as well."""
+    drifting = frame.regression(_STEADY, _ROWS // 2)
+    creeping = frame.regression(replace(_STEADY, creep=_BRANCHES), _ROWS // 2)
+    without, drift, creep = (block_error(frame, one) for one in (replace(drifting, drifting=()), drifting, creeping))
+    return drift < RULES.drift_prediction_gain * without, creep * RULES.drift_prediction_gain < drift
+
+
+def followed_at_once(frame: TrainingData, structure: Structure) -> float:
+    """Return the part of a step that creep of a structure adds within a twentieth of a cycle, where that is a low-pass.
+
+    0 if it is as slow as creep is.
+    """
+    if not structure.creep:
+        return 0.0
+    regression = frame.regression(structure, _ROWS)
+    tau = regression.grid.time_constants
+    stiffness = least_squares_of_sums(regression).internal[: tau.size]
+    at_once = 1 - np.exp(-frame.fastest_creep * FEW_STEPS / tau)
+    followed = float(stiffness @ at_once) / regression.mean_slope
+    return followed if followed > RULES.creep_at_once else 0.0
+
+
+def _typical(parts: list[Array]) -> float:
+    """Return the median RMS error: a part with the only loops of their size says little of the others."""
+    return float(np.median([rms(part) for part in parts if part.size])) if any(map(np.size, parts)) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Sixths of the time of all records, two of them held out at a time.
+
+    Samples beyond the displacements of the rest do not count: there nothing is known.
+    """
+
+    frame: TrainingData
+    regression: Regression
+
+    def _part(self, q: int, time: Array) -> NDArray[np.intp]:
+        """Return the part in which each time of a record lies."""
+        first, last = self.frame.training[q].record.time[[0, -1]]
+        return np.asarray(np.clip((_PARTS * (time - first) / (last - first)).astype(np.intp), 0, _PARTS - 1))
+
+    def residuals(self) -> Iterator[tuple[tuple[Array, Array], Mask]]:
+        """Yield time and residual of a record under a model that lacks a group, and which samples were held out."""
+        rows = self.regression.rows
+        part = np.zeros(len(rows), dtype=np.intp)
+        for q in range(len(self.frame.training)):
+            part[rows.record == q] = self._part(q, rows.time[rows.record == q])
+        weights = first_weights(self.regression)
+        for k in range(_PARTS // 2):
+            group = k, k + _PARTS // 2
+            out = np.isin(part, group)
+            fitted = FoldSums(self.regression, weights, folds=2, given=out.astype(np.intp)).without(1)
+            if fitted is None:
+                continue
+            actuator = self.frame.actuator_of(self.regression, fitted)
+            known = self.regression.axis[~out]
+            for q, item in enumerate(self.frame.training):
+                datum = float(self.regression.datum[q])
+                protocol = ComparisonOptions(
+                    "training", actuator.delay, datum, q in self.regression.drifting, self.frame.stroke
+                )
+                time, measured, simulated = _played(actuator, item, protocol)
+                inside = (measured >= known.min()) & (measured <= known.max())
+                yield (time, measured - simulated), np.isin(self._part(q, time), group) & inside
+
+
+def _played(actuator: Actuator, item: Prepared, protocol: ComparisonOptions) -> tuple[Array, Array, Array]:
+    """Return time, measured and simulated displacement: from where all elements are known, if that is soon enough."""
+    beside = compare(actuator, item, protocol)
+    last = [one for one in beside.played(actuator) if one[1] is beside.epochs[one[0]][-1]]
+    if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, beside.measured)):
+        _, trace = errors_beside(actuator, item, beside, protocol)
+        return trace.time, trace.measured, trace.simulated
+    time, _, measured, simulated, _ = (
+        np.concatenate(column)
+        for column in zip(*(counted_of(one[2], beside.record.record) for one in last), strict=True)
+    )
+    return time, measured, simulated
+
+
+def _detrended(time: Array, residual: Array) -> Array:
+    """Return a residual less its straight line in time."""
+    off = time - time.mean()
+    return np.asarray(residual - residual.mean() - off * float(off @ residual) / max(float(off @ off), 1e-300))
+
+
+def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, report: Progress) -> Dropped | None:
+    """Return the first part that moves in time and does not predict time that was not trained on; None if all do.
+
+    Parameters
+    ----------
+    frame, structure : TrainingData, Structure
+        As they were found.
+    still : TrainingData
+        The same records without inertia.
+    report : callable
+        Called with a few words at each step.
+    """
+    simpler = []
+    if frame.inertia.mass:
+        simpler.append(("inertia", still, structure))
+    if structure.creep:
+        simpler.append(("creep", replace(frame, creepless=True), replace(structure, creep=0)))
+    if not simpler:
+        return None
+    report("predicting time that was not trained on")
+    within = extrapolation_error(frame, structure)
+    for part, other, fewer in simpler:
+        report(f"predicting time that was not trained on, without {part}")
+        without = extrapolation_error(other, fewer)
+        if without <= RULES.prediction_loss * within:
+            return Dropped(part, without, within)
+    return None
+
+
+# Fewer rows say nothing.
+_FEWEST = 20
+# Number of different sizes; a cycle of at least this part of the largest one is as large.
+_SIZES, _LARGEST = 20, 0.9
+# Most structures that are compared.
+_COMPARED = 4
+# Random turning points of the path, and its samples from one to the next.
+_TURNS, _LEG = 40, 24
+
+
+def size_error(regression: Regression) -> float:
+    """Return the RMS error [m] on cycles of sizes that were not trained on: the larger of two groups.
+
+    Of the sizes there are below the largest, in twentieths of it, the smallest third is held out, then the next one.
+    0 if there are too few.
+    """
+    few = regression.thinned(_ROWS)
+    cycle = blocks(few.rows.voltage, few.rows.epoch)
+    sizes = np.array([np.ptp(few.axis[cycle == k]) for k in np.unique(cycle)])
+    step = (_SIZES * sizes / max(float(sizes.max(initial=0.0)), 1e-300)).astype(int)
+    smaller = np.unique(step[step < _LARGEST * _SIZES])
+    third = 3 * np.searchsorted(smaller, step) // max(smaller.size, 1)
+    fold = np.minimum(third, 2)[np.unique(cycle, return_inverse=True)[1]]
+    sums = FoldSums(few, first_weights(few), folds=3, given=fold)
+    errors = [sums.errors_of(k) for k in (0, 1) if smaller.size and np.count_nonzero(fold == k) >= _FEWEST]
+    return max((rms(left) for left in errors if left is not None), default=0.0)
+
+
+def disagreement(
+    frame: TrainingData, actuator: Actuator, voltages: tuple[float, float], trials: Sequence[StructureTrial]
+) -> float:
+    """Return the median RMS distance [m] on a random path from other structures that explain the records about as well.
+
+    Parameters
+    ----------
+    frame : TrainingData
+    actuator : Actuator
+    voltages : (float, float)
+        Lowest and highest voltage of the path [V].
+    trials : sequence of StructureTrial
+        All that were tried; 0 if no other one explains the records as well.
+    """
+    voltage, known = _random_path(*voltages)
+    time = np.arange(voltage.size) * frame.times[0]
+
+    def played(one: Actuator) -> Array:
+        return one.simulate(voltage, time=time if one.needs_time else None, extrapolate=True).displacement[known:]
+
+    mine, distances = played(actuator), []
+    for structure in _others(trials, creeps=actuator.creep is not None):
+        regression = frame.regression(structure, _ROWS)
+        found = least_squares_of_sums(regression)
+        if found.solved.optimal:
+            distances.append(float(np.std(played(frame.actuator_of(regression, found)) - mine)))
+    distances = [one for one in distances if one < RULES.failed_fit * frame.stroke]
+    return float(np.median(distances)) if distances else 0.0
+
+
+def _others(trials: Sequence[StructureTrial], creeps: bool) -> list[Structure]:
+    """Return the structures whose held-out errors are about the least, the simplest first."""
+    counted = [trial for trial in trials if bool(trial.structure.creep) == creeps]
+    least = min((trial.held_out for trial in counted), default=0.0)
+    near = {trial.structure for trial in counted if trial.held_out <= RULES.about_as_good * least}
+    return sorted(near, key=lambda structure: (structure.parameters, repr(structure)))[:_COMPARED]
+
+
+def _random_path(low: float, high: float) -> tuple[Array, int]:
+    """Return voltages between random turning points, after two full loops, and how many samples these have."""
+    turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _TURNS)])
+    legs = [np.linspace(a, b, _LEG, endpoint=False) for a, b in pairwise(turns)]
+    return np.concatenate(legs), 4 * _LEG

@@ -1,0 +1,318 @@
+"""The results of an identification: outcome, errors and traces of records, checks; files of traces."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._errors import FileFormatError
+from dehyst._io import PathLike, packed, reading_errors, write_atomically
+from dehyst._text import counted, escaped
+from dehyst._types import Array
+from dehyst._views import tables
+from dehyst._views.lines import length
+from dehyst.identification.rules import RULES
+from dehyst.model import State
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True)
+class RecordErrors:
+    """Measured minus simulated displacement of one `record`, where its state is known.
+
+    `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
+    `largest_with_drift` [m] is as `rms_with_drift`. `offset` [m] is the constant that was set aside. `datum` [m] is
+    that of the sensor.
+
+    Attributes
+    ----------
+    largest, rms : float
+        [m], with the reported drift of the record removed.
+    rms_with_drift : float
+        [m], with the drift included.
+    stroke : float
+        The range of the widest training loop [m], to which the percentages refer.
+    drift : float
+        Removed drift [m a decade of time since the record's start].
+    decades : float
+        Decades of that time that the used samples cover.
+    steady : bool
+        Whether the drift is in proportion to time; `drift` times `decades` is all of it.
+    starts : tuple of State
+        The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
+        sample that was compared.
+    """
+
+    record: str
+    role: str
+    samples: int
+    left_out: int
+    largest: float
+    rms: float
+    largest_with_drift: float
+    rms_with_drift: float
+    stroke: float
+    offset: float
+    datum: float
+    drift: float
+    decades: float = 1.0
+    steady: bool = False
+    starts: tuple[State, ...] = field(default=(), compare=False)
+
+    def __repr__(self) -> str:
+        errors = f"largest {self.largest_percent:.3g} %, RMS {self.rms_percent:.3g} %"
+        return f"<RecordErrors '{escaped(self.record)}' ({self.role}): {errors}, {counted(self.samples, 'sample')}>"
+
+    @property
+    def drifted_percent(self) -> float:
+        """Displacement by drift over the used samples, in % of the stroke."""
+        return 100 * self.drift * self.decades / self.stroke
+
+    @property
+    def creeps(self) -> bool:
+        """Whether the drift can be creep, so that its rate is reported."""
+        return not self.steady and may_creep(100 * self.drift / self.stroke, self.decades)
+
+    @property
+    def largest_percent(self) -> float:
+        """Largest error in % of the stroke."""
+        return 100 * self.largest / self.stroke
+
+    @property
+    def rms_percent(self) -> float:
+        """RMS error in % of the stroke."""
+        return 100 * self.rms / self.stroke
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values, lengths in metres."""
+        return {
+            "record": self.record,
+            "role": self.role,
+            "samples": self.samples,
+            "left_out": self.left_out,
+            "largest_percent": self.largest_percent,
+            "rms_percent": self.rms_percent,
+            "largest_m": self.largest,
+            "rms_m": self.rms,
+            "largest_with_drift_percent": 100 * self.largest_with_drift / self.stroke,
+            "rms_with_drift_percent": 100 * self.rms_with_drift / self.stroke,
+            "offset_V": self.offset,
+            "datum_m": self.datum,
+            "drift_percent": 100 * self.drift / self.stroke,
+            "drift_decades": self.decades,
+            "drift_steady": self.steady,
+            "starts": [state.as_dict() for state in self.starts],
+        }
+
+
+def may_creep(rate: float, decades: float) -> bool:
+    """Return whether a drift can be creep, by its rate [% of the range a decade] and the decades covered.
+
+    Piezoelectric actuators creep by a few percent a decade; a larger drift has another cause. A rate from a small part
+    of a decade is an extrapolation.
+    """
+    return abs(rate) <= RULES.most_creep and decades >= RULES.fewest_decades
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A `record` and its simulation: `time` [s], acting `voltage` [V], displacements [m] on the model's axis.
+
+    `role` is training or validation. `measured` and `simulated` are (n,) [m]. `began` is the time of the record's first
+    sample [s], compared or not.
+    """
+
+    record: str
+    role: str
+    time: Array
+    voltage: Array
+    measured: Array
+    simulated: Array
+    began: float = float("inf")
+
+    def __repr__(self) -> str:
+        largest = float(np.abs(self.residual).max(initial=0.0))
+        size = counted(self.time.size, "sample")
+        return f"<Trace '{escaped(self.record)}' ({self.role}): {size}, largest residual {length(largest)}>"
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated displacement (n,) [m]."""
+        return self.measured - self.simulated
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns time_s, voltage_V, measured_um and simulated_um as a pandas DataFrame.
+
+        Raise `MissingExtraError` if pandas is not installed.
+        """
+        lengths = {"measured_um": self.measured * 1e6, "simulated_um": self.simulated * 1e6}
+        columns = {"time_s": self.time, "voltage_V": self.voltage, **lengths}
+        return tables.frame(columns, record=self.record, role=self.role)
+
+
+@dataclass(frozen=True)
+class RemainingError:
+    """Where the error of a record comes from: shares of the power of its residual.
+
+    Attributes
+    ----------
+    record, role : str
+    rms : float
+        RMS of the residual less its mean [m].
+    noise, slow, vibration, model : float
+        Shares of white noise, of drift and the like, of a line that the voltage does not have, and of the model.
+    frequency : float
+        That of the line [Hz]; 0 without one.
+    means : tuple of float
+        Mean residual, its slow part aside [m]: where the voltage rises, in the lowest, middle and highest third of the
+        displacements, then where it falls. Empty without an error.
+    """
+
+    record: str
+    role: str
+    rms: float
+    noise: float
+    slow: float
+    vibration: float
+    model: float
+    frequency: float
+    means: tuple[float, ...] = ()
+
+    @property
+    def vibration_amplitude(self) -> float:
+        """Amplitude of the line [m]."""
+        return self.rms * float(np.sqrt(2 * self.vibration))
+
+    @property
+    def sensed(self) -> float:
+        """RMS of what is the sensor's: white noise and vibration [m]."""
+        return self.rms * float(np.sqrt(self.noise + self.vibration))
+
+    def sentence(self, stroke: float) -> str:
+        """Return the record and its `causes`; lengths are parts of `stroke` [m]."""
+        return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
+
+    def causes(self, stroke: float) -> str:
+        """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
+        parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
+        if self.vibration:
+            size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"
+            parts.append((self.vibration, f"a vibration of {self.frequency:.3g} Hz, {size}"))
+        parts.sort(reverse=True)
+        shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
+        remedy = _REMEDIES[parts[0][1].split()[0]]
+        if self.noise == parts[0][0] and self.model > _WORTH:
+            remedy = "A quieter sensor or averaged cycles would reduce it; a better model, its own part."
+        return f"{shares}.{self._where(stroke)} {remedy}"
+
+    def _where(self, stroke: float) -> str:
+        """Return where the model's part is largest, if it is a part worth naming."""
+        if self.model < _NAMED or not self.means:
+            return ""
+        worst = max(range(len(self.means)), key=lambda k: abs(self.means[k]))
+        way, third = ("rising", "falling")[worst // 3], ("lowest", "middle", "highest")[worst % 3]
+        mean = f"{100 * self.means[worst] / stroke:+.2g} % of the stroke"
+        return f" The model's part is largest where {way} in the {third} third: {mean} on average."
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+# The model's part is located if it is the first share, and worth a better model if it is the second.
+_NAMED, _WORTH = 0.1, 0.25
+# By the first word of the largest part.
+_REMEDIES = {
+    "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",
+    "drift": "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
+    "the": "More elements, grades or loops that turn elsewhere may reduce it.",
+    "a": "Isolate the stage, or close the loop: no model of the voltage can follow it.",
+}
+
+
+class Verdict(Enum):
+    """Whether an assumption of a model holds; the value is the word to show."""
+
+    HOLDS = "holds"
+    FAILS = "does not hold"
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True)
+class Check:
+    """An assumption of a model, tested on the records.
+
+    Attributes
+    ----------
+    name : str
+        The assumption: "Assumption I", "Anti-symmetry", ...
+    verdict : Verdict
+    value, floor : float or None
+        The measured value, and the value that noise alone would give (for Assumption I the least allowed); None where
+        there is no such number.
+    unit : str
+        Unit of both.
+    sentence : str
+        The finding and its meaning.
+    """
+
+    name: str
+    verdict: Verdict
+    value: float | None
+    floor: float | None
+    unit: str
+    sentence: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {**asdict(self), "verdict": self.verdict.name}
+
+
+# Name of the first array of traces.
+_HEADS = "dehyst-output"
+_COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", "simulated_m": "simulated"}
+
+
+def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
+    """Write `traces` to a `path` that ends in .npz.
+
+    It has the arrays time_s_1, voltage_V_1, measured_m_1 and simulated_m_1 of the first record, and so on; the array
+    "dehyst-output" is JSON in bytes: name, role and first time [s] of each.
+
+    Raises
+    ------
+    FileFormatError
+        The suffix is another one, or the file cannot be written.
+    """
+    if Path(path).suffix.lower() != ".npz":
+        raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
+    heads = [{"record": one.record, "role": one.role, "first_s": min(one.began, *one.time[:1])} for one in traces]
+    arrays = {_HEADS: np.frombuffer(json.dumps(heads).encode(), dtype=np.uint8)}
+    for k, one in enumerate(traces, 1):
+        arrays |= {f"{column}_{k}": getattr(one, name) for column, name in _COLUMNS.items()}
+    write_atomically(path, packed(arrays))
+
+
+def read_traces(path: PathLike) -> Iterator[Trace]:
+    """Yield the traces that `write_traces` wrote to a `path`, one at a time.
+
+    Raises
+    ------
+    FileFormatError
+        The file cannot be read, or is another one.
+    """
+    with reading_errors(Path(path), ".npz"), np.load(path, allow_pickle=False) as archive:
+        if _HEADS not in archive:
+            raise FileFormatError(f"{path}: holds no traces; write them with dehyst identify --traces")
+        heads: list[dict[str, Any]] = json.loads(archive[_HEADS].tobytes())
+        for k, head in enumerate(heads, 1):
+            columns = {name: archive[f"{column}_{k}"] for column, name in _COLUMNS.items()}
+            yield Trace(head["record"], head["role"], **columns, began=float(head["first_s"]))

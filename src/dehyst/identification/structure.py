@@ -1,0 +1,239 @@
+"""The structure of a model: which parts an actuator has, and the grids on which they lie."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError
+from dehyst._types import Array, Mask
+from dehyst.model import Actuator, GradedSlip
+from dehyst.model.elements import segment_of
+
+# Lengths of smooth elements as parts of the stroke, each with both closings. An element forgets its start over a few
+# lengths: longer ones would still depend on how a record began.
+_LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
+_CLOSINGS = np.array([0.5, 1.0])
+# Time constant of the fastest creep branch in samples: faster ones are almost elastic.
+_FASTEST = 3.0
+# Least and most.
+_COUNTS = {"elements": (1, 500), "grades": (1, 50), "knots": (2, 500), "transformer": (0, 200), "creep": (0, 50)}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The parts of an actuator and their numbers.
+
+    Parameters
+    ----------
+    elements : int
+        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last slides over the whole stroke only and acts as part of
+        the spring.
+    spacing : float
+        1: uniform grid, as in the paper; 2: denser for small loops.
+    grades : int
+        Segments of the stroke, each with its own stiffnesses of the elements; 1: plain elements.
+    knots : int
+        Knots of the spring.
+    transformer : int
+        Segments of tau(v); 0: no transformer.
+    creep : int
+        Creep branches, time constants log-spaced from a few samples to the longest record; 0: no creep.
+    smooth : bool
+        Whether there are elements that yield gradually, of five lengths.
+    smoothing : float
+        Weight of the differences of neighbouring stiffnesses and slopes; 0: none. See `regularization`.
+    reach : float
+        Longest threshold in half strokes. Elements beyond 1 never slide both ways, but may slide once while the range
+        of loops that grow gets wider; up to there they act as part of the spring.
+
+    Raises
+    ------
+    IdentifyError
+        If a number is impossible.
+    """
+
+    elements: int = 20
+    spacing: float = 1.0
+    grades: int = 1
+    knots: int = 21
+    transformer: int = 0
+    creep: int = 0
+    smooth: bool = False
+    smoothing: float = 3e-3
+    reach: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in _COUNTS.items():
+            _validation.count(getattr(self, name), name, least, most)
+        _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
+        _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
+        _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
+        _validation.between(self.reach, "reach", 1, 2, "a number of half strokes")
+        if self.transformer == 1:
+            raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is Maxwell-slip, plain: elements of constant stiffness and a spring."""
+        return self.grades == 1 and not (self.transformer or self.creep or self.smooth)
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients of the convex program, without the constants of records."""
+        smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
+        sliding = self.elements - (self.reach == 1)
+        return sliding * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
+
+    @property
+    def words(self) -> str:
+        """Description in words."""
+        parts = [f"{self.elements} elements" + ("" if self.spacing == 1 else ", dense where loops are small")]
+        if self.grades > 1:
+            parts.append(f"graded in {self.grades} segments")
+        if self.transformer:
+            parts.append(f"a transformer of {self.transformer} segments")
+        if self.creep:
+            parts.append(f"{self.creep} creep branches")
+        if self.smooth:
+            parts.append("smooth elements")
+        if self.reach > 1:
+            parts.append(f"thresholds up to {self.reach:g} half strokes")
+        return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        fields = asdict(self)
+        if self.reach == 1:
+            del fields["reach"]
+        return fields
+
+    def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
+        """Return thresholds and knots for loops over displacements [m], `voltages` [V] and `times` [s], (low, high).
+
+        `span` holds displacements.
+        """
+        low, high = span
+        stroke = high - low
+        longest = 0.5 * stroke * self.reach
+        breakaway = longest * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
+        lengths = np.repeat(_LENGTHS * stroke, _CLOSINGS.size) if self.smooth else np.zeros(0)
+        return Grid(
+            breakaway,
+            np.linspace(low, high, self.grades + 1),
+            np.linspace(low, high, self.knots),
+            np.linspace(*voltages, self.transformer + 1) if self.transformer else np.zeros(0),
+            np.geomspace(min(_FASTEST * times[0], 0.1 * times[1]), times[1], self.creep),
+            lengths,
+            np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
+            self.grades > 1,
+            np.ones(self.elements, dtype=bool) if self.reach > 1 else None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Thresholds and knots of the parts of an actuator.
+
+    Attributes
+    ----------
+    breakaway : (N,) array
+        rho [m].
+    grades : (M + 1,) array
+        Knots [m] of the elements' stiffnesses; M = 1: plain elements.
+    knots : (K,) array
+        Knots of the spring [m].
+    drive : (T + 1,) or (0,) array
+        Knots of tau [V].
+    time_constants : (J,) array
+        Time constants of creep [s].
+    lengths, closings : (L,) array
+        Lengths of smooth elements [m], and their closings.
+    graded : bool
+        Whether the elements are graded; with M = 1 both are possible.
+    sliding : (N,) bool array, optional
+        Elements that get a stiffness; default: those that can slide both ways within the knots of the spring.
+    """
+
+    breakaway: Array
+    grades: Array
+    knots: Array
+    drive: Array
+    time_constants: Array
+    lengths: Array
+    closings: Array
+    graded: bool = False
+    sliding: Mask | None = None
+
+    @classmethod
+    def plain(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
+        """Return the grid of plain elements and a spring."""
+        none = np.zeros(0)
+        return cls(breakaway, knots[[0, -1]], knots, none, none, none, none, sliding=sliding)
+
+    @classmethod
+    def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
+        """Return the grid of the parts of an actuator."""
+        slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
+        tau, creep, smooth = actuator.transformer, actuator.creep, actuator.smooth
+        graded = isinstance(slip, GradedSlip)
+        return cls(
+            slip.breakaway,
+            slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
+            knots,
+            none if tau is None else tau.voltage,
+            none if creep is None else creep.time_constants,
+            none if smooth is None else smooth.length,
+            none if smooth is None else smooth.closing,
+            graded,
+            sliding,
+        )
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there are plain elements and a spring only."""
+        return self.segments == 1 and not (self.drive.size or self.moved)
+
+    @cached_property
+    def movable(self) -> Mask:
+        """(N,) whether elements get a stiffness: `sliding`, or those that can slide both ways within the knots."""
+        if self.sliding is not None:
+            return self.sliding
+        return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
+
+    @cached_property
+    def outermost(self) -> Array:
+        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and spring slopes."""
+        rho = self.breakaway[self.movable]
+        parts = []
+        for sign in (1.0, -1.0):
+            bends = np.unique(np.concatenate([self.knots, self.grades, (self.grades[:, None] + sign * rho).ravel()]))
+            y = np.concatenate([[bends[0] - 1e-9], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1e-9]])
+            ahead = segment_of(self.grades, y)[:, None, None] == np.arange(self.segments)
+            held = segment_of(self.grades, y[:, None] - sign * rho)[:, :, None] == np.arange(self.segments)
+            spring = segment_of(self.knots, y)[:, None] == np.arange(self.knots.size - 1)
+            elements = (ahead.astype(np.int8) - held.astype(np.int8)).reshape(y.size, -1)
+            parts.append(np.hstack([elements, spring.astype(np.int8)]))
+        rows = np.vstack(parts)
+        # A row as one string of bytes: to compare them is faster than to sort by columns.
+        _, first = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True)
+        return np.asarray(rows[np.sort(first)], dtype=np.float64)
+
+    @property
+    def reaches_beyond(self) -> bool:
+        """Whether elements get a stiffness that cannot slide both ways within the knots."""
+        return bool(np.any(2 * self.breakaway[self.movable] > np.ptp(self.knots) * (1 + 1e-9)))
+
+    @property
+    def segments(self) -> int:
+        """Number M of segments."""
+        return self.grades.size - 1
+
+    @property
+    def moved(self) -> int:
+        """Number of internal states besides the carts: J + L."""
+        return self.time_constants.size + self.lengths.size

@@ -1,0 +1,197 @@
+"""Checks of an actuator: its arguments, its ranges, and whether values lie near them or are in another unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import demand_divisors, demand_magnitudes, number, vector
+from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
+
+_KINDS: tuple[tuple[str, tuple[type, ...]], ...] = (
+    ("slip", (MaxwellSlip, GradedSlip)),
+    ("spring", (Spring,)),
+    ("transformer", (Transformer, type(None))),
+    ("creep", (Creep, type(None))),
+    ("dynamics", (Dynamics, type(None))),
+    ("smooth", (SmoothSlip, type(None))),
+)
+# Largest magnitude over that of the range from which on a displacement is more likely in another unit.
+_UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
+ANYWAY = "or extrapolate to compute it anyway"
+# Duration of a step in creep's longest time constants: w moves evenly in it and leaves strains of one part in 1e9.
+_REST = 1e9
+# Smooth elements forget their start slowly.
+_VISITS = 60
+
+
+def check_kinds(actuator: Actuator) -> None:
+    """Raise `ModelError` if a part is not of its class."""
+    for name, kinds in _KINDS:
+        part = getattr(actuator, name)
+        if not isinstance(part, kinds):
+            needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
+            raise ModelError(argument=name, got=type(part).__name__, need=f"a {needed}")
+
+
+def checked_lag(lag: float) -> float:
+    """Return the amplifier's time constant [s]; raise `ModelError` if it is impossible."""
+    seconds = number(lag, "lag")
+    if seconds < 0:
+        raise ModelError(argument="lag", got=lag, need="0 s or more")
+    if seconds:
+        demand_divisors(seconds, "lag [s]")
+    return seconds
+
+
+def checked_load_stiffness(load_stiffness: float | None) -> float | None:
+    """Return the stiffness against a load [N/m]; raise `ModelError` if it is impossible."""
+    if load_stiffness is None:
+        return None
+    stiffness = number(load_stiffness, "load_stiffness")
+    if stiffness <= 0:
+        raise ModelError(f"load_stiffness: got {load_stiffness}, need a positive number of N/m")
+    demand_divisors(stiffness, "load_stiffness [N/m]")
+    return stiffness
+
+
+def checked_delay(delay: float) -> float:
+    """Return the delay [s]; raise `ModelError` if it is impossible."""
+    seconds = number(delay, "delay")
+    if seconds < 0:
+        raise ModelError(argument="delay", got=delay, need="0 or more: a displacement does not lead its voltage")
+    demand_magnitudes(seconds, "delay [s]")
+    return seconds
+
+
+def checked_slew_rate(slew_rate: float) -> float:
+    """Return the speed of the records [V/s]; raise `ModelError` if it is impossible."""
+    speed = number(slew_rate, "recorded_slew_rate")
+    if speed <= 0:
+        raise ModelError(f"recorded_slew_rate: got {slew_rate}, need a positive number of volts a second, or None")
+    demand_magnitudes(speed, "recorded_slew_rate [V/s]")
+    return speed
+
+
+@dataclass(frozen=True)
+class Range:
+    """Displacements [m] or voltages [V] that a model is made for, the lower end first."""
+
+    low: float
+    high: float
+
+    def joined(self, *others: tuple[float, float]) -> Range:
+        """Return the range that also holds the others."""
+        return Range(min([self.low, *(low for low, _ in others)]), max([self.high, *(high for _, high in others)]))
+
+    def is_far(self, low: float, high: float) -> bool:
+        """Return whether one of two numbers lies farther outside than the range is wide."""
+        width = self.high - self.low
+        return low < self.low - width or high > self.high + width
+
+    def far_ends(self, values: Array) -> tuple[float, float] | None:
+        """Return the least and the largest of values (n,) if one lies farther outside than the range is wide."""
+        if not values.size:
+            return None
+        low, high = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
+        return (low, high) if self.is_far(low, high) else None
+
+
+def major_loop_ends(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the displacements [m] at both limits [V] of slow loops between them, creep at rest at both."""
+    slow = actuator.quasistatic()
+    voltage = np.tile(limits, _VISITS)
+    rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
+    time = np.arange(voltage.size) * rest if slow.needs_time else None
+    y = slow.simulate(voltage, time=time, extrapolate=True).displacement
+    return float(y[-2]), float(y[-1])
+
+
+def reach(actuator: Actuator) -> tuple[float, float]:
+    """Return the displacements [m] of `major_loop_ends`; without limits, the ends of the spring's knots."""
+    if actuator.limits is not None:
+        return actuator.major_loop(actuator.limits)
+    return float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1])
+
+
+def voltage_range(actuator: Actuator) -> tuple[float, float]:
+    """Return the limits [V]; without limits, voltages of the largest loop between the ends of the spring's knots."""
+    if actuator.limits is not None:
+        return actuator.limits
+    ends = float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1])
+    low, high = (actuator.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(ends))
+    return actuator.voltage(low), actuator.voltage(high)
+
+
+def plausible_displacements(actuator: Actuator) -> Range:
+    """Return the displacements [m] within the reach or the knots; the knots alone if the reach cannot be computed."""
+    knots = Range(float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1]))
+    try:
+        low, high = actuator.reach
+    except ModelError:
+        return knots
+    return knots.joined((low, high)) if 0 < high - low < np.inf else knots
+
+
+def check_voltages(low: float, high: float, voltages: Range) -> None:
+    """Raise `ModelError` if one of two voltages [V] lies far outside of a model's."""
+    if voltages.is_far(low, high):
+        raise ModelError(f"{voltage_error((low, high), voltages)}; {ANYWAY}")
+
+
+def check_displacements(actuator: Actuator, displacement: Array, load: ArrayLike | None) -> None:
+    """Raise `ModelError` if displacements (n,) [m] under a load (n,) [N] are implausible for an actuator."""
+    reason = implausibility(actuator, displacement, load)
+    if reason:
+        raise ModelError(f"{reason}; {ANYWAY}")
+
+
+def implausibility(
+    actuator: Actuator, displacement: Array, load: ArrayLike | None, *others: tuple[float, float]
+) -> str:
+    """Return why displacements (n,) [m] under a load (n,) [N] are implausible; empty if they are not."""
+    ends = actuator.plausible.far_ends(displacement)
+    if ends is None:
+        return ""
+    displacements = actuator.plausible.joined(*others)
+    pushed = displacements
+    if load is not None and actuator.load_stiffness is not None:
+        push = vector(load, "load") / actuator.load_stiffness
+        low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
+        pushed = Range(displacements.low + low, displacements.high + high)
+    return displacement_error(ends, displacements) if pushed.far_ends(displacement) is not None else ""
+
+
+def displacement_error(got: tuple[float, float], displacements: Range) -> str:
+    """Return what is wrong with displacements [m] that lie far outside of those of a model."""
+    width = displacements.high - displacements.low
+    ratio = max(map(abs, got)) / max(abs(displacements.low), abs(displacements.high), width)
+    reaches = f"the model reaches {_ends(1e6 * displacements.low, 1e6 * displacements.high, 4)} um"
+    if ratio <= _UNITS[0][0]:
+        return (
+            f"displacement: got {_ends(1e6 * got[0], 1e6 * got[1])} um, {reaches}; both count from the sensor's zero "
+            "in the records that it was identified from"
+        )
+    unit = [name for least, name in _UNITS if ratio > least][-1]
+    return f"displacement: got {_ends(*got)} m, {reaches}; is this in {unit}? Need metres"
+
+
+def voltage_error(got: tuple[float, float], identified: Range) -> str:
+    """Return what is wrong with voltages [V] that lie far outside of those that a model was identified from."""
+    return (
+        f"voltage: got {_ends(*got)} V, the model was identified from {_ends(identified.low, identified.high)} V; "
+        "check the unit, and that the model is of this actuator"
+    )
+
+
+def _ends(low: float, high: float, digits: int = 6) -> str:
+    return f"{low:.{digits}g}" if low == high else f"{low:.{digits}g} to {high:.{digits}g}"

@@ -1,0 +1,71 @@
+"""States with which a motion begins: moved within limits, at a displacement, or before a record's voltage."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import EMPTY
+from dehyst._types import Array
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import AbstractModel, Motion, State
+
+_ROUNDING = 1e-12
+
+
+def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
+    """Return the complete state; if its voltage lies outside the limits [V], after a motion to the nearest, at rest.
+
+    Raise `ModelError` if it is not a state of this actuator.
+    """
+    start = actuator.model.complete_state(state)
+    held = actuator.voltage(start)
+    nearest = min(max(held, limits[0]), limits[1])
+    if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
+        return start
+    slow = actuator.quasistatic()
+    time = np.zeros(1) if slow.needs_time else None
+    reached = slow.simulate([nearest], time=time, state=replace(start, motion=EMPTY), extrapolate=True).state
+    return actuator.model.complete_state(reached)
+
+
+def state_at(actuator: Actuator, state: State, displacement: float) -> State:
+    """Return the state after a motion to a displacement [m], too slow for mass and amplifier, too fast for creep.
+
+    Raise `ModelError` if it is not a state of this actuator.
+    """
+    slow, start = actuator.quasistatic(), actuator.model.complete_state(state)
+    time = np.zeros(1) if slow.needs_time else None
+    still = replace(start, motion=EMPTY)
+    return actuator.model.complete_state(
+        slow.compensate([displacement], time=time, state=still, extrapolate=True).state
+    )
+
+
+def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
+    """Return the keywords `time` and `extrapolate` if a model has them: records may exceed those of its fit."""
+    given = {"time": time, "extrapolate": True}
+    return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
+
+
+def beginning(model: AbstractModel, voltage: Array) -> Any:
+    """Return the start of a model before a voltage (n,): None for its default, of an actuator the nearest loop end.
+
+    A distant start would set a mass swinging. An actuator that creeps starts relaxed, as before the records, because
+    its later motion depends on where it stood.
+    """
+    if not isinstance(model, Actuator) or not voltage.size:
+        return None
+    if model.creep is not None:
+        return model.relaxed(float(voltage[0]), extrapolate=True)
+    low, high = (float(end) for end in model.spring.displacement[[0, -1]])
+    ends = [model.turned(high), model.turned(low, rising=False)]
+    return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))
+
+
+def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
+    """Return the motion that a `voltage` causes from its `beginning`. `model` is any. `time` (n,) [s]."""
+    return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

@@ -1,0 +1,499 @@
+"""From the tables of files to the columns of a record: names, the choice of columns, and two files as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+
+from dehyst._errors import FileFormatError
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst._units import symbol_of
+from dehyst._validation import axis_names
+from dehyst.records.formats.columns import (
+    EXAMPLES,
+    GAIN,
+    GUESS,
+    UNITS,
+    Column,
+    ColumnError,
+    Table,
+    is_plug,
+    is_small,
+    listed,
+    plausible_unit,
+    quantity_of,
+    scale_of,
+    shortened,
+)
+
+
+def renamed(table: Table, columns: str) -> Table:
+    """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
+
+    An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
+    entry marks it as a guess.
+
+    Raises
+    ------
+    FileFormatError
+        It is no text, there are more entries than columns, fewer, an unknown unit, a name twice, or no name.
+    """
+    if not isinstance(columns, str):
+        raise FileFormatError(
+            argument="columns", got=repr(columns), need="one text with commas, as 'time:s,voltage:V,displacement:um'"
+        )
+    entries = [entry.strip() for entry in columns.split(",")]
+    if len(entries) != len(table.columns):
+        raise FileFormatError(
+            f"{table.source}: columns: got {len(entries)} names, but the file holds {len(table.columns)} columns: "
+            f"{listed(table.names)}; give a name for each, and - for one that is to be left out"
+        )
+    named = []
+    for entry, column in zip(entries, table.columns, strict=True):
+        name, _, unit = (part.strip() for part in entry.removesuffix(GUESS).partition(":"))
+        if unit and not symbol_of(unit):
+            raise FileFormatError(f"{table.source}: columns: got the unit '{unit}', which is unknown; try s, V or um")
+        if name not in ("", "-") and not unit and column.contradiction:
+            raise FileFormatError(
+                f"{table.source}: columns: '{name}' needs a unit: column '{shortened(column.name)}' has the unit "
+                f"'{column.contradiction}' in its name, but the file states '{column.unit}' for it; give '{name}:UNIT'"
+            )
+        if name not in ("", "-"):
+            unit = symbol_of(unit) or column.parts[1]
+            guess = f"column '{shortened(column.name)}' in {unit or 'no unit'}" if entry.endswith(GUESS) else ""
+            guess = "; ".join(part for part in (guess, column.guessed) if part)
+            named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess))
+    names = [column.name for column in named]
+    if len(set(names)) < len(names):
+        raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")
+    if not named:
+        raise FileFormatError(
+            f"{table.source}: columns: got '{columns}', which leaves out all columns; name one at least, as time:s"
+        )
+    return replace(table, columns=tuple(named))
+
+
+_PARTS = {
+    "time": ("time", "zeit", "second", "temps"),
+    "voltage": ("volt", "spannung", "drive", "ampl", "monitor", "command", "tension", "ao", "output", "ausgang"),
+    "displacement": ("disp", "pos", "weg", "auslenk", "sensor", "gauge", "strain", "stroke", "capac", "ai", "height"),
+}
+# Names of columns that count samples.
+_COUNTS = {"index", "idx", "sample", "samples", "point", "points", "count", "no", "nr", "n", "#", "sequence"}
+# What a user replaces by the samples a second.
+RATE = "HZ"
+# Columns of a file that are compared with one another.
+_MOST = 12
+_LETTERS = {"time": "t", "voltage": "uv", "displacement": "yxzdw"}
+
+
+class ColumnsError(FileFormatError):
+    """Columns of a record that are not found, with the options of `read` that may select them.
+
+    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`,
+    beside those options.
+    """
+
+    def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
+        given = [f'{name.replace("_", " ")} "{value}"' for name, value in options.items()]
+        contained = all(option in reason for option in given)
+        stop = "" if reason.endswith(".") else "."
+        advice = "" if contained else f"{stop} Try {', '.join(given)}. {' '.join(notes_on(options))}"
+        super().__init__(f"{reason}{advice}", change=list(dict.fromkeys([*options, *change])))
+        self.reason, self.options = reason, dict(options)
+
+
+def notes_on(options: Mapping[str, str]) -> list[str]:
+    """Return sentences about options that are proposed: what to replace, and what is guessed."""
+    gain = (
+        f"Replace {GAIN} by what the data sheet states: volts of the actuator for one volt of the column (1 V/V if the "
+        "column holds the actuator's voltage), micrometres for one volt of a sensor."
+    )
+    text = " ".join(options.values())
+    return [
+        "Check units and scales.",
+        *([f"Replace {RATE} by the number of samples a second."] if RATE in options.values() else []),
+        *([gain] if GAIN in text else []),
+        *([f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit."] * (GUESS in text)),
+    ]
+
+
+class Choice(NamedTuple):
+    """What selects the columns of a record: names, and scales."""
+
+    time: str | None = None
+    voltage: str | None = None
+    displacement: str | None = None
+    voltage_scale: str | None = None
+    displacement_scale: str | None = None
+
+    def scale(self, quantity: str) -> str | None:
+        """Return the scale of a quantity."""
+        scales = {"voltage": self.voltage_scale, "displacement": self.displacement_scale}
+        return scales.get(quantity)
+
+
+class AxisColumns(NamedTuple):
+    """The `name` of an axis, and the columns of its voltage and its displacement."""
+
+    name: str
+    voltage: str
+    displacement: str
+
+    @property
+    def text(self) -> str:
+        """The axis as `axis_columns` reads it."""
+        return f"{self.name}={self.voltage}:{self.displacement}"
+
+
+_AXES_EXAMPLE = '"vx_V:x_um vy_V:y_um"'
+
+
+def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
+    """Return the columns in `axes`, see `dehyst.read`.
+
+    Raise `FileFormatError` if there are fewer than two axes, an entry has no two columns, or two axes or columns have
+    one name.
+    """
+    entries = [_axis_entry(text) for text in axes.replace(",", " ").split()] if isinstance(axes, str) else []
+    used = [column for one in entries for column in one[1:]]
+    if twice := sorted({column for column in used if used.count(column) > 1}):
+        raise FileFormatError(
+            argument="axes", got=f"'{twice[0]}' twice", need=f"columns of its own for each axis, as {_AXES_EXAMPLE}"
+        )
+    if len(entries) < 2:
+        raise FileFormatError(
+            argument="axes", got=repr(axes), need=f"voltage and displacement of two axes at least, as {_AXES_EXAMPLE}"
+        )
+    axis_names([one.name for one in entries], len(entries), "axes", FileFormatError)
+    return tuple(entries)
+
+
+def _axis_entry(text: str) -> AxisColumns:
+    name, _, columns = text.rpartition("=")
+    parts = columns.split(":")
+    if len(parts) != 2 or not all(parts):
+        raise FileFormatError(
+            argument="axes", got=f"'{text}'", need=f"the columns of a voltage and a displacement, as {_AXES_EXAMPLE}"
+        )
+    word = parts[1].rsplit("/", 1)[-1]
+    return AxisColumns(name or (word.rsplit("_", 1)[0] if "_" in word else word), *parts)
+
+
+def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Array]:
+    """Return the columns of quantities in SI units.
+
+    Raises
+    ------
+    ColumnsError
+        Some of them cannot be read: all problems, and options that would solve them.
+    """
+    found: dict[str, Array] = {}
+    problems: list[ColumnError] = []
+    for quantity in quantities:
+        try:
+            found[quantity] = table.column(quantity, getattr(choice, quantity), choice.scale(quantity))
+        except ColumnError as error:
+            problems.append(error)
+    if problems:
+        proposal = _proposal(table, choice, [*found], problems)
+        reason, join = _reason(table, problems, proposal), _may_be_joined(table, problems, proposal)
+        change = [name for error in problems for name in error.change] + ["join"] * join
+        raise ColumnsError(reason, _options(table, choice, problems, proposal), change)
+    return found
+
+
+def _proposal(table: Table, choice: Choice, found: list[str], problems: list[ColumnError]) -> dict[str, Column]:
+    """Return the column for each quantity with a problem: that of the problem, else the most likely one."""
+    wanted = [error.quantity for error in problems]
+    taken = {table.find(quantity, getattr(choice, quantity))[0].name for quantity in found}
+    free = [column for column in table.columns if not column.fault and column.name not in taken]
+    used = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
+    return used | _assigned([c for c in free if c not in used.values()], [q for q in wanted if q not in used])
+
+
+def _may_be_joined(table: Table, problems: list[ColumnError], proposal: Mapping[str, Column]) -> bool:
+    """Return whether a quantity may be in a second file: no column of this one seems to be it."""
+    lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
+    return bool(lacking) and not any(column.unnamed for column in table.columns)
+
+
+def _reason(table: Table, problems: list[ColumnError], proposal: Mapping[str, Column]) -> str:
+    join = " If it is in a second file, join that one." if _may_be_joined(table, problems, proposal) else ""
+    if len({error.problem for error in problems}) == 1:
+        reason = f"{table.source}: {problems[0].problem}{problems[0].advice}"
+        return f"{reason}{'' if not join or reason.endswith('.') else '.'}{join}"
+    asked = " and ".join(f"that of the {error.quantity}" for error in problems)
+    names = ", ".join(f"'{EXAMPLES[error.quantity]}'" for error in problems)
+    rate = " Without a time column, give the sample rate in Hz." if any(e.quantity == "time" for e in problems) else ""
+    faults = "; ".join(error.problem + error.short for error in problems)
+    return (
+        f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} "
+        f"are found by themselves.{rate}{join}"
+    )
+
+
+def _options(
+    table: Table, choice: Choice, problems: list[ColumnError], proposal: Mapping[str, Column]
+) -> dict[str, str]:
+    """Return options that select columns of a plausible range; none if there is no column for a quantity."""
+    wanted = [error.quantity for error in problems]
+    if any(column.unnamed and not column.fault for column in table.columns) and len(proposal) == len(wanted):
+        units = {quantity: plausible_unit(quantity, column.data) for quantity, column in proposal.items()}
+        names = ",".join(_entry(column, proposal, units) for column in table.columns)
+        return {"columns": names} | _gain(choice, proposal.get("voltage"), units.get("voltage", ""))
+    if any(_refuses(choice.scale(q), q, column) or column.contradiction for q, column in proposal.items()):
+        # No name mends a scale that is wrong, or units that contradict one another.
+        return {}
+    named = {error.quantity for error in problems if error.column and not error.column.fault}
+    options: dict[str, str] = {}
+    for quantity in wanted:
+        if quantity in proposal:
+            options |= _option(quantity, proposal[quantity], choice, guessed=quantity not in named)
+    untimed = "time" in wanted and "time" not in proposal and choice.time is None
+    return options | ({"sample_rate": RATE} if untimed and {*wanted} - {"time"} <= options.keys() else {})
+
+
+def _assigned(free: list[Column], wanted: list[str]) -> dict[str, Column]:
+    """Return the most likely column for each quantity; the first that rises is a time, and no other quantity does."""
+    used: dict[str, Column] = {}
+    if "time" in wanted and (rising := [column for column in free if _rises(column) and not _counts(column)]):
+        used["time"] = min(rising, key=lambda column: _unlikeliness(column, "time"))
+    rest = [column for column in free if column is not used.get("time") and not _rises(column)][:_MOST]
+    others = [quantity for quantity in ("voltage", "displacement") if quantity in wanted]
+    ways = [dict(zip(others, way, strict=True)) for way in permutations(rest, len(others))]
+    best = min(ways, key=lambda way: sum(_unlikeliness(c, q) for q, c in way.items()), default={})
+    return used | best
+
+
+def _unlikeliness(column: Column, quantity: str) -> int:
+    """Return how little the name and the unit of a column are those of a quantity."""
+    word, unit = column.parts
+    stated = quantity_of(unit)
+    lower = f"{word} {column.leaf}".lower()
+    named = any(part in lower for part in _PARTS[quantity]) or (len(word) == 1 and word.lower() in _LETTERS[quantity])
+    other = any(part in lower for kind, parts in _PARTS.items() if kind != quantity for part in parts)
+    sensor = quantity == "displacement" and stated == "voltage"
+    return (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + other
+
+
+def _rises(column: Column) -> bool:
+    return bool(column.data.size > 1 and np.all(column.data[1:] > column.data[:-1]))
+
+
+def _counts(column: Column) -> bool:
+    """Return whether a column counts samples: a time has a unit, or another name."""
+    word, unit = column.parts
+    steps = np.diff(column.data)
+    return not unit and word.strip(" .").lower() in _COUNTS and bool(np.all(steps == steps[:1]) and steps[:1] % 1 == 0)
+
+
+def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> dict[str, str]:
+    """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
+    name, stated, scale = column.name, column.parts[1], choice.scale(quantity)
+    mark = GUESS if guessed else ""
+    if stated in UNITS[quantity] or scale is not None:
+        plug = quantity == "voltage" and (guessed or is_plug(name))
+        return {quantity: f"{name}{mark}"} | (_gain(choice, column, stated) if plug else {})
+    if quantity == "displacement" and quantity_of(stated) == "voltage":
+        return {quantity: f"{name}{mark}", "displacement_scale": f"{GAIN} um/{stated}"}
+    unit = "" if quantity_of(stated) else plausible_unit(quantity, column.data)
+    if not unit:
+        return {}
+    plug = quantity == "voltage" and (guessed or is_plug(name))
+    return {quantity: f"{name}:{unit}{GUESS}"} | (_gain(choice, column, unit) if plug else {})
+
+
+def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
+    """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
+    if column is None or choice.voltage_scale is not None or not is_small(column.data * UNITS["voltage"].get(unit, 1)):
+        return {}
+    return {"voltage_scale": f"{GAIN} V/V"}
+
+
+def _refuses(scale: str | None, quantity: str, column: Column) -> bool:
+    """Return whether a scale contradicts the unit that the file states for a column."""
+    stated = column.parts[1]
+    return scale is not None and bool(stated) and bool(scale_of(quantity, scale).refusal(stated))
+
+
+def _entry(column: Column, proposal: Mapping[str, Column], units: Mapping[str, str]) -> str:
+    quantity = next((quantity for quantity, other in proposal.items() if other.name == column.name), "")
+    return f"{quantity}:{units[quantity]}{GUESS}" if units.get(quantity) else "-"
+
+
+# Part of a sample by which the times of two files may differ and are still the same.
+_SAME = 0.01
+# A time step above so many usual ones is a gap.
+_GAP = 2.5
+# Samples of one file for each of the other from which on that is remarked.
+_FEW = 4.0
+_DAY = 86_400
+
+
+class _Timed(NamedTuple):
+    """A file with a time: its table, its time column with the unit, and the seconds of its samples."""
+
+    table: Table
+    column: Column
+    unit: str
+    seconds: Array
+
+
+def joined(
+    table: Table, other: Table, time: str | None, sample_rate: float | None, displacement: str | None = None
+) -> Table:
+    """Return a table with the columns of both.
+
+    Timestamps are aligned by what they state; times without a date are those of one clock. Where both have a time
+    column and the times differ, the table has the samples of the file with the displacement, else of the first: the
+    columns of the other file are interpolated in straight lines, which would take the noise of a sensor away, and
+    samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other
+    follow the name of its file: other/displacement_um.
+
+    `time`, `displacement`: names of these columns, by default found. `sample_rate`: given instead of a time column
+    [Hz].
+
+    Raises
+    ------
+    FileFormatError
+        Without two time columns: the files differ in length. With them: the times do not rise or do not overlap, or
+        only one of the files has timestamps.
+    """
+    first, second = (None if sample_rate is not None else _timed(one, time) for one in (table, other))
+    stem = other.source.rsplit(".", 1)[0]
+    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
+    if first is not None and second is not None:
+        second = second._replace(seconds=second.seconds + _offset(first, second))
+    samples, more = (max((c.data.size for c in one.columns), default=0) for one in (table, other))
+    if first is None or second is None or _alike(first.seconds, second.seconds):
+        if broken := [one for one in (table, other) if all(column.fault for column in one.columns)]:
+            raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
+        if samples != more:
+            raise FileFormatError(
+                argument="join",
+                got=f"{samples} samples in {table.source} and {more} in {other.source}",
+                need="as many, or a time column in both",
+                hint="cut one of them, or save it with its time",
+            )
+        return replace(table, columns=(*table.columns, *added))
+    for one in (first, second):
+        if not np.all(np.diff(one.seconds) > 0):
+            raise FileFormatError(
+                f"{one.table.source}: the time does not rise, which joining needs; correct those rows"
+            )
+    if table.fitting("displacement", displacement) or not replace(other, columns=tuple(added)).fitting(
+        "displacement", displacement
+    ):
+        inside, remarks = _common(first, second)
+        columns = [_at(c, inside) for c in _as_long(table.columns, first)]
+        columns += [_moved(c, second.seconds, first.seconds[inside]) for c in _as_long(added, second)]
+    else:
+        inside, remarks = _common(second, first)
+        places = second.seconds[inside]
+        clock = replace(first.column, data=places / UNITS["time"][first.unit])
+        columns = [
+            clock if c is first.column else _moved(c, first.seconds, places) for c in _as_long(table.columns, first)
+        ]
+        columns += [_at(c, inside) for c in _as_long(added, second)]
+    return replace(table, columns=tuple(columns), remarks=(*table.remarks, *remarks))
+
+
+def _timed(table: Table, wanted: str | None) -> _Timed | None:
+    """Return a table with its time; None if it has no time column."""
+    for name in (wanted, None):
+        if table.fitting("time", name):
+            column, unit = table.find("time", name)
+            return _Timed(table, column, unit, table.column("time", name))
+    return None
+
+
+def _offset(first: _Timed, second: _Timed) -> float:
+    """Return the time [s] from the zero of the first file's clock to that of the second's.
+
+    Where the order of day and month is unknown, the one in which the files overlap counts.
+    """
+    ones, twos = first.column.began, second.column.began
+    if not ones and not twos:
+        return 0.0
+    origins = [f"times from {began[0][0]}" if began else "seconds from an unknown moment" for began in (ones, twos)]
+    if origins[0] != origins[1]:
+        raise FileFormatError(
+            f"join: {first.table.source} has {origins[0]} and {second.table.source} has {origins[1]}, need one clock "
+            "for both; save both with date and offset from UTC, or both in seconds from one moment"
+        )
+    offsets = list(dict.fromkeys(float(two[1] - one[1]) + (two[2] - one[2]) for one in ones for two in twos))
+    if ones[0][0].startswith("midnight"):
+        offsets = [offset - _DAY * round(offset / _DAY) for offset in offsets]
+    common = [offset for offset in offsets if _overlap(first.seconds, second.seconds + offset)]
+    if len(common) > 1:
+        raise FileFormatError(
+            f"join: the dates of {first.table.source} and {second.table.source} may be month/day/year or "
+            "day/month/year, and both give times in common; write the dates as 2026-03-04"
+        )
+    return (common or offsets)[0]
+
+
+def _overlap(first: Array, second: Array) -> bool:
+    return bool(max(np.min(first), np.min(second)) <= min(np.max(first), np.max(second)))
+
+
+def _alike(first: Array, second: Array) -> bool:
+    if first.size != second.size or first.size < 2:
+        return first.size == second.size
+    step = float(np.median(np.abs(np.diff(first))))
+    return bool(np.all(np.abs(first - second) <= _SAME * step))
+
+
+def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
+    """Return which samples of a file lie within the times of the other, and what is to be said of the other's."""
+    times, others = kept.seconds, moved.seconds
+    inside = (times >= others[0]) & (times <= others[-1])
+    if np.count_nonzero(inside) < 2:
+        raise FileFormatError(
+            f"join: {kept.table.source} lasts from {times[0]:.6g} to {times[-1]:.6g} s and {moved.table.source} from "
+            f"{others[0]:.6g} to {others[-1]:.6g} s, need times in common; correct one of them, or give a sample rate "
+            "for files without their time columns",
+            change=("sample_rate",),
+        )
+    places, remarks = times[inside], []
+    near = others[(others >= places[0]) & (others <= places[-1])]
+    steps = np.diff(others)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    gaps = gaps[(others[gaps + 1] > places[0]) & (others[gaps] < places[-1])]
+    if gaps.size:
+        i = int(gaps[0])
+        remarks.append(
+            f"{moved.table.source} has {counted(gaps.size, 'gap')} in time, the first of {steps[i]:.4g} s from "
+            f"{others[i]:.6g} s on: its columns are straight lines there; leave these times out."
+        )
+    if places.size > _FEW * max(near.size, 1):
+        remarks.append(
+            f"{moved.table.source} has {counted(near.size, 'sample')} for {places.size} of {kept.table.source}: its "
+            "columns are straight lines between them; record both equally fast."
+        )
+    return inside, remarks
+
+
+def _as_long(columns: Iterable[Column], timed: _Timed) -> list[Column]:
+    """Return columns of a file; those that have not a number for each of its times have a fault."""
+    advice = f"where its time has {timed.seconds.size}, which joining needs; select another column"
+    return [
+        column
+        if column.fault or column.data.size == timed.seconds.size
+        else replace(column, data=np.empty(0), fault=f"it has {counted(column.data.size, 'sample')} {advice}")
+        for column in columns
+    ]
+
+
+def _at(column: Column, inside: Array) -> Column:
+    return column if column.fault else replace(column, data=column.data[inside])
+
+
+def _moved(column: Column, times: Array, places: Array) -> Column:
+    return column if column.fault else replace(column, data=np.interp(places, times, column.data))

@@ -1,0 +1,191 @@
+"""Steps of a voltage, and the transients after them: samples in which the displacement rings or overshoots.
+
+Hysteresis alone follows a voltage: the displacement turns back only where the voltage does. After a step it turns back
+by itself if a mass swings or an amplifier overshoots. Such samples are true, and no spikes; a model without that motion
+cannot follow them, and says nothing wrong elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite, log, pi, sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst._views.fields import json_values
+from dehyst.records.signals import noise_span, turning_points, white_noise
+
+if TYPE_CHECKING:
+    from dehyst.records.record import Record
+
+# Most samples of a step, neighbours on each side that show the drive, and how often it exceeds their steps.
+_WIDEST, _NEAR, _TIMES = 8, 8, 8.0
+# Least step as a part of the voltage's range, least part of it in a sample, and standard deviations of its noise.
+_LEAST, _PART, _SIGMAS = 0.02, 0.05, 8.0
+# Least motion against the voltage, as parts of the displacement's step and range.
+_SWING, _VISIBLE = 0.02, 0.002
+# Times the mean gain by which a displacement may follow the voltage away from a turn.
+_STEEP = 3.0
+# Samples after a step in which it must turn back, and samples that are searched at a time.
+_SOON, _AHEAD = 400, 4096
+# The next turn of a ring comes within so many times the usual half period, which the first ones may exceed.
+_LATE = 2.5
+# A ring counts until it is below this part of the range, or the noise; so many times what is seen of it at most.
+_FADED, _LONGEST = 5e-4, 3.0
+# Half-lives until an overshoot that does not swing is over.
+_HALVES = 8
+# Displacements from which the levels beside a transient are taken.
+_LEVEL = 8
+
+
+@dataclass(frozen=True)
+class Transient:
+    """A step of the voltage, and what rings or overshoots after it.
+
+    Samples `start` to `stop` - 1 of a record, counted from 0: the first one is the last before the step. `jump`: its
+    first sample after the step. `time`, `duration`: of the step and until the ring is over [s]. `voltages`: before and
+    after the step [V]. `frequency` [Hz] and `damping` (of critical) of the ring; 0 if it overshoots once.
+    """
+
+    start: int
+    jump: int
+    stop: int
+    time: float
+    duration: float
+    voltages: tuple[float, float]
+    frequency: float = 0.0
+    damping: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """What happens, when and for how long, in words."""
+        rings = f"rings at {self.frequency:.3g} Hz, damping {self.damping:.2g}," if self.frequency else "overshoots"
+        return f"step to {self.voltages[1]:.4g} V at {self.time:.4g} s {rings} for {1e3 * self.duration:.3g} ms"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return json_values(self, "time_s=time duration_s=duration voltages_V=voltages frequency_Hz=frequency damping")
+
+
+def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
+    """Return the last sample before and the first one after each step of a voltage (n,) [V].
+
+    A step takes few samples, and is large against the range, the noise and the changes beside it.
+    """
+    change, span = np.abs(np.diff(voltage)), float(np.ptp(voltage))
+    noise = _SIGMAS * white_noise(voltage)
+    fast = change > max(_PART * _LEAST * span, noise)
+    if not span or not fast.any():
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], fast.astype(np.int8), [0]])))
+    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= _WIDEST]
+    steps = []
+    for start, stop in runs:
+        height = abs(float(voltage[stop] - voltage[start]))
+        beside = np.concatenate([change[max(start - _NEAR, 0) : start], change[stop : stop + _NEAR]])
+        if height > max(_LEAST * span, noise, _TIMES * float(beside.max(initial=0.0))):
+            steps.append((start, stop))
+    return steps
+
+
+def transients(record: Record) -> tuple[Transient, ...]:
+    """Find the steps of the voltage after which the displacement rings or overshoots, in order.
+
+    Those that were set aside before are no longer in the displacement.
+    """
+    steps, counted = voltage_steps(record.voltage), record.counted
+    if counted is not None:
+        steps = [(start, jump) for start, jump in steps if counted[start]]
+    ends = [*(start for start, _ in steps), len(record)][1:]
+    found = [_after(record, start, jump, end) for (start, jump), end in zip(steps, ends, strict=False)]
+    return tuple(one for one in found if one is not None)
+
+
+def settled(record: Record, found: tuple[Transient, ...]) -> Array:
+    """Return the displacement (n,) [m] with a path that follows the voltage in place of each transient.
+
+    A ring behind the hysteresis is not seen by it: the path leads from one level to the other with the voltage.
+    """
+    v, y = record.voltage, record.displacement.copy()
+    gain = float(np.ptp(record.displacement)) / max(float(np.ptp(v)), 1e-300)
+    for one in found:
+        before = slice(max(one.start + 1 - _LEVEL, 0), one.start + 1)
+        low = float(np.mean(y[before] - gain * (v[before] - v[one.start])))
+        after = slice(one.stop, min(one.stop + _LEVEL, len(record)))
+        if after.start >= after.stop:
+            after = slice(max(one.stop - 2 * _LEVEL, one.jump), one.stop)
+        last = min(one.stop, len(record) - 1)
+        end = float(np.mean(y[after] - gain * (v[after] - v[last])))
+        high = end - gain * float(v[last] - v[one.jump])
+        way = (v[one.start : one.jump + 1] - v[one.start]) / (v[one.jump] - v[one.start])
+        y[one.start : one.jump + 1] = low + (high - low) * way
+        y[one.jump : one.stop] = np.linspace(high, end, last - one.jump + 1)[: one.stop - one.jump]
+    y.flags.writeable = False
+    return y
+
+
+def _after(record: Record, start: int, jump: int, end: int) -> Transient | None:
+    """Return the transient after a step, before sample `end`; None if the displacement follows the voltage."""
+    window = slice(start, min(jump + _AHEAD, end))
+    v, y = record.voltage[window], record.displacement[window]
+    if y.size < _LEVEL:
+        return None
+    noise = white_noise(record.displacement)
+    height, stroke = float(np.ptp(y[: _SOON + jump - start])), record.stroke
+    least = max(_SWING * height, _VISIBLE * stroke, noise_span(y) if noise else 0.0)
+    gain = stroke / float(np.ptp(record.voltage))
+    turns = _own_turns(v, y, jump - start, least, gain)
+    if not turns or turns[0] > _SOON + jump - start:
+        return None
+    step, at = record.sample_time, turns[-1]
+    frequency = damping = 0.0
+    if len(turns) >= 3:
+        half = (turns[-1] - turns[0]) / (len(turns) - 1)
+        swings = np.abs(np.diff(y[turns]))
+        # The size falls by the same factor each half period.
+        fall = -float(np.polyfit(np.arange(swings.size), np.log(swings), 1)[0]) if swings.size > 1 else log(2)
+        fall = fall if isfinite(fall) and fall > 0 else 0.0
+        frequency, damping = 0.5 / (half * step), fall / sqrt(pi**2 + fall**2)
+        left = log(max(0.5 * float(swings[-1]) / max(_FADED * stroke, noise), 1.0))
+        over = at + half * min(2 + left / max(fall, 1e-3), _LONGEST * len(turns))
+    else:
+        over = at + _HALVES * _half_life(y - gain * v, at)
+    stop = min(start + int(over) + 1, end)
+    volts = float(record.voltage[start]), float(record.voltage[jump])
+    began = float(record.time[jump])
+    duration = float(record.time[min(stop, len(record)) - 1]) - began
+    return Transient(start, jump, stop, began, duration, volts, frequency, damping)
+
+
+def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list[int]:
+    """Return the turns of the displacement after a step that the voltage does not have, while they follow closely."""
+    turns = [int(one) for one in turning_points(y, least) if one >= jump]
+    own: list[int] = []
+    for last, one in pairwise([jump, *turns]):
+        half = float(np.median(np.diff(own))) if len(own) > 1 else float("inf")
+        if one - last > _LATE * max(half, 2) or not _turns_alone(v[one:], y[one:], least, gain):
+            break
+        own.append(one)
+    return own
+
+
+def _turns_alone(v: Array, y: Array, least: float, gain: float) -> bool:
+    """Whether a displacement leaves its first value by far more than the voltage explains, over some of the samples."""
+    away, moved = np.maximum.accumulate(np.abs(y - y[0])), np.maximum.accumulate(np.abs(v - v[0]))
+    return bool(np.any((away > least) & (away > _STEEP * gain * moved)))
+
+
+def _half_life(y: Array, first: int) -> int:
+    """Return the samples in which half of an overshoot (n,) is gone; its peak is sample `first`."""
+    rest, width = y[first : first + _SOON], _LEVEL
+    while 2 * width < rest.size:
+        earlier, level = float(rest[width // 2 : width].mean()), float(rest[width : 2 * width].mean())
+        if abs(earlier - level) < 0.25 * abs(float(rest[0]) - level):
+            break
+        width *= 2
+    level = float(rest[width:].mean() if rest.size < 2 * width else rest[width : 2 * width].mean())
+    gone = np.flatnonzero(np.abs(rest - level) < 0.5 * abs(float(rest[0]) - level))
+    return int(gone[0]) + 1 if gone.size else 1

@@ -1,0 +1,173 @@
+"""What each voltage moves on the other axes beside the coupling matrix, or beside the model of a single axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.identification import Trace
+from dehyst.stages.fit import CrossTalk
+from dehyst.stages.regressors import AxisTraces, PlayColumns, block_means, motion_of
+
+# Parts of the records that are held out in turn, each of some spans.
+_FOLDS, _SPANS = 6, 24
+# What counts as coupling beyond a matrix: more than this share of the stroke (RMS) on time that was held out, by an
+# improvement of so many times its scatter.
+_LEAST, _CERTAIN = 4e-4, 3.0
+# Least power of a span, of the mean, and of the motion of a column, in its range.
+_LEAST_POWER, _STILL = 1e-3, 1e-2
+# Of the energy of the columns.
+_RIDGE = 1e-4
+# Columns of a block that count.
+_DIRECTIONS = 12
+# Rows of the residual of a single axis, and its least share (RMS) of the stroke for a warning of another voltage.
+_MOST_ROWS, _LEAST_NEIGHBOUR = 12_000, 0.002
+
+
+def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:
+    """Return what the voltage of each axis predicts of the residual of the others, on time that was held out.
+
+    The rule: the plays of the voltage of axis j, bent by ramps, are fitted to the residual of axis i in five sixths of
+    the spans of the records, together with those of axis i itself. Coupling of j into i is more than a number if they
+    improve the prediction of the other spans by more than three standard errors of the improvement, and by more than
+    0.04 % of the stroke (RMS).
+    """
+    residual = np.concatenate(
+        [block_means(one.residual(coupling), every) for one, every in zip(traces, columns.samples, strict=True)]
+    )
+    spans = columns.groups(_SPANS)
+    count = residual.shape[1]
+    size, certainty = np.zeros((count, count)), np.zeros((count, count))
+    rows = np.isfinite(residual).all(axis=1)
+    for i in range(count):
+        for j in range(count):
+            if i != j:
+                base, more = columns.whitened[i][rows], columns.whitened[j][rows]
+                size[i, j], certainty[i, j] = held_out_gain(base, more, residual[rows, i] / strokes[i], spans[rows])
+    floor = np.where(np.eye(count, dtype=bool), 0.0, _LEAST)
+    beyond = (size > floor) & (certainty > _CERTAIN)
+    return CrossTalk(size, floor, certainty, beyond)
+
+
+def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.intp]) -> tuple[float, float]:
+    """Return by how much (RMS) further columns improve the prediction of spans held out, and how certain that is.
+
+    The certainty is the mean over the spans of the relative improvement, in its standard errors.
+
+    Of both, the first columns count, which move most. The level of each span is free: it is no motion that a voltage
+    causes. Spans in which the further columns do not move are left out; the others have the weight of what all
+    columns miss of them.
+    """
+    base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
+    target = _without_levels(target[:, None], spans)[:, 0]
+    both = np.hstack([base, more])
+    power = _power(target - both @ _fitted(both, target, np.ones(len(target))), spans)
+    weights = (power.mean() / np.maximum(power, _LEAST_POWER * power.mean()))[spans]
+    gains, shares, ratios = list[float](), list[float](), list[float]()
+    least = _STILL * np.ptp(more, axis=0).max(initial=0.0)
+    for fold in range(_FOLDS):
+        out = spans % _FOLDS == fold
+        if out.all() or not out.any():
+            continue
+        found = [_fitted(rows[~out], target[~out], weights[~out]) for rows in (base, both)]
+        errors = [(target[out] - rows[out] @ fitted) ** 2 for rows, fitted in zip((base, both), found, strict=True)]
+        for span in np.unique(spans[out]):
+            where = spans[out] == span
+            if np.ptp(more[out][where], axis=0).max() > least:
+                before, after = (float(error[where].mean()) for error in errors)
+                gains.append(before - after)
+                ratios.append((before - after) / max(before + after, 1e-300))
+                shares.append(float(weights[out][where].mean()))
+    if len(gains) < 2:
+        return 0.0, 0.0
+    mean = float(np.array(shares) @ gains) / sum(shares)
+    # Spans of large and of small motion count alike.
+    scatter = float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
+    return float(np.sqrt(max(mean, 0.0))), float(np.mean(ratios)) / max(scatter, 1e-12) if mean > 0 else 0.0
+
+
+def _without_levels(columns: Array, spans: NDArray[np.intp]) -> Array:
+    """Return columns (m, n) less their mean in each span."""
+    count = np.maximum(np.bincount(spans, minlength=_SPANS), 1)
+    means = np.column_stack([np.bincount(spans, one, minlength=_SPANS) / count for one in columns.T])
+    return np.asarray(columns - means[spans])
+
+
+def _power(left: Array, spans: NDArray[np.intp]) -> Array:
+    """Return the mean square of each span; of one without rows the mean of all."""
+    count = np.bincount(spans, minlength=_SPANS)
+    sums = np.bincount(spans, left**2, minlength=_SPANS)
+    return np.asarray(np.where(count > 0, sums / np.maximum(count, 1), np.mean(left**2)))
+
+
+def _fitted(rows: Array, target: Array, weights: Array) -> Array:
+    scales = np.sqrt((weights[:, None] * rows**2).sum(axis=0))
+    scaled = rows / np.where(scales > 0, scales, 1.0)
+    weighted = scaled * weights[:, None]
+    gram = weighted.T @ scaled + _RIDGE * np.eye(rows.shape[1])
+    return np.asarray(np.linalg.solve(gram, weighted.T @ target) / np.where(scales > 0, scales, 1.0))
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """Another voltage that the residual of a record follows.
+
+    `column`: its name. `share`: RMS of what it predicts of the residual, as a share of the stroke. `explained`: the
+    share of the residual's power.
+    """
+
+    record: str
+    column: str
+    share: float
+    explained: float
+
+    @property
+    def sentence(self) -> str:
+        """The warning."""
+        return (
+            f"{self.record}: the residual follows the voltage '{self.column}', by {100 * self.share:.2g} % of the "
+            f"stroke (RMS; {100 * self.explained:.0f} % of the residual's power): it moves this axis too. "
+            "Identify both axes together: --axes 'THIS_V:THIS_um OTHER_V:OTHER_um'"
+        )
+
+
+def followed(trace: Trace, time: Array, others: Mapping[str, Array], stroke: float) -> list[Neighbour]:
+    """Return the voltages that predict the residual of a trace on time that was held out, the largest first.
+
+    Parameters
+    ----------
+    trace : Trace
+    time : (n,) array
+        [s] of the samples of the file.
+    others : mapping of str to (n,) array
+        Its other voltages, in any unit.
+    stroke : float
+        [m].
+    """
+    found = []
+    rows = np.minimum(np.searchsorted(time, trace.time - 1e-9), len(time) - 1)
+    every = max(1, len(rows) // _MOST_ROWS)
+    residual = block_means(trace.residual, every) / stroke
+    place = np.arange(len(residual)) * _SPANS // max(len(residual), 1)
+    base = _moving(block_means(_motion(trace.voltage), every))
+    for name, voltage in others.items():
+        if np.ptp(voltage) > 0 and np.isfinite(voltage).all():
+            motion = _moving(block_means(_motion(voltage)[rows], every))
+            size, certainty = held_out_gain(base, motion, residual, place)
+            if size > _LEAST_NEIGHBOUR and certainty > _CERTAIN:
+                found.append(Neighbour(trace.record, name, size, min(size**2 / float(np.mean(residual**2)), 1.0)))
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _motion(voltage: Array) -> Array:
+    low, high = float(voltage.min()), float(voltage.max())
+    return motion_of(voltage, low, max(high - low, 1e-12))[0]
+
+
+def _moving(block: Array) -> Array:
+    """Return the directions of a block that move most first."""
+    return np.asarray(np.linalg.svd(block - block.mean(axis=0), full_matrices=False)[0])

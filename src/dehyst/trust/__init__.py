@@ -1,0 +1,10 @@
+"""Trust: what records determine of a model, how wrong a path may come out, and whether the model still holds."""
+
+from dehyst.trust.assessment import insight
+from dehyst.trust.changes import Change
+from dehyst.trust.history import CheckHistory
+from dehyst.trust.insight_result import Insight
+from dehyst.trust.judgement import Judgement, judge
+from dehyst.trust.recheck import Recheck, Standing, check
+
+__all__ = ["Change", "CheckHistory", "Insight", "Judgement", "Recheck", "Standing", "check", "insight", "judge"]

@@ -1,0 +1,152 @@
+"""What records determine of an actuator that was identified from them, and what they leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._threads import one_thread
+from dehyst._types import Progress
+from dehyst._validation import interval, vector
+from dehyst.control import Compensator, shortest_homing
+from dehyst.model import Actuator
+from dehyst.records import Record
+from dehyst.trust.bootstrap import LEAST_REPEATS, resample
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.experiment_design import advise
+from dehyst.trust.feasible_set import feasible_set
+from dehyst.trust.identifiability import StateKnowledge, part_identifiability
+from dehyst.trust.insight_result import Insight
+from dehyst.trust.model_error import HeldOut
+from dehyst.trust.precision import PRECISION, known_numbers
+from dehyst.trust.prediction_band import MajorLoopWidth, PredictionBand, rise_excitation, state_after_rise, state_at_top
+
+
+def insight(
+    actuator: Actuator,
+    records: Record | Sequence[Record],
+    *,
+    trajectory: ArrayLike | None = None,
+    time: ArrayLike | None = None,
+    limits: tuple[float, float] | None = None,
+    seconds: float | None = None,
+    level: float = 0.9,
+    precision: float = PRECISION,
+    repeats: int = 100,
+    seed: int = 0,
+    progress: Progress = lambda _: None,
+) -> Insight:
+    """Judge what records determine of an actuator that was identified from them, and what they leave open.
+
+    Which models beside it the records do not contradict is judged in the Maxwell-slip class only; see `Insight`.
+
+    Parameters
+    ----------
+    actuator : Actuator
+    records : Record or sequence of Record
+        Those it was identified from.
+    trajectory : (n,) array_like, optional
+        A displacement to follow [m], on the model's axis: how wrong may it come out? It is followed from the top of
+        the limits on, where the state is known.
+    time : (n,) array_like, optional
+        Of the trajectory [s]; needed by a model that moves in time.
+    limits : (float, float), optional
+        Voltages allowed [V]; default: those of the model.
+    seconds : float, optional
+        Longest excitation to be advised.
+    level : float, optional
+        Of the intervals.
+    precision : float, optional
+        A number counts as known if half the width of its interval is at most this part of the estimate and the
+        interval excludes zero; see `Insight.precision`.
+    repeats : int, optional
+        Sets of resampled cycles; 0 leaves out intervals and bands.
+    seed : int, optional
+    progress : callable, optional
+        Called with a few words at each step.
+
+    Raises
+    ------
+    RecordError, IdentifyError
+        If a record cannot be used or an option is impossible.
+    ModelError
+        If a trajectory is given without repeats, or is no path.
+    """
+    if not isinstance(actuator, Actuator):
+        raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator, such as the one of a Fit")
+    _check(trajectory is not None, repeats, level, precision)
+    progress("reading the records beside the model")
+    allowed = actuator.limits if limits is None else interval(limits)
+    wanted = None if trajectory is None else vector(trajectory, "trajectory")
+    clock = None if time is None else vector(time, "time")
+    with one_thread():
+        evidence = Evidence.from_records(actuator, records)
+        intervals = free = band = known = loop = None
+        if repeats:
+            intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
+            command = start = played = None
+            if wanted is not None:
+                played = None if allowed is None else rise_excitation(actuator, allowed)
+                start = state_at_top(actuator, None) if allowed is None else state_after_rise(actuator, allowed, played)
+                command = Compensator(actuator, allowed).trajectory(wanted, time=clock, state=start)
+            if not actuator.wide:
+                progress("looking for models that the records do not contradict")
+                free = feasible_set(evidence, None if command is None else command.displacement, start)
+            if wanted is not None and command is not None:
+                progress("identifying parts of the records")
+                band = PredictionBand.of(
+                    wanted,
+                    command,
+                    intervals,
+                    free,
+                    misfit=evidence.misfit,
+                    limits=allowed,
+                    time=clock if actuator.needs_time else None,
+                    played=played,
+                    held_out=HeldOut.of(evidence, intervals),
+                )
+            loop = None if allowed is None else MajorLoopWidth.from_intervals(evidence, intervals, allowed)
+        progress("judging each part")
+        parts = part_identifiability(evidence)
+        if intervals is not None:
+            known = known_numbers(evidence, intervals, parts, free, precision)
+        progress("ranking excitations")
+        return Insight(
+            actuator,
+            evidence,
+            evidence.identifiability,
+            tuple(StateKnowledge.of(actuator, item) for item in evidence.comparisons),
+            evidence.misfit,
+            allowed,
+            homing=None
+            if allowed is None
+            else shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True),
+            intervals=intervals,
+            band=band,
+            feasible_set=free,
+            advice=() if allowed is None else advise(evidence, limits=allowed, seconds=seconds),
+            parts=parts,
+            loop=loop,
+            precision=known,
+        )
+
+
+def _check(trajectory: bool, repeats: int, level: float, precision: float) -> None:
+    if repeats < 0 or 0 < repeats < LEAST_REPEATS:
+        raise ModelError(
+            argument="repeats", got=repeats, need=f"{LEAST_REPEATS} at least, or 0 to leave out the intervals"
+        )
+    if not 0 < level < 1:
+        raise ModelError(argument="level", got=level, need="a number between 0 and 1, e.g. 0.9")
+    if not 0 < precision < 1:
+        raise ModelError(
+            argument="precision", got=precision, need="a number between 0 and 1, e.g. 0.2 for 20 % of the estimate"
+        )
+    if trajectory and not repeats:
+        raise ModelError(
+            argument="repeats",
+            got="0 and a trajectory",
+            need=f"{LEAST_REPEATS} at least to estimate how wrong it may come out",
+        )

@@ -1,0 +1,391 @@
+"""How far numbers may be off because records are finite and noisy: intervals from resampled cycles.
+
+The model is taken for the truth. Its simulation of each record, plus residuals of cycles picked at random, each with a
+random sign, makes a new set of records; it is identified again by least squares. How the new coefficients scatter
+about the model's, and on which side, gives basic bootstrap intervals: ``2 theta - quantile``. Noise of the sensor runs
+through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
+drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
+out of the residuals lest it count twice. Directions that the records leave open keep the model's values: no resampling
+can show them (see `feasible_set`). A structured model is treated alike, the grids of its parts held; there nothing is
+kept, and what the records leave open scatters too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import IdentifyError, ModelError
+from dehyst._threads import one_thread
+from dehyst._types import Array
+from dehyst.identification import Norm
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.validation import RecordComparison
+from dehyst.model import Actuator, State
+from dehyst.records import Record
+from dehyst.records.signals import turning_points
+from dehyst.trust.evidence import Evidence
+
+# Fewer models have no tails.
+LEAST_REPEATS = 20
+_MOST_ROWS = 20_000
+# Sets of records that show what noise alone makes of the legs' mean residuals.
+_TRIALS = 10
+# Sets of records that are identified by both norms, and their rows, to see how much more one scatters.
+_PAIRS = 30
+_FEWER_ROWS = 3000
+# Of a structured model, which has a column for each of hundreds of coefficients.
+_WIDE_ROWS, _WIDE_PAIRS, _WIDE_FEWER = 4000, 10, 2000
+_NORMS: tuple[Norm, ...] = ("l2", "l1")
+# A coefficient whose variance is less than this part of the largest is held by a bound.
+_MOVED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """Models that resampled records gave, and the intervals that follow.
+
+    Attributes
+    ----------
+    actuator : Actuator
+        The model in question.
+    actuators : tuple of Actuator
+        One a resampled set of records.
+    level : float
+        Of the intervals, 0 to 1.
+    spread : float
+        By which deviations are widened, for the model's norm scatters more than least squares: measured where that
+        norm is L1, else 1.
+    few : float
+        By which deviations are widened because few cycles show their own scatter badly: Student's quantile over the
+        normal one.
+    own : tuple of Actuator
+        Of a wider model that was not identified by least squares, what its own norm makes of some resampled records:
+        they show the bias, which neighbours held alike by one norm or the other do not share.
+    """
+
+    actuator: Actuator
+    actuators: tuple[Actuator, ...]
+    level: float
+    spread: float
+    few: float = 1.0
+    own: tuple[Actuator, ...] = ()
+
+    @property
+    def stiffness(self) -> Array:
+        """Lowest and highest kappa_i, (2, N) [V/m]; never below 0."""
+        centre, every = self.actuator.slip.stiffness, np.array([a.slip.stiffness for a in self.actuators])
+        ends = np.maximum(self._basic(lambda a: a.slip.stiffness), 0.0)
+        # At the bound all deviations are upward, and turning them round would mean that it cannot be anything else.
+        bound, factor = centre == 0, self.spread * self.few
+        ends[0, bound], ends[1, bound] = 0.0, factor * np.quantile(every[:, bound], 0.5 * (1 + self.level), axis=0)
+        return ends
+
+    @property
+    def creep(self) -> Array | None:
+        """Lowest and highest c_j (2, J) [V/m], never below 0; None without creep."""
+        return self._of_part("creep", "stiffness", 0.0)
+
+    @property
+    def smooth(self) -> Array | None:
+        """Lowest and highest k_l (2, L) [V/m], never below 0; None without smooth elements."""
+        return self._of_part("smooth", "stiffness", 0.0)
+
+    @property
+    def drive(self) -> Array | None:
+        """Lowest and highest tau at its knots (2, K) [V]; None without a transformer."""
+        return self._of_part("transformer", "drive", -np.inf)
+
+    @property
+    def gains(self) -> Array | None:
+        """Lowest and highest slope of tau's segments, (2, K - 1) [V/V]; None without a transformer."""
+        if self.actuator.transformer is None:
+            return None
+        return self._basic(_gains)
+
+    def _of_part(self, part: str, name: str, least: float) -> Array | None:
+        if getattr(self.actuator, part) is None:
+            return None
+        return np.maximum(self._basic(lambda a: getattr(getattr(a, part), name)), least)
+
+    @property
+    def slopes(self) -> Array:
+        """Lowest and highest slope of the spring's segments, (2, M - 1) [V/m]."""
+        return self._basic(lambda a: a.spring.slopes)
+
+    @property
+    def spring(self) -> Array:
+        """Lowest and highest voltage of the spring at its knots less that of the first, (2, M) [V]."""
+        return self._basic(_risen)
+
+    def prediction(
+        self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
+    ) -> Array:
+        """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
+        return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
+
+    @property
+    def widening(self) -> float:
+        """By which standard deviations of the resampled models are widened."""
+        return self.spread * self.few
+
+    def _basic(self, value: Callable[[Actuator], Array]) -> Array:
+        centre = value(self.actuator)
+        deviation = np.array([value(a) for a in self.actuators]) - centre
+        scatter = deviation - deviation.mean(axis=0)
+        middle, more = deviation.mean(axis=0), 1.0
+        if self.own:
+            middle = np.mean([value(a) for a in self.own], axis=0) - centre
+            # The mean of so few scatters, too.
+            more = float(np.sqrt(1 + 1 / len(self.own)))
+        tails = 0.5 * (1 - self.level), 0.5 * (1 + self.level)
+        low, high = middle + self.spread * self.few * more * np.quantile(scatter, tails, axis=0)
+        return np.array([centre - high, centre - low])
+
+
+def resample(
+    evidence: Evidence,
+    *,
+    level: float = 0.9,
+    repeats: int = 100,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Intervals:
+    """Identify resampled records.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The model and its records. Datums are held; constants, drifts and all coefficients are found anew.
+    level : float, optional
+        Of the intervals.
+    repeats : int, optional
+        Sets of records.
+    seed : int, optional
+    progress : callable, optional
+        Called with a few words now and then.
+
+    Raises
+    ------
+    IdentifyError
+        If the level is not between 0 and 1, or there are fewer than 20 repeats.
+    """
+    if not 0 < level < 1 or repeats < LEAST_REPEATS:
+        raise IdentifyError(
+            f"got level {level} and {repeats} repeats, "
+            f"need a level between 0 and 1 and at least {LEAST_REPEATS} repeats"
+        )
+    random = np.random.default_rng(seed)
+    worlds = [_World(one, evidence.actuator) for one in evidence.comparisons]
+    again = _Again(evidence)
+    found: list[Actuator] = []
+    with one_thread():
+        # A structured model's path is freed of jitter before it drags anything: its legs' means come from nowhere else.
+        share = 1.0 if again.wide else _unexplained(again, worlds, random)
+        spread, own = _spread(again, worlds, share, random)
+        for k in range(repeats):
+            if k % 10 == 0:
+                progress(f"identifying resampled cycles, {k} of {repeats}")
+            other = again.actuator([world.resampled(random, share) for world in worlds])
+            if other is not None:
+                found.append(other)
+    if len(found) < LEAST_REPEATS:
+        raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
+    return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level), own)
+
+
+class _Again:
+    """Identifies records that were resampled, by least squares."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._evidence = evidence
+        rows = evidence.regression.rows
+        self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
+        self._step = max(1, len(rows) // self._most)
+        self._held = None if self.wide else open_combinations(evidence)
+        cut = np.flatnonzero(np.diff(rows.epoch)) + 1
+        self._starts = _legs(rows.voltage, cut)
+
+    @property
+    def by_absolutes(self) -> bool:
+        """Whether the model was identified by least absolute deviations."""
+        known = self._evidence.actuator.identification
+        return known is not None and (known.method, known.norm) == ("record", "l1")
+
+    @property
+    def wide(self) -> bool:
+        """Whether the model is a structured one."""
+        return self._evidence.actuator.wide
+
+    def numbers(self, found: Coefficients) -> Array:
+        """Return what two norms are compared by: coefficients, or for a structured model errors of rows."""
+        if not self.wide:
+            return np.concatenate([found.stiffness[:, 0], found.slopes])
+        step = max(1, len(self._evidence.regression.rows) // _WIDE_FEWER)
+        few = self._evidence.regression.thinned(_WIDE_FEWER)
+        left = few.model(found)
+        for epoch in np.unique(few.rows.epoch):
+            left[few.rows.epoch == epoch] -= left[few.rows.epoch == epoch].mean()
+        return left * self._evidence.weights[::step]
+
+    @property
+    def pairs(self) -> tuple[int, int]:
+        """Sets of records to identify by two norms, and their rows."""
+        return (_WIDE_PAIRS, _WIDE_FEWER) if self.wide else (_PAIRS, _FEWER_ROWS)
+
+    def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
+        """Return the actuator of records; None if the program was not solved or no voltage would have one answer."""
+        return self.made(self.identified(pieces))
+
+    def made(self, answer: Coefficients) -> Actuator | None:
+        """Return the actuator of coefficients, None as in `actuator`."""
+        if not answer.solved.optimal:
+            return None
+        try:
+            return self._evidence.actuator_of(answer)
+        except ModelError:
+            return None
+
+    def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Coefficients:
+        """Coefficients of resampled records, of about `most` rows."""
+        rows = self._most if most is None else most
+        again = self._evidence.with_pieces(pieces)
+        step = max(1, len(again.rows) // rows)
+        weights = self._evidence.weights[::step]
+        few = replace(again, rows=again.rows.thinned(rows))
+        return few.fit(norm, weights, self._held)
+
+    def slow(self, found: Coefficients) -> float:
+        """Mean square of the legs' mean residuals [m2]."""
+        weights = self._evidence.weights[:: self._step]
+        weighted = found.solved.residual[: weights.size] * weights
+        return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
+
+    def slow_of_model(self) -> float:
+        """Return the same of the model itself."""
+        weighted = self._evidence.model.solved.residual * self._evidence.weights
+        return float(np.mean(_leg_means(weighted, self._starts) ** 2))
+
+
+def _legs(voltage: Array, cut: Any) -> Any:
+    """First sample of each leg: the first, those after the cuts, and those where the voltage turns."""
+    return np.unique([0, *cut, *turning_points(voltage, 0.02 * float(np.ptp(voltage)))])
+
+
+def _leg_means(values: Array, starts: Any) -> Array:
+    """Return the mean of each leg at all of its samples (n,)."""
+    size = np.diff(np.append(starts, values.size))
+    return np.repeat(np.add.reduceat(values, starts) / size, size)
+
+
+def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generator) -> float:
+    """Return the part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
+    found = [again.identified([world.resampled(random, 0.0) for world in worlds]) for _ in range(_TRIALS)]
+    made = float(np.mean([again.slow(one) for one in found if one.solved.optimal] or [0.0]))
+    there = again.slow_of_model()
+    return float(np.sqrt(max(0.0, 1 - made / there))) if there else 0.0
+
+
+class _World:
+    """One record as the model would have made it, and the residuals of its cycles."""
+
+    def __init__(self, compared: RecordComparison, actuator: Actuator) -> None:
+        self._pieces = compared.measured
+        self._parts = [
+            (number, slice(epoch.start, epoch.stop), played[3] - compared.datum, played[2] - played[3])
+            for number, epoch, played in compared.played(actuator)
+        ]
+        self._residual = np.concatenate([residual for *_, residual in self._parts])
+        voltage = np.concatenate([self._pieces[number].voltage[span] for number, span, *_ in self._parts])
+        edges = np.cumsum([residual.size for *_, residual in self._parts])[:-1]
+        self._slow = _leg_means(self._residual, _legs(voltage, edges))
+        lengths = [cycle.stop - cycle.start for cycle in compared.record.record.cycles()]
+        size = self._residual.size
+        self._block = min(int(np.median(lengths)) if lengths else size, max(size // 4, 1))
+
+    @property
+    def cycles(self) -> int:
+        """Number of cycles to draw from."""
+        return self._residual.size // self._block
+
+    def resampled(self, random: np.random.Generator, share: float) -> list[Record]:
+        """Return the pieces with new displacements, a share of the legs' mean residuals left in.
+
+        Cycles start at the same phase as those they are put for.
+        """
+        residual = self._residual - (1 - share) * self._slow
+        new = [piece.displacement.copy() for piece in self._pieces]
+        for number, span, simulated, _ in self._parts:
+            count = -(-simulated.size // self._block)
+            starts = self._block * random.integers(0, self.cycles, count)
+            blocks = [
+                sign * residual[start : start + self._block]
+                for start, sign in zip(starts, random.choice([-1.0, 1.0], count), strict=True)
+            ]
+            new[number][span] = simulated + np.concatenate(blocks)[: simulated.size]
+        return [replace(piece, displacement=y) for piece, y in zip(self._pieces, new, strict=True)]
+
+
+def _few(worlds: list[_World], level: float) -> float:
+    """Student's quantile over the normal one, a degree of freedom less than there are cycles."""
+    from scipy.special import ndtri, stdtrit
+
+    upper = 0.5 * (1 + level)
+    return float(stdtrit(max(sum(world.cycles for world in worlds) - 1, 1), upper) / ndtri(upper))
+
+
+def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
+    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
+    directions = evidence.identifiability
+    combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
+    return (
+        (combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable])
+        if len(combinations)
+        else None
+    )
+
+
+def _spread(
+    again: _Again, worlds: list[_World], share: float, random: np.random.Generator
+) -> tuple[float, tuple[Actuator, ...]]:
+    """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1.
+
+    Of a structured model, also what its own norm finds.
+    """
+    if not again.by_absolutes:
+        return 1.0, ()
+    both, own = [], []
+    count, rows = again.pairs
+    for _ in range(count):
+        pieces = [world.resampled(random, share) for world in worlds]
+        pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
+        if all(one.solved.optimal for one in pair):
+            both.append([again.numbers(one) for one in pair])
+            own.append(again.made(pair[1]) if again.wide else None)
+    kept = tuple(one for one in own if one is not None)
+    if len(both) < 2:
+        return 1.0, kept
+    squares, absolutes = np.var(both, axis=0)
+    return _more(squares, absolutes, again.wide), kept
+
+
+def _more(squares: Array, absolutes: Array, wide: bool) -> float:
+    """Return standard deviations by one norm over those by the other, from their variances; at least 1."""
+    if wide:
+        # Numbers that the records leave open scatter as either norm pleases; what they make of the voltages counts.
+        return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
+    moved = squares > _MOVED * squares.max()
+    return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
+
+
+def _gains(actuator: Actuator) -> Array:
+    tau = actuator.transformer
+    return np.zeros(0) if tau is None else tau.slopes
+
+
+def _risen(actuator: Actuator) -> Array:
+    return np.asarray(actuator.spring.voltage - actuator.spring.voltage[0])

@@ -1,0 +1,204 @@
+"""Records beside a model that was identified from them: the ground on which its uncertainty is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification import Structure
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probe_identifiability
+from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
+from dehyst.identification.preprocessing.regressors import InternalStates, Rows, RowSource
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.structure import Grid
+from dehyst.identification.validation import MOST_ROWS, RecordComparison, compare_all
+from dehyst.model import Actuator
+from dehyst.records import Record
+from dehyst.records.signals import largest, rms
+
+# Of a structured model: a row has a column for each coefficient, of which there may be hundreds.
+_FEWER_ROWS = 8000
+# A start that is not at rest must lower the RMS residual of its record to this part.
+_WORTH_OF_START = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Records beside a model, on the model's axis; grids, delay, dynamics and options are those of the model.
+
+    Neighbours are held as much alike as in the identification. Creep branches and smooth elements that got no stiffness
+    are not fitted again.
+
+    Attributes
+    ----------
+    actuator : Actuator
+    comparisons : tuple of RecordComparison
+        One a record.
+    regression : Regression
+        Rows (of long records some, evenly), with the datums and drifts that the model leaves to each record.
+    stroke : float
+        The range of the widest loop [m].
+    """
+
+    actuator: Actuator
+    comparisons: tuple[RecordComparison, ...]
+    regression: Regression
+    stroke: float
+
+    @classmethod
+    def from_records(cls, actuator: Actuator, records: Record | Sequence[Record]) -> Evidence:
+        """Put records beside a model.
+
+        Parameters
+        ----------
+        actuator : Actuator
+            As `dehyst.identify` or a model file gives it; without an `identification` its options are the defaults.
+        records : Record or sequence of Record
+            Those it was identified from, or others, to see what they would determine.
+
+        Raises
+        ------
+        RecordError, IdentifyError
+            If a record cannot be used.
+        """
+        compared, stroke, floor = compare_all(actuator, records)
+        grid = Grid.of_actuator(actuator)
+        if not actuator.wide:
+            grid = replace(grid, sliding=2 * actuator.slip.breakaway < stroke * (1 - 1e-9))
+        regression = Regression(
+            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared], wide=actuator.wide),
+            grid=grid,
+            floor=floor,
+            datum=np.array([item.datum for item in compared]),
+            drifting=tuple(q for q, item in enumerate(compared) if item.regression.drifting),
+            strained=tuple(q for q, item in enumerate(compared) if actuator.creep is not None and _strained(item)),
+            smoothing=_smoothing(actuator) if actuator.wide else 0.0,
+        )
+        return cls(actuator, compared, regression, stroke)
+
+    @cached_property
+    def model(self) -> Coefficients:
+        """The model's coefficients, with each epoch's constant and each record's drift [V]."""
+        return self.regression.fit_nuisances(Coefficients.from_actuator(self.actuator))
+
+    @cached_property
+    def weights(self) -> Array:
+        """1 / (d tau(v)/dy) of the model at each row (n,)."""
+        return 1 / self.regression.slope(self.model)
+
+    @cached_property
+    def reference(self) -> int:
+        """The epoch whose constant is that of the model's spring: the one that needs the least offset."""
+        base = float(self.actuator.spring.voltage[0])
+        return min(self.model.offsets, key=lambda epoch: abs(self.model.offsets[epoch] - base))
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """What the turning points determine of the stiffnesses, whatever the noise; see `directions`."""
+        return self.directions()
+
+    def directions(self, *more: Record) -> Identifiability:
+        """Return what the turning points of the records, and of `more` on the model's axis, determine.
+
+        Of the stiffnesses in the Maxwell-slip class, whose columns turning points make alone; of ten plain elements in
+        its place where a model has more parts.
+        """
+        records = [*self.pieces(), *more]
+        if not self.actuator.wide:
+            return identifiability(records, self.regression)
+        knots = self.regression.knots
+        return probe_identifiability(records, self.regression.rows, (float(knots[0]), float(knots[-1])))
+
+    @cached_property
+    def misfit(self) -> float:
+        """Largest error of the model on the records [m]."""
+        errors = [played[2] - played[3] for one in self.comparisons for *_, played in one.played(self.actuator)]
+        return largest(np.concatenate(errors))
+
+    def pieces(self) -> list[Record]:
+        """Return all pieces on the model's axis, their voltages delayed."""
+        return [
+            replace(piece, displacement=piece.displacement + item.datum)
+            for item in self.comparisons
+            for _, piece, _ in item.pieces
+        ]
+
+    def with_pieces(self, pieces: list[list[Record]]) -> Regression:
+        """Return the same regression on other measured displacements, piece for piece."""
+        grid, wide = self.regression.grid, self.actuator.wide
+        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=wide)
+        return replace(self.regression, rows=rows)
+
+    def with_structure(self, structure: Structure) -> Regression:
+        """Return the regression of the same records for a structure that does not move in time."""
+        knots, volts = self.regression.knots, self.regression.rows.voltage
+        # Times are those of creep branches only.
+        ends = (float(knots[0]), float(knots[-1])), (float(volts.min()), float(volts.max())), (1.0, 2.0)
+        grid, pieces = structure.grid(*ends), [item.measured for item in self.comparisons]
+        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=True)
+        return replace(self.regression, rows=rows, grid=grid, smoothing=structure.smoothing)
+
+    def actuator_of(self, found: Coefficients) -> Actuator:
+        """Return the actuator of other coefficients on the same axes; parts without stiffness stay."""
+        model = self.actuator
+        first = found.offsets[self.reference] - self.model.offsets[self.reference] + float(model.spring.voltage[0])
+        return found.to_actuator(
+            self.regression.grid,
+            first,
+            least=None,
+            limits=model.limits,
+            delay=model.delay,
+            dynamics=model.dynamics,
+            lag=model.lag,
+            load_stiffness=model.load_stiffness,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the records' names and the stroke as JSON values."""
+        return {"records": [item.record.name for item in self.comparisons], "stroke_m": self.stroke}
+
+
+def _rows(
+    actuator: Actuator,
+    grid: Grid,
+    compared: Sequence[RecordComparison],
+    stroke: float,
+    pieces: list[list[Record]],
+    *,
+    wide: bool,
+) -> Rows:
+    """Rows of measured pieces, prepared as an identification prepares them."""
+    stacked, noise = [], []
+    for q, (item, measured) in enumerate(zip(compared, pieces, strict=True)):
+        for (_, _, curve), piece in zip(item.pieces, measured, strict=True):
+            path = piece
+            if wide:
+                path = remove_jitter(remove_dynamics(piece, actuator.dynamics), item.record.noise, stroke)
+            stacked.append((q, path, curve))
+            noise.append(item.record.noise)
+
+    def internal(number: int, piece: Record) -> InternalStates:
+        return InternalStates(grid, piece, compared[number].record.lead)
+
+    source = RowSource.of(stacked, grid.breakaway, noise, moved=internal)
+    return source.thinned(_FEWER_ROWS if wide else MOST_ROWS)
+
+
+def _smoothing(actuator: Actuator) -> float:
+    """Return the weight of the differences of neighbours with which the model was identified."""
+    known = actuator.identification
+    return Structure().smoothing if known is None or known.smoothing is None else known.smoothing
+
+
+def _strained(compared: RecordComparison) -> bool:
+    """Whether a record creeps as if it had not been at rest as it began: the model fits it much worse without."""
+    regression, found = compared.regression, compared.found
+    weights = 1 / regression.slope(found)
+    rested = replace(regression, strained=()).fit_nuisances(found)
+    return bool(rms(found.solved.residual * weights) < _WORTH_OF_START * rms(rested.solved.residual * weights))

@@ -1,0 +1,514 @@
+"""The result of `dehyst.insight`: how far a model can be trusted, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from dehyst._text import counted, escaped
+from dehyst._types import Array
+from dehyst._views import html, tables
+from dehyst._views.pictures import plotted
+from dehyst.control import Homing
+from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.model import Actuator
+from dehyst.trust.bootstrap import Intervals
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.experiment_design import Suggestion
+from dehyst.trust.feasible_set import FeasibleSet
+from dehyst.trust.identifiability import SHARP, PartIdentifiability, StateKnowledge
+from dehyst.trust.judgement import Judgement, judge
+from dehyst.trust.precision import NOISE_BIAS, Precision
+from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+# A model that misses records by more than this part of their range [%] is no model of them.
+_MISSED = 5.0
+# Nor is one that misses them by more than this [%] and this many times as far as those it was identified from.
+_WORTH, _TIMES = 0.5, 3.0
+# Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
+_WIDER = 0.01
+
+
+def of_another(actuator: Actuator, misfit: float, stroke: float) -> str | None:
+    """Return A warning if records are of another actuator than the model."""
+    range_ = float(np.ptp(actuator.spring.displacement))
+    missed, known = 100 * misfit / stroke, actuator.identification
+    own = np.inf if known is None or known.largest_error is None else known.largest_error
+    if missed <= _MISSED and not (missed > _WORTH and misfit > _TIMES * own):
+        return None
+    return (
+        f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
+        f"{range_ * 1e6:.4g} um): they are of another actuator, or in other units. Nothing below holds for them."
+    )
+
+
+def beyond(actuator: Actuator, limits: tuple[float, float] | None) -> str | None:
+    """Return A warning if limits [V] go beyond the voltages that were recorded."""
+    recorded = actuator.limits
+    if recorded is None or limits is None:
+        return None
+    over = max(recorded[0] - limits[0], limits[1] - recorded[1])
+    if over <= _WIDER * (recorded[1] - recorded[0]):
+        return None
+    return (
+        f"The limits, {limits[0]:.6g} to {limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
+        f"{recorded[0]:.6g} to {recorded[1]:.6g} V: all results for voltages there are extrapolated."
+    )
+
+
+def not_homed(homing: Homing | None) -> str | None:
+    """Return A warning if the rise before a trajectory leaves the state unknown."""
+    if homing is None or homing.certified:
+        return None
+    return (
+        "The trajectory is taken to start after a rise through all of the limits, which does not make the "
+        f"state known ({'; '.join(homing.remarks)}): what was done before may show in it."
+    )
+
+
+_NOT_JUDGED = (
+    "Not judged of a model with more parts than slip elements and a spring: what other models of its class the records "
+    "do not contradict, and whether its structure is the right one. Delay, inertia and sensor zeros are held where "
+    "they are."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Insight:
+    """How far a model can be trusted, and what to do about it.
+
+    Attributes
+    ----------
+    actuator : Actuator
+    evidence : Evidence
+    identifiability : Identifiability
+        Of the stiffnesses; of ten plain elements if the model has more parts: whether there are inner loops enough.
+    knowledge : tuple of StateKnowledge
+    misfit : float
+        The largest error of the model on these records [m].
+    limits : (float, float) or None
+        Voltages allowed [V].
+    homing : Homing or None
+        None if the model has no voltage limits.
+    intervals : Intervals or None
+        From resampled cycles; None if they were not asked for.
+    band : PredictionBand or None
+        If a trajectory was given; without what the records do not contradict where there is no feasible set.
+    feasible_set : FeasibleSet or None
+        What the records do not contradict; None without intervals, and outside of the Maxwell-slip class.
+    advice : tuple of Suggestion
+        Best first; empty if nothing on the menu determines more.
+    parts : tuple of PartIdentifiability
+        What the records determine of each part.
+    loop : MajorLoopWidth or None
+        The major loop, with the intervals.
+    precision : Precision or None
+        Which numbers are known to the precision that was asked for; None without intervals.
+    """
+
+    actuator: Actuator
+    evidence: Evidence
+    identifiability: Identifiability
+    knowledge: tuple[StateKnowledge, ...]
+    misfit: float
+    limits: tuple[float, float] | None
+    homing: Homing | None = None
+    intervals: Intervals | None = None
+    band: PredictionBand | None = None
+    feasible_set: FeasibleSet | None = None
+    advice: tuple[Suggestion, ...] = ()
+    parts: tuple[PartIdentifiability, ...] = ()
+    loop: MajorLoopWidth | None = None
+    precision: Precision | None = None
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        return as_html(self)
+
+    def summary(self) -> str:
+        """Return what `dehyst insight` prints, in lines, in the order in which it matters."""
+        return "\n".join(escaped(line) for line in lines(self))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the judged numbers of the model as a pandas DataFrame, a row a number; stiffnesses in V/um.
+
+        Columns: part, number, unit, estimate, lowest, highest, verdict; no rows without intervals. Raise
+        `MissingExtraError` if pandas is not installed.
+        """
+        parts = () if self.precision is None else self.precision.parts
+        names = "part", "number", "unit", "estimate", "lowest", "highest", "verdict"
+        rows = [
+            (part.part, i + 1, unit, part.estimate[i] * factor, *part.interval[:, i] * factor, verdict.value)
+            for part in parts
+            for factor, unit in ((1e-6, "V/um") if part.unit == "V/m" else (1.0, part.unit),)
+            for i, verdict in enumerate(part.verdicts)
+        ]
+        return tables.frame({name: [row[k] for row in rows] for k, name in enumerate(names)})
+
+    def plot(
+        self,
+        kind: Literal["stiffnesses", "directions", "loop", "band"] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw what the records leave open.
+
+        Parameters
+        ----------
+        kind : str, optional
+            "stiffnesses": each with its interval. "directions": their singular values, determined or open. "loop":
+            uncertainty of the displacement on the major loop. "band": where the displacement of
+            the trajectory may be, less the wanted path. Default: the last of "directions", "loop", "stiffnesses" and
+            "band" for which there are numbers.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or no numbers for it.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("insight", self, kind, ax)
+
+    @property
+    def not_judged(self) -> str:
+        """What is left open of a model that has more than slip elements and a spring; empty otherwise."""
+        return _NOT_JUDGED if self.actuator.wide else ""
+
+    @property
+    def stiffness(self) -> Array | None:
+        """Lowest and highest kappa_i (2, N) [V/m] by noise and open directions together; None without intervals."""
+        if self.intervals is None or self.feasible_set is None:
+            return None
+        noise, free = self.intervals.stiffness, self.feasible_set.stiffness
+        return np.array([np.minimum(noise[0], free[0]), np.maximum(noise[1], free[1])])
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the records leave no direction open: of the stiffnesses, or of ten plain elements."""
+        return self.identifiability.determined == self.identifiability.of
+
+    @property
+    def judgement(self) -> Judgement:
+        """How far the trajectory is expected to be missed; without one a path like the records."""
+        return judge(self.actuator, band=self.band)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what must be heeded before the model is used."""
+        remarks = [
+            of_another(self.actuator, self.misfit, self.evidence.stroke),
+            self._open(),
+            self._imprecise(),
+            beyond(self.actuator, self.limits),
+        ]
+        if self.band is not None:
+            remarks += [*self.band.warnings, self._open_on(self.band), not_homed(self.homing)]
+        return tuple(remark for remark in remarks if remark)
+
+    def _open(self) -> str | None:
+        if self.trustworthy:
+            return None
+        total = self.identifiability.of
+        left, more = total - self.identifiability.determined, self.actuator.wide
+        next_ = f" Add {self.advice[0].words}." if self.advice else ""
+        return (
+            f"{left} of {total} directions of {'plain elements' if more else 'the stiffnesses'} are open"
+            f"{', and with them those of this model' if more else ''}: motions that turn elsewhere than the records do "
+            f"may be predicted wrongly.{next_}"
+        )
+
+    def _imprecise(self) -> str | None:
+        """Return what is not known to the precision that was asked for, and what to record next."""
+        if self.precision is None or self.precision.all_known:
+            return None
+        # The warning of open directions says what to add.
+        next_ = self.precision.next if self.trustworthy else ""
+        return " ".join(words for words in (self.precision.sentence, self.precision.others, next_) if words)
+
+    def _open_on(self, band: PredictionBand) -> str | None:
+        """Return what open directions make of a trajectory, where that is more than the rest."""
+        parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
+        known = max(parts["misfit"], parts["noise"], 0.1)
+        if self.trustworthy or parts.get("open", 0.0) <= known:
+            return None
+        return (
+            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
+            f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound it."
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values; lengths in metres."""
+        directions, noise, free, both = self.identifiability, self.intervals, self.feasible_set, self.stiffness
+        return {
+            **self.evidence.as_dict(),
+            "warnings": list(self.warnings()),
+            "not_judged": self.not_judged,
+            "misfit_m": self.misfit,
+            "judgement": self.judgement.as_dict(),
+            "directions": {
+                "determined": directions.determined,
+                "of": directions.of,
+                "singular_values_V_per_V": directions.values.tolist(),
+                "open": [change.tolist() for change in directions.open],
+                "sentences": [] if self.actuator.wide else list(directions.sentences()),
+            },
+            "identifiable_parts": {
+                "allowed_deviation_of_the_voltages": SHARP,
+                "parts": [part.as_dict() for part in self.parts],
+            },
+            "stiffness_V_per_m": {
+                "model": self.actuator.slip.stiffness.tolist(),
+                "noise": None if noise is None else noise.stiffness.tolist(),
+                "open": None if free is None else free.stiffness.tolist(),
+                "both": None if both is None else both.tolist(),
+            },
+            "spring_V": {
+                "knots_m": self.actuator.spring.displacement.tolist(),
+                "noise": None if noise is None else noise.spring.tolist(),
+                "open": None if free is None else free.spring.tolist(),
+            },
+            "parts": {
+                name: {"model": model.tolist(), "noise": None if ends is None else ends.tolist()}
+                for name, (model, ends) in self.numbers().items()
+            },
+            "major_loop_off_m": None if self.loop is None else self.loop.off,
+            "advice": [item.as_dict() for item in self.advice],
+            "level": None if noise is None else noise.level,
+            "known": None if self.precision is None else self.precision.as_dict(),
+            "state": [item.as_dict() for item in self.knowledge],
+            "homing": self._homing_dict(),
+            "trajectory": None
+            if self.band is None
+            else {f"{name}_m": error for name, error in self.band.errors().items()},
+            "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
+        }
+
+    def _homing_dict(self) -> dict[str, Any] | None:
+        homing = self.homing
+        return (
+            None
+            if homing is None
+            else {
+                "turns_V": list(homing.turns),
+                "travel_V": homing.travel,
+                "certified": homing.certified,
+                "seconds": None if homing.played is None else homing.played.duration,
+                "error_m": homing.error,
+                "width_m": homing.width,
+                "remarks": list(homing.remarks),
+            }
+        )
+
+    def numbers(self) -> dict[str, tuple[Array, Array | None]]:
+        """Return coefficients of parts that stand alone, by name with unit, and their lowest and highest by noise."""
+        model, noise = self.actuator, self.intervals
+        parts: dict[str, tuple[Array, Array | None]] = {}
+        if model.transformer is not None:
+            parts["transformer_V"] = model.transformer.drive, None if noise is None else noise.drive
+        if model.creep is not None:
+            parts["creep_V_per_m"] = model.creep.stiffness, None if noise is None else noise.creep
+        if model.smooth is not None:
+            parts["smooth_V_per_m"] = model.smooth.stiffness, None if noise is None else noise.smooth
+        return parts
+
+
+def one_line(found: Insight) -> str:
+    """Return what is determined and known, counted."""
+    directions = f"{found.identifiability.determined} of {found.identifiability.of} directions determined"
+    known = "" if found.precision is None else f", {found.precision.sentence.removesuffix('.')}"
+    warnings = counted(len(found.warnings()), "warning")
+    return f"<Insight of '{escaped(found.actuator.name)}': {directions}{known}, {warnings}>"
+
+
+def as_html(found: Insight) -> str:
+    """Return an assessment for a notebook: warnings, what is known, and the numbers of each part."""
+    warnings, precision = found.warnings(), found.precision
+    stroke = found.evidence.stroke
+    rows = [
+        ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of their range"),
+        ("directions determined", f"{found.identifiability.determined} of {found.identifiability.of}"),
+    ]
+    if precision is not None:
+        rows += [(f"{part.several} known", f"{part.known} of {part.of_all}") for part in precision.parts]
+    if found.band is not None:
+        errors = {name: error for name, error in found.band.errors().items() if error or name != "clamped"}
+        rows += [
+            (f"path: {ERRORS[name]}", f"{100 * error / stroke:.3g} % of the range") for name, error in errors.items()
+        ]
+    title = f"Insight of '{found.actuator.name}'"
+    text = html.preformatted("Summary", lines(found))
+    return html.block(title, *map(html.line, warnings), html.facts(rows), text, colour="amber" if warnings else "green")
+
+
+def lines(found: Insight) -> Iterator[str]:
+    """Yield the lines of a summary, in the order in which they matter."""
+    for warning in found.warnings():
+        yield f"WARNING: {warning}"
+        yield ""
+    misfit = 100 * found.misfit / found.evidence.stroke
+    yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
+    judged = found.judgement
+    if found.band is None and judged.rms is not None and judged.largest is not None:
+        rms, largest = (100 * error / found.evidence.stroke for error in (judged.rms, judged.largest))
+        tested = "tested on validation records" if judged.tested else "not tested on validation records"
+        yield f"Expect a path like them to be missed by {rms:.2g} % RMS and {largest:.2g} % at most ({tested})."
+    if found.precision is not None:
+        yield found.precision.sentence
+    yield from _directions(found)
+    yield from _parts_known(found)
+    yield from _stiffnesses(found)
+    yield from _band(found)
+    yield from _advice(found)
+    if found.not_judged:
+        yield ""
+        yield found.not_judged
+    yield ""
+    yield "When the state becomes known, if nothing is known before:"
+    for known in found.knowledge:
+        measured, played = (_moment(t) for t in (known.by_displacement, known.by_voltage))
+        yield (
+            f"  - {known.record}: {measured} from the measured displacement, "
+            f"{played if known.judged else 'not judged'} from the voltage alone"
+        )
+    yield from _homing(found)
+
+
+def _directions(found: Insight) -> Iterator[str]:
+    identifiability = found.identifiability
+    yield (
+        f"Directions of {'ten plain elements' if found.actuator.wide else 'the stiffnesses'} that the turning points "
+        f"determine, whatever the noise: {identifiability.determined} of {identifiability.of}"
+    )
+    if not found.actuator.wide:
+        yield from _bullets(_first_few(identifiability.sentences()))
+    values = " ".join(f"{value:.2g}" for value in identifiability.values)
+    yield f"  singular values, V for each volt of breakaway voltage: {values}"
+
+
+def _advice(found: Insight) -> Iterator[str]:
+    if found.advice:
+        yield ""
+        yield "To record next, best first:"
+        for excitation in found.advice[:3]:
+            yield f"  - {excitation.words}: {excitation.determined} of {excitation.of} in {excitation.seconds:.4g} s"
+            yield f"      {excitation.command}"
+    elif found.trustworthy:
+        yield ""
+        yield f"To record next: {_next(found)}"
+
+
+def _next(found: Insight) -> str:
+    """Return what to record where no loop determines more directions."""
+    if found.precision is None or found.precision.all_known:
+        return "nothing; no loop determines more directions."
+    return f"no loop determines more directions. {found.precision.next}"
+
+
+def _parts_known(found: Insight) -> Iterator[str]:
+    """Yield what records determine of each part, and how accurate its numbers are."""
+    yield f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:"
+    yield from _bullets(part.sentence for part in found.parts)
+    if found.precision is not None:
+        yield f"Known within {100 * found.precision.precision:g} %, number by number:"
+        yield from _bullets(part.counted for part in found.precision.parts)
+    if found.intervals is None:
+        return
+    yield ""
+    yield f"Uncertainty due to noise ({100 * found.intervals.level:.0f} % intervals):"
+    if found.loop is not None:
+        off = found.loop.off
+        share = 100 * off / found.evidence.stroke
+        yield f"  - the displacement on the major loop{share:8.2g} % of the range, {off * 1e9:.3g} nm"
+    for name, (model, noise) in found.numbers().items():
+        if noise is not None and abs(model).max(initial=0.0) > 0:
+            width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
+            yield f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, on average"
+
+
+def _homing(found: Insight) -> Iterator[str]:
+    if found.homing is None:
+        return
+    turns = ", ".join(f"{v:.6g}" for v in found.homing.turns)
+    verdict = "certified" if found.homing.certified else "NOT certified"
+    if found.homing.played is None:
+        yield f"  - shortest homing: {turns} V ({verdict}: from any state to within {found.homing.width * 1e6:.1g} um)"
+    else:
+        yield (
+            f"  - homing: {turns} V in {found.homing.played.duration:.4g} s ({verdict}: the displacement is known to "
+            f"{found.homing.error * 1e6:.3g} um after it)"
+        )
+    for remark in found.homing.remarks:
+        yield f"      {remark}"
+
+
+def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
+    return sentences if len(sentences) <= most else (*sentences[:most], f"and {len(sentences) - most} more (--json)")
+
+
+def _moment(seconds: float | None) -> str:
+    return "never" if seconds is None else f"after {seconds:.4g} s"
+
+
+def _stiffnesses(found: Insight) -> Iterator[str]:
+    if found.intervals is None or found.precision is None:
+        return
+    if found.feasible_set is None:
+        yield found.precision.rule
+        return
+
+    slip, level, judged = found.actuator.slip, 100 * found.intervals.level, found.precision.parts[0]
+    yield ""
+    yield f"  i  breakaway  stiffness   {level:.0f} % by noise          compatible            verdict"
+    yield "            um       V/um           V/um            with the records, V/um"
+    alone, movable = found.identifiability.alone, found.identifiability.movable
+    number = movable.cumsum() - 1
+    for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
+        if not movable[i]:
+            yield f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: part of the spring"
+            continue
+        noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
+        free = _ends(found.feasible_set.stiffness[:, i])
+        yield f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free:<22}{judged.words(int(number[i]))}"
+    if any(judged.biased):
+        yield NOISE_BIAS
+    if not alone[movable].all():
+        yield "Open: these records do not determine it by itself, whatever their noise; see the next column."
+    yield found.precision.rule
+
+
+def _ends(pair: Any) -> str:
+    return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
+
+
+def _band(found: Insight) -> Iterator[str]:
+    if found.band is None:
+        return
+
+    stroke = found.evidence.stroke
+    yield ""
+    yield "Largest error to expect on the trajectory, in % of the range:"
+    for name, error in found.band.errors().items():
+        if error or name != "clamped":
+            yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"
+    if found.band.likely is not None:
+        yield found.band.sentence(stroke)
+
+
+def _bullets(sentences: Iterable[str]) -> Iterator[str]:
+    for sentence in sentences:
+        yield f"  - {sentence}"

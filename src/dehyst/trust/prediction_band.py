@@ -1,0 +1,264 @@
+"""Where the displacement of a trajectory may be when its compensating voltage is played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.control import Command, shortest_homing
+from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.model import Actuator, State
+from dehyst.records.signals import largest
+from dehyst.trust.bootstrap import Intervals
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.feasible_set import FeasibleSet
+from dehyst.trust.model_error import ClassError, HeldOut
+from dehyst.waveforms import Excitation
+
+# What each of `PredictionBand.errors` comes from.
+ERRORS = {
+    "noise": "noise and finite records",
+    "open": "models that the records do not contradict",
+    "misfit": "largest misfit on the records themselves",
+    "clamped": "voltages that are not allowed",
+    "all": "all together",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionBand:
+    """Where the displacement of a trajectory may be, in metres on the model's axis.
+
+    Attributes
+    ----------
+    wanted : (n,) array
+        The path to follow [m].
+    voltage, displacement : (n,) array
+        Played [V], within the limits, and what the model does with it: the wanted path, but where it was clamped.
+    noise : (2, n) array
+        Lowest and highest prediction of models identified from resampled cycles.
+    open : (2, n) array or None
+        Lowest and highest prediction of models that the records do not contradict; None where it was not judged.
+    misfit : float
+        The largest error of the model on these records [m]: what no model of its class may be able to follow.
+    warnings : tuple of str
+        What was clamped or extrapolated.
+    level : float
+        Of `likely`.
+    class_error : ClassError or None
+        The error of the model class on this path; None where it was not judged.
+    """
+
+    wanted: Array
+    voltage: Array
+    displacement: Array
+    noise: Array
+    open: Array | None
+    misfit: float
+    warnings: tuple[str, ...]
+    level: float = 0.9
+    class_error: ClassError | None = None
+
+    @classmethod
+    def of(
+        cls,
+        wanted: Array,
+        command: Command,
+        intervals: Intervals,
+        free: FeasibleSet | None,
+        *,
+        misfit: float,
+        limits: tuple[float, float] | None,
+        time: Array | None = None,
+        played: Excitation | None = None,
+        held_out: HeldOut | None = None,
+    ) -> PredictionBand:
+        """Play a command on every model that might be the true one, each homed by a rise through the limits.
+
+        With `played`, the rise in time, and the command's `time` [s], where time matters. With `held_out`, models of
+        parts of the records, the error of the model class is judged as well.
+        """
+
+        def state(model: Actuator) -> State:
+            return (
+                state_at_top(model, limits)
+                if played is None or limits is None
+                else state_after_rise(model, limits, played)
+            )
+
+        noise = intervals.prediction(command.voltage, state, time)
+        free_ = None if free is None else free.prediction(command.voltage, state)
+
+        def play(model: Actuator) -> Array:
+            clock = time if model.needs_time else None
+            motion = model.simulate(command.voltage, time=clock, state=state(model), extrapolate=True)
+            return np.asarray(motion.displacement)
+
+        return cls(
+            wanted,
+            command.voltage,
+            command.displacement,
+            noise,
+            free_,
+            misfit,
+            command.warnings,
+            intervals.level,
+            None if held_out is None else held_out.on(play, misfit),
+        )
+
+    @property
+    def lowest(self) -> Array:
+        """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.minimum(self.noise[0], free[0]) - self.misfit)
+
+    @property
+    def highest(self) -> Array:
+        """(n,) highest displacement to be expected [m]."""
+        free = self.noise if self.open is None else self.open
+        return np.asarray(np.maximum(self.noise[1], free[1]) + self.misfit)
+
+    @property
+    def likely(self) -> Array | None:
+        """(2, n) lowest and highest displacement [m] of the band of `level`, by noise and model error together.
+
+        Both add as independent errors do. Where the records leave directions open, it holds all of `open`.
+        """
+        if self.class_error is None:
+            return None
+        below, above = self.displacement - self.noise[0], self.noise[1] - self.displacement
+        low, high = (np.hypot(np.maximum(off, 0.0), self.class_error.half) for off in (below, above))
+        band = np.array([self.displacement - low, self.displacement + high])
+        if self.class_error.open and self.open is not None:
+            band = np.array([np.minimum(band[0], self.open[0]), np.maximum(band[1], self.open[1])])
+        return band
+
+    @property
+    def error(self) -> float:
+        """The largest distance from the wanted path to be expected [m]."""
+        return max(largest(self.highest - self.wanted), largest(self.wanted - self.lowest))
+
+    def columns(self) -> dict[str, Array]:
+        """Columns for a file, in volts and micrometres."""
+        likely = (
+            {} if self.likely is None else {"likely_lowest_um": self.likely[0], "likely_highest_um": self.likely[1]}
+        )
+        return {
+            "wanted_um": self.wanted * 1e6,
+            "voltage_V": self.voltage,
+            "expected_um": self.displacement * 1e6,
+            "lowest_um": self.lowest * 1e6,
+            "highest_um": self.highest * 1e6,
+            **{name: end * 1e6 for name, end in likely.items()},
+        }
+
+    def as_dict(self, stroke: float) -> dict[str, Any] | None:
+        """Return the band of `level` as JSON values; None where it was not judged."""
+        if self.likely is None or self.class_error is None:
+            return None
+        return {
+            "level": self.level,
+            "half_width_m": float(0.5 * (self.likely[1] - self.likely[0]).mean()),
+            "model_error_m": self.class_error.half,
+            "held_out_m": self.class_error.held_out,
+            "growth": self.class_error.growth,
+            "parts_held_out": self.class_error.parts,
+            "sentence": self.sentence(stroke),
+        }
+
+    def sentence(self, stroke: float) -> str:
+        """Return the band of `level` in words, lengths as parts of a stroke [m]; empty where it was not judged."""
+        if self.likely is None or self.class_error is None:
+            return ""
+        half = 0.5 * (self.likely[1] - self.likely[0])
+        return (
+            f"{100 * self.level:g} % of the path are expected within {100 * float(half.mean()) / stroke:.3g} % of the "
+            f"range on average, by noise and model error together. {self.class_error.sentence}"
+        )
+
+    def errors(self) -> dict[str, float]:
+        """Largest errors [m] that noise, open directions, the misfit and clamping may cause, and all together."""
+
+        def off(band: Array) -> float:
+            return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
+
+        free = {} if self.open is None else {"open": off(self.open)}
+        return {
+            "noise": off(self.noise),
+            **free,
+            "misfit": self.misfit,
+            "clamped": largest(self.displacement - self.wanted),
+            "all": self.error,
+        }
+
+
+def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> State:
+    """Return the state at the top of the limits after a rise through them; without limits, at the spring's top.
+
+    Where time matters, after the homing that ends there (`dehyst.control.planning.homing.shortest_homing`).
+    """
+    ends = actuator.spring.displacement[[0, -1]]
+    if limits is None:
+        return actuator.turned(float(ends[1]))
+    return state_after_rise(actuator, limits, rise_excitation(actuator, limits))
+
+
+def rise_excitation(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
+    """Return the voltage in time that homes to the top of the limits; None where time does not matter."""
+    return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
+
+
+def state_after_rise(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
+    """Return the state after a rise through the limits, played as it is given, or at any pace."""
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    if played is None:
+        after: State = actuator.simulate(np.array(limits), state=start, extrapolate=True).state
+        return after
+    time = played.time if actuator.needs_time else None
+    homed_: State = actuator.simulate(played.voltage, time=time, state=start, extrapolate=True).state
+    return homed_
+
+
+_SAMPLES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class MajorLoopWidth:
+    """The major loop at the rate of the records, after one before it.
+
+    Attributes
+    ----------
+    voltage, displacement : (n,) array
+        Through the limits [V], up first, and the displacement of the model [m].
+    noise : (2, n) array
+        Lowest and highest displacement of models identified from resampled cycles [m].
+    """
+
+    voltage: Array
+    displacement: Array
+    noise: Array
+
+    @classmethod
+    def from_intervals(cls, evidence: Evidence, intervals: Intervals, limits: tuple[float, float]) -> MajorLoopWidth:
+        """Play two cycles through the limits; the second counts."""
+        seconds = min(cycle_time(item.record.record) for item in evidence.comparisons)
+        phase = np.linspace(0, 2, 2 * _SAMPLES + 1)
+        low, high = limits
+        voltage = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * phase))
+        actuator = evidence.actuator
+        time = seconds * phase if actuator.needs_time else None
+
+        def state(model: Actuator) -> State:
+            return model.turned(float(model.spring.displacement[0]), rising=False)
+
+        noise = intervals.prediction(voltage, state, time)[:, _SAMPLES:]
+        motion = actuator.simulate(voltage, time=time, state=state(actuator), extrapolate=True)
+        return cls(voltage[_SAMPLES:], motion.displacement[_SAMPLES:], noise)
+
+    @property
+    def off(self) -> float:
+        """The largest distance of the noise's models from the model [m]."""
+        return float(np.abs(self.noise - self.displacement).max())

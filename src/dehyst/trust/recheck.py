@@ -1,0 +1,363 @@
+"""A check of a model against a new record of its actuator: the errors now and then, and what has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError
+from dehyst._threads import one_thread
+from dehyst._types import Array
+from dehyst._views import lines
+from dehyst.identification import Trace
+from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.validation import ComparisonOptions, compare, errors_of, prepare_for
+from dehyst.model import Actuator, Identification
+from dehyst.model.serialization import DESCRIPTION
+from dehyst.records import Record
+from dehyst.records.hdf5 import sha256_of
+from dehyst.records.signals import NOISE_PEAK, largest, percent, rms
+from dehyst.trust.changes import Change, Known, Slow, find_changes
+from dehyst.trust.judgement import judge
+
+# An error this many times that of the identification is another one.
+_WORSE = 1.5
+# Parts of the gain and of the stroke beyond which a record is not of the model's actuator, or in other units.
+_ANOTHER = 0.5
+
+
+class Standing(Enum):
+    """Whether a model is still true; the value is the words to show."""
+
+    STILL_TRUE = "still true"
+    RECALIBRATE = "recalibrate"
+    NEVER_MET = "no worse than at its identification, but above the goal"
+    DRIFTS = "still true, but the record drifts"
+
+
+@dataclass(frozen=True, eq=False)
+class Recheck:
+    """A model beside a new record.
+
+    Attributes
+    ----------
+    record : str
+        Name of the record.
+    model : str
+        Name of the model.
+    record_id, model_id : str
+        Hashes of their numbers, whatever their names.
+    samples, left_out : int
+        Samples of the record that were compared, and others.
+    largest, rms : float
+        Measured less simulated displacement [m]; an offset and, of a model without creep, a drift are set aside.
+    noise : float
+        Standard deviation of the sensor [m].
+    before : float or None
+        Largest error on the records that the model was identified from [m]; None if the model file lacks it.
+    stroke : float
+        To which percentages refer: the displacement between the model's limits [m].
+    goal : float
+        Allowed largest error [% of the stroke].
+    drift : float
+        What was set aside as a drift, over the record [m].
+    changes : tuple of Change
+        What may have changed, each with its standard error.
+    remarks : tuple of str
+        Sentences: what limits the result, and what was repaired.
+    trace : Trace
+        Measured and simulated displacement.
+    """
+
+    record: str
+    model: str
+    record_id: str
+    model_id: str
+    samples: int
+    left_out: int
+    largest: float
+    rms: float
+    noise: float
+    before: float | None
+    stroke: float
+    goal: float
+    drift: float
+    changes: tuple[Change, ...]
+    remarks: tuple[str, ...]
+    trace: Trace
+
+    @property
+    def without_noise(self) -> float:
+        """Largest error less the peaks of the sensor's noise [m]: what is compared with the goal."""
+        return max(self.largest - NOISE_PEAK * self.noise, 0.0)
+
+    @property
+    def ratio(self) -> float | None:
+        """Largest error, of that at the identification; None if that is not known."""
+        return self.largest / self.before if self.before else None
+
+    @property
+    def changed(self) -> tuple[Change, ...]:
+        """The changes that count, the largest effect first."""
+        counted = [change for change in self.changes if change.counts]
+        return tuple(sorted(counted, key=lambda change: -abs(change.effect)))
+
+    @property
+    def standing(self) -> Standing:
+        """The judgement."""
+        allowed = self.goal / 100 * self.stroke
+        if self.mismatch:
+            return Standing.RECALIBRATE
+        if self.without_noise > allowed:
+            same = self.ratio is not None and self.ratio <= _WORSE
+            return Standing.NEVER_MET if same else Standing.RECALIBRATE
+        return Standing.DRIFTS if abs(self.drift) > allowed else Standing.STILL_TRUE
+
+    @property
+    def good(self) -> bool:
+        """Whether the model itself may be used as before."""
+        return self.standing in (Standing.STILL_TRUE, Standing.DRIFTS)
+
+    @property
+    def mismatch(self) -> str:
+        """Why the record is plainly not of the model's actuator, in a sentence; empty if it may be."""
+        gain = next((one.value for one in self.changed if one.name == "gain"), 0.0)
+        reasons = []
+        if abs(gain) > _ANOTHER:
+            reasons.append(f"the gain differs by {100 * gain:+.3g} %")
+        if self.without_noise > _ANOTHER * self.stroke:
+            reasons.append(f"the largest error is {self._percent(self.without_noise)} of the stroke")
+        found = " and ".join(reasons)
+        if not found:
+            return ""
+        return (
+            f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
+            f"more than {100 * _ANOTHER:g} %; check that model and record belong together, and the scales"
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The judgement in one line, with its numbers."""
+        text = (
+            f"{self.standing.value.capitalize()}: the largest error is {self._percent(self.without_noise)} of the "
+            f"stroke without the sensor's noise (goal {self.goal:g} %)"
+        )
+        if self.ratio is not None and self.before is not None:
+            text += f"; with it {self._percent(self.largest)}, then {self._percent(self.before)}"
+        return f"{text}. {self._advice()}"
+
+    def _advice(self) -> str:
+        if self.mismatch:
+            return "Check that model and record belong together."
+        if self.standing is Standing.RECALIBRATE:
+            return "Identify the model again from new records."
+        if self.standing is Standing.NEVER_MET:
+            return "The same records again would give the same error: record more loops, or allow a wider structure."
+        if self.standing is Standing.DRIFTS:
+            moved = self._percent(abs(self.drift))
+            return (
+                f"No new model is needed; the drift is {moved} of the stroke, which a path will show: let the actuator "
+                "warm up and rest."
+            )
+        return "No new model is needed."
+
+    def _percent(self, length: float) -> str:
+        return lines.percent(length, self.stroke)
+
+    def change_sentences(self) -> tuple[str, ...]:
+        """Return a sentence for each change that counts, the largest first."""
+        return tuple(change.sentence(self.stroke) for change in self.changed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without the trace."""
+        ratio = self.ratio
+        return {
+            "standing": self.standing.name,
+            "sentence": self.sentence,
+            "good": self.good,
+            "model": self.model,
+            "record": self.record,
+            "model_id": self.model_id,
+            "record_id": self.record_id,
+            "samples": self.samples,
+            "left_out": self.left_out,
+            "largest_percent": percent(self.largest, self.stroke),
+            "rms_percent": percent(self.rms, self.stroke),
+            "without_noise_percent": percent(self.without_noise, self.stroke),
+            "before_percent": None if self.before is None else percent(self.before, self.stroke),
+            "ratio": None if ratio is None or not np.isfinite(ratio) else ratio,
+            "goal_percent": self.goal,
+            "drift_percent": percent(self.drift, self.stroke),
+            "largest_m": self.largest,
+            "rms_m": self.rms,
+            "noise_m": self.noise,
+            "stroke_m": self.stroke,
+            "changes": [change.as_dict(self.stroke) for change in self.changes],
+            "changed": [change.name for change in self.changed],
+            "remarks": list(self.remarks),
+        }
+
+
+_GOAL = 1.0
+# A change counts if its effect exceeds this part of the goal.
+_PART = 0.25
+# Steps of the search for the sensor's zero, and the part of the stroke that ends it.
+_STEPS, _CLOSE = 8, 1e-5
+# Part of a cycle from which on the time of creep is counted.
+_EARLY = 0.1
+# Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
+# them, it says nothing of the longest elements.
+_BEYOND, _LITTLE = 1e-3, 0.5
+# Of hashes; and what of a model file is not part of the model.
+_DIGITS = 16
+_NO_NUMBERS = DESCRIPTION | {"state"}
+
+
+def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> Recheck:
+    """Compare a model with a new record of its actuator: whether it is still true, and what has changed.
+
+    The whole record is simulated from a start that is fitted to it, as a validation record is.
+
+    Parameters
+    ----------
+    actuator : Actuator
+    record : Record
+        One full loop of the voltage at least; three show a drift, the range of later use shows most.
+    goal : float, optional
+        Largest error [% of the stroke] with which the model is still true; default: that of its identification, or 1.
+
+    Returns
+    -------
+    Recheck
+
+    Raises
+    ------
+    RecordError
+        If the record cannot be used: no loop, too few samples, columns swapped, a clipped sensor.
+    IdentifyError
+        If no sample counts, or the goal is impossible.
+    """
+    if not isinstance(actuator, Actuator):
+        raise IdentifyError(
+            argument="actuator", got=type(actuator).__name__, need="an Actuator, such as the one of a Fit"
+        )
+    origin = actuator.identification or Identification()
+    goal = (origin.goal or _GOAL) if goal is None else goal
+    goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
+    if not isinstance(record, Record):
+        raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
+    with one_thread():
+        prepared = prepare_for(actuator, record)
+        prepared.span()
+        stroke = float(np.ptp(actuator.reach))
+        protocol = ComparisonOptions("validation", actuator.delay, 0.0, False, stroke)
+        protocol = replace(protocol, datum=_zero(actuator, prepared, protocol))
+        errors, trace = errors_of(actuator, prepared, protocol)
+    slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
+    error, drift = _steadied(trace, slow if actuator.creep is None else ())
+    before = judge(actuator).parts.get("training") or None
+    known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
+    return Recheck(
+        record=record.name,
+        model=actuator.name,
+        record_id=_record_id(record),
+        model_id=_model_id(actuator),
+        samples=errors.samples,
+        left_out=errors.left_out,
+        largest=largest(error),
+        rms=rms(error),
+        noise=prepared.noise,
+        before=before,
+        stroke=stroke,
+        goal=goal,
+        drift=drift,
+        changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
+        remarks=(*_remarks(actuator, record), *prepared.sentences),
+        trace=trace,
+    )
+
+
+def _record_id(record: Record) -> str:
+    """Return a hash of the samples."""
+    return sha256_of((record.time, record.voltage, record.displacement))[:_DIGITS]
+
+
+def _model_id(actuator: Actuator) -> str:
+    """Return a hash of the numbers, whatever the model's name and origin."""
+    numbers = {key: value for key, value in actuator.as_dict().items() if key not in _NO_NUMBERS}
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:_DIGITS]
+
+
+def _zero(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> float:
+    """Return the shift [m] to the model's axis with which the voltages need no offset."""
+    (low, high), measured = actuator.voltage_range, record.record.displacement_range
+    expected = actuator.major_loop(record.record.voltage_range)
+    # The middle of the loop first: a sensor may have its zero far away.
+    datum = 0.5 * (sum(expected) - sum(measured))
+    for _ in range(_STEPS):
+        offset = compare(actuator, record, replace(protocol, datum=datum)).last_offsets()[-1]
+        step = offset * protocol.stroke / (high - low)
+        datum += step
+        if abs(step) < _CLOSE * protocol.stroke:
+            break
+    return datum
+
+
+def _slow(record: Prepared, trace: Trace) -> tuple[Slow, ...]:
+    """Return the curves of creep, by decade of time, and of a drift, over the record; both 0 as the record began."""
+    time = trace.time - record.start
+    creep = np.log10(1 + time / (_EARLY * cleaning.cycle_time(record.record)))
+    return Slow("creep", creep), Slow("drift", time / float(time[-1]))
+
+
+def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
+    """Return the error (n,) [m] without its mean and the drift that explains most of it, and that drift [m]."""
+    residual = trace.residual - trace.residual.mean()
+    error, drift = residual, 0.0
+    for one in slow:
+        curve = one.curve - one.curve.mean()
+        share = float(curve @ residual) / float(curve @ curve)
+        left = residual - share * curve
+        if left @ left < error @ error:
+            error, drift = left, share * float(np.ptp(curve))
+    return error, drift
+
+
+def _doubt(actuator: Actuator, record: Record) -> float:
+    """Return what a record leaves open of the offset [m]: elements that stay strained throughout, creep before it."""
+    slope = float(np.ptp(actuator.voltage_range)) / float(np.ptp(actuator.reach))
+    standing = 2 * actuator.slip.breakaway > record.stroke
+    held = float(np.sum(actuator.slip.friction[standing]))
+    if actuator.creep is not None:
+        long = actuator.creep.time_constants > float(np.ptp(record.time)) / 3
+        held += 0.5 * record.stroke * float(np.sum(actuator.creep.stiffness[long]))
+    return held / slope
+
+
+def _remarks(actuator: Actuator, record: Record) -> list[str]:
+    """Return sentences on voltages outside of the model's, and on those that the record leaves out."""
+    if actuator.limits is None:
+        return []
+    (low, high), (least, most) = actuator.limits, record.voltage_range
+    remarks, width = [], high - low
+    if least < low - _BEYOND * width or most > high + _BEYOND * width:
+        part = 100 * float(np.mean((record.voltage < low) | (record.voltage > high)))
+        remarks.append(
+            f"{record.name}: its voltages, {least:.4g} to {most:.4g} V, leave the model's limits, {low:.4g} to "
+            f"{high:.4g} V, at {part:.2g} % of the samples: there the model is extrapolated, and an error is no sign "
+            "of a change."
+        )
+    covered = (min(most, high) - max(least, low)) / width
+    if covered < _LITTLE:
+        remarks.append(
+            f"{record.name}: covers {100 * max(covered, 0.0):.0f} % of the model's voltages: what lies beyond was not "
+            "checked. Record a loop over the whole range."
+        )
+    return remarks

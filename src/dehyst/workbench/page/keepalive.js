@@ -1,0 +1,17 @@
+// A worker that gives signs of life while the browser asks whether to leave, which holds up the page: for some seconds.
+const LONGEST = 10_000; // milliseconds; then the rig's watchdog stops it
+const PERIOD = 150;
+let socket = null;
+let timer = 0;
+
+self.onmessage = ({ data: asking }) => {
+  clearInterval(timer);
+  socket?.close();
+  if (!asking) return;
+  const end = Date.now() + LONGEST;
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
+  timer = setInterval(() => {
+    if (Date.now() > end) clearInterval(timer);
+    else if (socket.readyState === WebSocket.OPEN) socket.send('{"kind":"alive"}');
+  }, PERIOD);
+};
