@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from dehyst._threads import one_thread
+from dehyst.exports.model_header import config_header
 
 # A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -119,11 +120,8 @@ class CompiledCore:
         (folder / "main.c").write_text(HARNESS)
 
     def use_float(self):
-        """Rewrite the one file that an export rewrites."""
-        config = self.folder / "dehyst_config.h"
-        text = config.read_text()
-        assert text.count("typedef double dehyst_real;") == 1
-        config.write_text(text.replace("typedef double", "typedef float").replace("DBL_", "FLT_"))
+        """Write the one file that an export writes."""
+        (self.folder / "dehyst_config.h").write_text(config_header("float"))
         return self
 
     def compile(self, *options):

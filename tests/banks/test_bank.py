@@ -249,7 +249,7 @@ def test_clamping_is_said_once_of_a_kind_and_counted():
         ({"limits": [(0, 1)] * 2}, "limits: got 2 for 3 actuators"),
         ({"limits": (5, 1)}, "actuator 0: "),
         ({"slew_rate": [1.0, 2.0]}, "slew_rate: got 2 for 3 actuators"),
-        ({"slew_rate": 10.0}, "give period="),
+        ({"slew_rate": 10.0}, "give the period"),
         ({"threads": 0}, "threads: got 0, need a whole number from 1 on"),
         ({"threads": 1.5}, "threads: got 1.5"),
         ({"states": [None]}, "states: got 1 for 3 actuators"),

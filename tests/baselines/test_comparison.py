@@ -11,8 +11,7 @@ import pytest
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
 from dehyst.baselines import BASELINES, Linear, ModelComparison, compare
-from dehyst.baselines.comparison import contenders, parameters_of, speeds
-from dehyst.baselines.scores import OURS, ModelScore
+from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial, trial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import AbstractModel

@@ -15,7 +15,7 @@ from dehyst import IdentifyError, ModelError, Record, State
 from dehyst.baselines import BoucWen, Duhem
 from dehyst.baselines.bouc_wen import BoucWenState
 from dehyst.baselines.duhem import DuhemState
-from dehyst.records.metrics import largest, rms
+from dehyst.records.signals import largest, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator
 from dehyst.waveforms import Sampling, standard
 

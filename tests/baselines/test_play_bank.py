@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from strategies import SEEDS
 
 from dehyst import ModelError
-from dehyst.baselines.play_bank import PlayBank, PlayInverse, PlayState
+from dehyst.baselines.base import PlayBank, PlayInverse, PlayState
 
 VOLTS = 100.0
 

@@ -18,11 +18,9 @@ from dehyst.baselines import (
     PrandtlIshlinskii,
     Preisach,
 )
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.play_bank import PlayBank
-from dehyst.baselines.play_regressors import PlayRows, differences, low_pass, ramps, with_unknown_start
+from dehyst.baselines.base import AbstractBaseline, PlayBank
 from dehyst.baselines.tracking_trials import TRIALS
-from dehyst.baselines.training import prepare_training
+from dehyst.baselines.training import PlayRows, differences, low_pass, prepare_training, ramps, with_unknown_start
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import standard
 

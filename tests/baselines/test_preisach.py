@@ -13,7 +13,7 @@ import dehyst
 from dehyst import IdentifyError, ModelError, Record
 from dehyst.baselines import Preisach
 from dehyst.baselines.preisach import PreisachState
-from dehyst.records.metrics import largest, rms
+from dehyst.records.signals import largest, rms
 from dehyst.virtual import PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling, standard
 

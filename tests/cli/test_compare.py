@@ -7,7 +7,6 @@ import plain_records
 import pytest
 from command_line import run
 
-from dehyst._io.marks import written_by_dehyst
 from dehyst.records import write_record
 
 
@@ -48,7 +47,6 @@ def test_a_table_the_figures_and_a_page(folder):
     assert [one["model"] for one in found["models"]] == ["dehyst", "Duhem", "linear ratio"]
     assert found["validation"] == ["three"]
     assert "Models compared" in (folder / "page.html").read_text()
-    assert all(written_by_dehyst(folder / name) for name in ("all.json", "page.html"))
 
 
 def test_the_use_of_a_lead_in_is_stated(folder):
@@ -90,3 +88,19 @@ def test_wrong_input_is_named(folder, arguments, said):
     status, _, err = run("compare", *arguments, cwd=folder)
     assert status == 2
     assert said in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--truth", "play", "--decimal", "."],
+        ["--truth", "play", "--voltage", "foo"],
+        ["--truth", "play", "--sample-rate", "5"],
+        ["--truth", "play", "--lead", "3"],
+        ["tops.csv", "--lead", "3"],
+    ],
+)
+def test_an_option_without_an_effect_is_refused(folder, words):
+    status, out, err = run("compare", *words, "--only", "linear ratio", cwd=folder)
+    assert (status, out) == (2, "")
+    assert words[-2] in err

@@ -68,7 +68,7 @@ def started(folder, *arguments, seconds=1.0):
 
 
 def is_provisional(folder):
-    return Actuator.load(folder / "m.json").provenance.get("provisional", False)
+    return Actuator.load(folder / "m.json").identification.provisional
 
 
 @posix
@@ -153,7 +153,7 @@ def test_impossible_limits_are_refused(folder, limit):
 
 def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
     first = []
-    fit = dehyst.identify(read(folder / "loops.csv"), structure="paper", first_model=first.append)
+    fit = dehyst.identify(read(folder / "loops.csv"), structure="maxwell_slip", first_model=first.append)
     fit.actuator.save(folder / "m.json")
     best = BestSoFar(Deadline(), folder / "m.json")
     best.keep(first[0])

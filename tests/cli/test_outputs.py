@@ -1,89 +1,87 @@
-"""What commands write: no file and no folder of others is replaced, and own outputs are."""
+"""What commands write: a file that begins otherwise and a folder of others are not replaced, and own outputs are."""
 
-import csv
 import os
 import re
 import zipfile
 
 import click
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from command_line import run_as_process as run
-from hypothesis import given
-from hypothesis import strategies as st
 
 import dehyst.cli.registry
 from dehyst import Compensator, FileFormatError, Record, write_record
-from dehyst._io.json_files import write_json
-from dehyst._io.marks import demand_own_folder, demand_replaceable, format_of, marked, written_by_dehyst
-from dehyst.exports import SourceOnlyWarning, export_fmu
+from dehyst._io import GENERATOR, demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
+from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
 from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
+from dehyst.report.plots import svg_file
 from dehyst.studies import demo
 
 
-@given(st.floats(allow_nan=False, allow_infinity=False))
-def test_the_mark_of_a_table_changes_no_bit(value):
-    assert float(marked(repr(value))).hex() == value.hex()
-    assert re.fullmatch(r"-?\d+\.\d+e0", marked(repr(value)))
-
-
-@given(st.lists(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2), min_size=1))
-def test_a_table_of_a_command_is_known_and_a_record_is_not(tmp_path_factory, rows):
-    path, (t, v) = tmp_path_factory.mktemp("t") / "a.csv", np.array(rows).T
-    write_columns(path, {"time_s": t, "voltage_V": v})
-    assert written_by_dehyst(path)
-    assert np.array_equal(np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).T, [t, v])
-    with path.open(newline="") as stream:
-        assert [[float(cell) for cell in row] for row in list(csv.reader(stream))[1:]] == rows
-    path.write_text("time_s,voltage_V\n" + "\n".join(f"{a!r},{b!r}" for a, b in rows))
-    assert not written_by_dehyst(path)
-
-
-def test_other_readers_read_a_marked_table(tmp_path):
-    pandas = pytest.importorskip("pandas")
-    write_columns(tmp_path / "a.csv", {"time_s": [0.0, 0.1], "voltage_V": [1e-300, 2]})
-    table = pandas.read_csv(tmp_path / "a.csv")
-    assert list(table.columns) == ["time_s", "voltage_V"] and table["time_s"].tolist() == [0.0, 0.1]
-
-
-def test_what_dehyst_wrote_is_known_by_its_content(tmp_path, model, monkeypatch):
-    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
-    model.save(tmp_path / "model")
-    (tmp_path / "report").write_text(document("A title", ["<p>text</p>"]))
-    write_columns(tmp_path / "one.tsv", {"voltage_V": [1e16, 2]})
+def outputs(model, folder):
+    """Write a file of every kind."""
+    model.save(folder / "model")
+    (folder / "report").write_text(document("A title", ["<p>text</p>"]))
+    (folder / "checks").write_text(svg_file("checks", lambda *_: None, creator=GENERATOR))
+    write_columns(folder / "table.tsv", {"time_s": [0.0, 1.0], "voltage_V": [1e16, 2]})
+    write_record(folder / "record.csv", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
+    write_record(folder / "record.npz", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
+    export_wasm(Compensator(model, (0, 1)), folder / "x.wasm")
     with pytest.warns(SourceOnlyWarning):
-        export_fmu(Compensator(model, (0, 1)), tmp_path / "x.fmu")
-    for path in tmp_path.iterdir():
-        assert written_by_dehyst(path), path
-        demand_replaceable(path)
+        export_fmu(Compensator(model, (0, 1)), folder / "x.fmu")
 
 
-def test_files_of_others_are_known_too(tmp_path):
-    write_record(tmp_path / "record.csv", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
+def test_a_file_that_begins_as_the_new_one_is_replaced(tmp_path, model, monkeypatch):
+    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
+    outputs(model, tmp_path)
+    contents = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(contents) == 10
+    with protecting(force=False):
+        for path, content in contents.items():
+            demand_alike(path)
+            demand_alike(path, content)
+            write_atomically(path, content)
+            others = [one for one in contents if one != path and one.suffix not in (".npz", ".wasm", ".fmu", "")]
+            for other in others:
+                with pytest.raises(FileFormatError):
+                    write_atomically(path, contents[other])
+            assert path.read_bytes() == content
+    outputs(model, tmp_path)
+
+
+def test_files_that_begin_otherwise_are_replaced_by_force_only(tmp_path):
     write_json(tmp_path / "other.json", {"format": "other", "note": '"format": "dehyst-actuator"'})
     (tmp_path / "page.html").write_text("<!DOCTYPE html>\n<html><body>dehyst</body></html>")
-    (tmp_path / "every.csv").write_text("a,b\n0.0e0,1.5e0\n2.5e0,1.0e0\n")
+    (tmp_path / "plain.csv").write_text("a,b\n0.0,1.5\n2.5,1.0\n")
     (tmp_path / "text").write_text("precious")
     (tmp_path / "binary").write_bytes(b"PK\3\4 no archive")
     with zipfile.ZipFile(tmp_path / "other.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", '<fmiModelDescription generationTool="other"/>')
     for path in tmp_path.iterdir():
         before = path.read_bytes()
-        with pytest.raises(FileFormatError, match=f"{path.name}: is there already, and dehyst did not write it; give"):
-            demand_replaceable(path)
-        demand_replaceable(path, force=True)
+        for content in (None, b'{"format": "dehyst-actuator"}', b"time_s,voltage_V\n0.0,1.0\n"):
+            with protecting(force=False), pytest.raises(FileFormatError):
+                demand_alike(path, content)
+        with protecting(force=True):
+            demand_alike(path)
+        demand_alike(path)
         assert path.read_bytes() == before
 
 
 def test_what_holds_nothing_may_be_replaced(tmp_path):
     (tmp_path / "empty").touch()
-    demand_replaceable(tmp_path / "empty")
-    demand_replaceable(tmp_path / "new")
-    demand_replaceable(os.devnull)
-    assert (tmp_path / "empty").read_bytes() == b""
+    with protecting(force=False):
+        for path in (tmp_path / "empty", tmp_path / "new", os.devnull):
+            demand_alike(path)
+            demand_alike(path, b"anything")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_table_of_version_0_1_is_read(tmp_path):
+    """Its first number ends in e0."""
+    (tmp_path / "old.csv").write_text("time_s,voltage_V\n0.0e0,1.5\n0.1,2.5\n")
+    assert read_table(tmp_path / "old.csv").column("time").tolist() == [0, 0.1]
 
 
 def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
@@ -165,10 +163,10 @@ def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, names, one,
     arguments = call(names, one, parameter, "precious.csv")
     done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
     assert done.exit_code == 2, done.output
-    assert "precious.csv: is there already, and dehyst did not write it" in done.stderr
+    assert "precious.csv: is there already" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
     forced = CliRunner().invoke(dehyst.cli.registry.main, [*arguments, "--force"])
-    assert "did not write it" not in forced.stderr and "No such option" not in forced.stderr
+    assert "is there already" not in forced.stderr and "No such option" not in forced.stderr
 
 
 @pytest.mark.parametrize(("names", "one", "parameter"), [one for one in writing() if one.values[0][0] in FOLDERS])
@@ -190,7 +188,7 @@ def test_an_fmu_of_others_is_not_replaced_and_an_own_one_is(folder, monkeypatch)
     command = ["export", "model.json", "x.fmu", "--fmu", "--limits", "0", "100"]
     (folder / "x.fmu").write_text("mine")
     status, _, err = run(*command, cwd=folder)
-    assert status == 2 and "dehyst did not write it" in err and (folder / "x.fmu").read_text() == "mine"
+    assert status == 2 and "is there already" in err and (folder / "x.fmu").read_text() == "mine"
     assert run(*command, "--force", cwd=folder)[0] == 0
     assert zipfile.is_zipfile(folder / "x.fmu")
     assert run(*command, cwd=folder)[0] == 0
@@ -206,12 +204,12 @@ def test_own_outputs_are_replaced_without_a_question(folder):
         before = (folder / output).read_bytes()
         assert run(*command, cwd=folder)[0] == 0
         assert (folder / output).read_bytes() == before
-    # The measured record that looks like what simulate writes.
+    # A measured record.
     (folder / "s.csv").write_text("time_s,voltage_V,displacement_um\n0.0,1.0,2.0\n0.1,2.0,3.0\n")
     status, _, err = run("simulate", "model.json", "voltage.csv", "-o", "s.csv", cwd=folder)
     assert status == 2 and "s.csv: is there already" in err
     assert run("simulate", "model.json", "voltage.csv", "-o", "s.csv", "--force", cwd=folder)[0] == 0
-    assert read_table(folder / "s.csv").column("voltage").tolist() == [1, 2, 1]
+    assert read_table(folder / "s.csv").names == ("time_s", "voltage_V", "expected_um", "lowest_um", "highest_um")
 
 
 def test_force_replaces_no_input(folder):
@@ -227,7 +225,7 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
     made, output = standard.raised_cosine, tmp_path / "v.csv"
     monkeypatch.setattr(standard, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
     done = CliRunner().invoke(dehyst.cli.registry.main, ["excite", "raised-cosine", "10", "-o", str(output)])
-    assert done.exit_code == 2 and "dehyst did not write it" in done.stderr
+    assert done.exit_code == 2 and "is there already" in done.stderr
     assert output.read_text() == "mine"
 
 

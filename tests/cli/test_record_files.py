@@ -69,6 +69,30 @@ def test_show_prints_and_draws(monitor):
     assert "100 V/V" in page
 
 
+def test_show_prints_the_ends_of_columns_and_marks_guesses(monitor):
+    (monitor / "regler.csv").write_text(
+        "Zeit [ms];Ausgang Regler [mV];weg\n" + "".join(f"{2 * k};{12 + k},5;{k % 9}\n" for k in range(40))
+    )
+    options = ["--voltage", "Ausgang Regler [mV]", "--voltage-scale", "15 V/V", "--displacement", "weg:um?"]
+    shown = run("show", "regler.csv", *options)
+    assert shown.exit_code == 0, shown.stderr
+    assert "  Ausgang Regler [mV]: 12,5 ... 51,5 -> 0.1875 ... 0.7725 V\n" in shown.stdout
+    assert "  Zeit [ms]: 0 ... 78 -> 0 ... 0.078 s\n" in shown.stdout
+    assert "  weg: 0 ... 3 -> 0 ... 3 um (guessed, verify)\n" in shown.stdout
+    seen = json.loads(run("show", "regler.csv", *options, "--json").stdout)
+    assert seen["guesses"].keys() == {"displacement"}
+    (monitor / "kept.csv").unlink(missing_ok=True)
+    run("show", "regler.csv", *options, "-o", "kept.csv")
+    assert "guessed, verify" in run("show", "kept.csv").stdout
+
+
+def test_a_column_that_is_nowhere_may_be_in_a_second_file(monitor):
+    laboratory_files.two_files(monitor / "drive.csv")
+    done = run("show", "drive.csv")
+    assert done.exit_code == 2
+    assert "in a second file" in done.stderr
+
+
 def test_show_names_what_no_identification_takes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rows = "".join(f"{i},5,{i % 7}\n" for i in range(40))
@@ -147,10 +171,14 @@ def test_a_joined_file_is_not_replaced(monitor):
 
 def test_a_monitor_and_a_sensor_in_four_commands(monitor):
     """Semicolons, millivolts of a monitor of 1:100, and a sensor of 10 um/V."""
-    identify = ["identify", "monitor.csv", "-o", "model.json", "--structure", "paper"]
+    identify = ["identify", "monitor.csv", "-o", "model.json", "--structure", "maxwell_slip"]
     first = run(*identify)
     assert first.exit_code == 2
-    second = run(*printed_command(first.stderr))
+    command = printed_command(first.stderr)
+    assert command.count("GAIN V/V") == command.count("GAIN um/V") == 1
+    assert run(*command).exit_code == 2
+    given = {"GAIN V/V": "100 V/V", "GAIN um/V": "10 um/V"}
+    second = run(*(given.get(word, word) for word in command))
     assert second.exit_code == 0, second.stderr
     actuator = Actuator.load("model.json")
     assert actuator.limits == pytest.approx((0, 100), abs=0.01)
@@ -165,7 +193,18 @@ def test_a_monitor_and_a_sensor_in_four_commands(monitor):
 
 def test_scales_for_commands_that_read_one_column(monitor):
     laboratory_files.lecroy(monitor / "known.csv")
-    run("identify", "known.csv", "-o", "model.json", "--structure", "paper", "--time", "Time:s", "--voltage", "Ampl:V")
+    run(
+        "identify",
+        "known.csv",
+        "-o",
+        "model.json",
+        "--structure",
+        "maxwell_slip",
+        "--time",
+        "Time:s",
+        "--voltage",
+        "Ampl:V",
+    )
     (monitor / "small.csv").write_text("time_s,monitor_mV\n0,100\n0.1,500\n0.2,200\n")
     done = run(
         "simulate", "model.json", "small.csv", "-o", "out.csv", "--voltage", "monitor_mV", "--voltage-scale", "0.1 V/mV"
@@ -185,7 +224,7 @@ def far(monitor):
     """A model whose sensor has its zero far away: it reaches about -120 to -108 um."""
     record = Record(laboratory_files.T, laboratory_files.V, laboratory_files.Y - 120e-6, "far")
     write_record(monitor / "far.csv", record)
-    done = run("identify", "far.csv", "-o", "far.json", "--structure", "paper")
+    done = run("identify", "far.csv", "-o", "far.json", "--structure", "maxwell_slip")
     assert done.exit_code == 0, done.stderr
     return monitor
 
@@ -234,7 +273,9 @@ def test_the_middle_and_the_start_as_zero(far):
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "mean", "--no-home")
     low, high = Actuator.load("far.json").major_loop((0, 100))
     assert read_table("out.csv").column("displacement")[0] == pytest.approx((low + high) / 2)
-    done = run("compensate", "far.json", "path.csv", "-o", "out2.csv", "--zero", "first", "--start", "bottom")
+    done = run(
+        "compensate", "far.json", "path.csv", "-o", "out2.csv", "--zero", "first", "--start", "bottom", "--slew", "none"
+    )
     assert done.exit_code == 0, done.stderr
     first, wanted = read_table("out2.csv").column("displacement"), read_table("path.csv").column("displacement")
     assert first - wanted == pytest.approx(low, abs=1e-9)
@@ -255,7 +296,7 @@ def test_the_trajectory_of_an_assessment_names_the_range(far):
 def test_identify_places_the_zero(far, zero):
     known = read("far.csv")
     place = {"bottom": known.displacement.min(), "first": known.displacement[0], "mean": known.displacement.mean()}
-    done = run("identify", "far.csv", "-o", "moved.json", "--structure", "paper", "--zero", zero)
+    done = run("identify", "far.csv", "-o", "moved.json", "--structure", "maxwell_slip", "--zero", zero)
     assert done.exit_code == 0, done.stderr
     before, after = (Actuator.load(name) for name in ("far.json", "moved.json"))
     shift = place.get(zero, -120e-6)
@@ -263,3 +304,47 @@ def test_identify_places_the_zero(far, zero):
         np.array(before.major_loop((0, 100))) - shift, abs=1e-10
     )
     assert f"zero at {shift * 1e6:.6g} um" in (far / "moved.json").read_text()
+
+
+def test_the_commands_that_are_printed_for_an_unknown_decimal_sign_work(far):
+    rows = "".join(f"{k}\t-{112 + k % 4},{k:03d}\n" for k in range(1, 40))
+    (far / "path.txt").write_text(f"time_s\tdisplacement_um\n{rows}")
+    (far / "before.txt").write_text("time_s\tvoltage_V\n0\t1,000\n1\t50,500\n2\t10,250\n")
+    (far / "records").mkdir()
+    (far / "records" / "a.txt").write_text(
+        "time_s\tvoltage_V\tdisplacement_um\n"
+        + "".join(f"{k}\t{50 - 40 * np.cos(k / 9):.3f}\t{9 - 4 * np.cos(k / 9):.3f}\n" for k in range(80)).replace(
+            ".", ","
+        )
+    )
+    for words in (
+        ["compensate", "far.json", "path.txt", "-o", "out.csv"],
+        ["compensate", "far.json", "path.csv", "-o", "out2.csv", "--zero", "bottom", "--start", "before.txt"],
+        ["insight", "far.json", "far.csv", "--trajectory", "path.txt", "--repeats", "20"],
+        ["simulate", "far.json", "before.txt", "-o", "out3.csv"],
+        ["simulate", "far.json", "far.csv", "-o", "out4.csv", "--start", "before.txt"],
+    ):
+        done = run(*words)
+        assert done.exit_code == 2
+        assert "--decimal" in done.stderr
+        done = run(*words, "--decimal", ",")
+        assert done.exit_code in (0, 1), done.stderr
+        assert done.stdout
+    path = read_table("out.csv").column("displacement")
+    assert path[-1] == pytest.approx(-115.039e-6, abs=1e-9)
+    done = run("fleet", "identify", "records", "-o", "fleet.parquet", "--jobs", "1", "--decimal", ",")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_the_advice_for_a_bad_cell_and_for_a_rate_that_is_a_word(far):
+    (far / "bad.csv").write_text("time_s,voltage_V,displacement_um\n0,1,2\n1,x,3\n2,2,4\n")
+    done = run("show", "bad.csv")
+    assert done.exit_code == 2
+    assert "line 3" in done.stderr
+    assert "in a second file" not in done.stderr
+    (far / "lacks.csv").write_text("time_s,displacement_um\n0,2\n1,3\n2,4\n")
+    assert ". If it is in a second file" in run("show", "lacks.csv").stderr
+    done = run("show", "far.csv", "--sample-rate", "HZ")
+    assert "number of samples a second" in done.stderr
+    np.save(far / "square.npy", np.eye(3))
+    assert "(3, 3)" in run("show", "square.npy").stderr

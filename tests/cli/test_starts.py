@@ -1,6 +1,7 @@
 """`--start` and `--home` as processes: what is known of the start, and what an unknown one leaves open."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import places
@@ -20,7 +21,7 @@ def folder(tmp_path_factory):
     target = tmp_path_factory.mktemp("starts")
     training, _ = demo.record_loops(PlayActuator(plays=60))
     write_record(target / "loops.csv", training)
-    plain = dehyst.identify(training, norm="l2", structure="paper").actuator
+    plain = dehyst.identify(training, norm="l2", structure="maxwell_slip").actuator
     plain.save(target / "model.json")
     creep = dehyst.Creep([0.1, 3.0], [2e5, 4e5])
     dehyst.Actuator(plain.slip, plain.spring, limits=plain.limits, creep=creep).save(target / "creep.json")
@@ -44,7 +45,7 @@ def column(folder, file, name):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_without_a_start_the_path_is_homed_first(folder, model):
-    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", cwd=folder)
+    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", "--slew", "none", cwd=folder)
     assert status == 0 and got["certified"] and got["start"]["name"] == "unknown"
     assert got["start"]["largest_difference_percent"] <= got["start"]["model_error_percent"]
     assert got["samples"] == got["homing_samples"] + 200
@@ -64,8 +65,9 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
 
 
 def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
-    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=folder)
-    first, second = out.splitlines()
+    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew", "none", cwd=folder)
+    first, slew, second = out.splitlines()
+    assert slew == "slew rate: not limited"
     assert status == 0 and "(homed first, " in first and " samples, " in first
     assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
 
@@ -77,11 +79,11 @@ def test_a_path_without_time_is_homed_without_time(folder):
 
 
 def test_without_a_homing_the_error_is_reported(folder):
-    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home")
+    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew", "none")
     _, got = answer(*given, cwd=folder)
     assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
     assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
-    line = run(*given, cwd=folder)[1].splitlines()[1]
+    line = run(*given, cwd=folder)[1].splitlines()[2]
     assert "% at the first sample, and less than the model's error of" in line
     assert f" % after {got['start']['settled_s']:.4g} s: give --start or --home" in line
     assert "phase" not in read_table(folder / "v.csv").names
@@ -93,14 +95,14 @@ def test_a_present_voltage_begins_the_homing(folder):
 
 
 def test_homing_is_another_name_of_home(folder):
-    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--homing")
-    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--home")
+    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--slew", "none", "--homing")
+    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--slew", "none", "--home")
     assert run(*old, cwd=folder)[0] == run(*new, cwd=folder)[0] == 0
     assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
 
 
 def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
-    actuator = Actuator.load(folder / "model.json").with_provenance(largest_error_m=1e-3)
+    actuator = Actuator.load(folder / "model.json").with_identification(largest_error=1e-3)
     actuator.save(folder / "coarse.json")
     _, got = answer("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
     assert got["homing_samples"] == 0
@@ -111,13 +113,13 @@ def test_a_simulation_from_an_unknown_start_is_bounded(folder):
     voltage = np.concatenate([np.linspace(40, 200, 100), np.linspace(200, 0, 100), np.linspace(0, 90, 50)])
     write_columns(folder / "drive.csv", {"time_s": np.arange(250) * 0.01, "voltage_V": voltage})
     _, got = answer("simulate", "model.json", "drive.csv", "-o", "s.csv", cwd=folder)
-    low, y, high = (column(folder, "s.csv", f"{name}_um") for name in ("lowest", "displacement", "highest"))
+    low, y, high = (column(folder, "s.csv", f"{name}_um") for name in ("lowest", "expected", "highest"))
     slack = 1e-9
     assert np.all((low - slack <= y) & (y <= high + slack))
     actuator = Actuator.load(folder / "model.json")
     for start in ("top", "bottom", "relaxed"):
         answer("simulate", "model.json", "drive.csv", "-o", "known.csv", "--start", start, cwd=folder)
-        known = column(folder, "known.csv", "displacement_um")
+        known = column(folder, "known.csv", "expected_um")
         assert np.all((low - slack <= known) & (known <= high + slack)), start
         assert "lowest_um" not in read_table(folder / "known.csv").names
     stroke = 1e6 * np.ptp(actuator.reach)
@@ -147,8 +149,36 @@ def test_a_record_is_a_start(folder, model):
     write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
     status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
     assert status == 0 and "(as at the end of first.csv, at " in out
-    came = column(folder, "s.csv", "displacement_um")
+    came = column(folder, "s.csv", "expected_um")
     assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
+
+
+@pytest.mark.parametrize("model", ["model.json", "creep.json"])
+def test_a_record_is_a_start_as_it_began(folder, model):
+    """What a record measured follows from its voltages and the state in which it began, which no name describes."""
+    actuator = Actuator.load(folder / model)
+    before = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 50, 200), np.linspace(50, 120, 150)])
+    ends = [120, 20, 180, 20, 180, 60, 120]
+    voltage = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(ends)])
+    timed = actuator.needs_time
+    lead = actuator.simulate(before, time=np.arange(550) * 0.05 if timed else None).state
+    time = np.arange(600) * 0.05
+    y = actuator.simulate(voltage, time=time if timed else None, state=lead).displacement
+    write_record(folder / "began.csv", dehyst.Record(time, voltage, y))
+    write_columns(folder / "same.csv", {"time_s": time, "voltage_V": voltage})
+    missed = {}
+    for start in ("as:began.csv", "top", "bottom"):
+        status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", start, cwd=folder)
+        assert status == 0, err
+        missed[start] = np.abs(1e-6 * column(folder, "s.csv", "expected_um") - y).max() / np.ptp(y)
+    assert missed["as:began.csv"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
+    write_columns(folder / "wish.csv", {"time_s": time[:100], "displacement_um": 1e6 * y[:100]})
+    given = ("compensate", model, "wish.csv", "-o", "v.csv", "--start", "as:began.csv", "--slew", "none")
+    _, got = answer(*given, cwd=folder)
+    assert got["start"]["name"] == "as:began.csv" and got["homing_samples"] == 0
+    assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
+    status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", "as:same.csv", cwd=folder)
+    assert status == 2, err
 
 
 def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
@@ -228,7 +258,7 @@ def test_arguments_in_the_wrong_order_are_explained(folder, command):
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
 def test_a_start_that_is_nothing_is_refused(folder, command):
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
-    assert status == 2 and "got 'middle', need top, bottom, relaxed, homed, or a file" in err
+    assert status == 2 and "got 'middle', need top, bottom, relaxed, homed, a file" in err
     status, _, err = run(command, "model.json", "path.csv", "-o", "loops.csv", "--start", "loops.csv", cwd=folder)
     assert status == 2 and "loops.csv: is also an input of this command" in err
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "top", "--home", cwd=folder)
@@ -255,7 +285,7 @@ def test_an_export_begins_where_a_record_ends(folder):
 
 
 def test_identify_reports_where_each_record_began(folder):
-    _, got = answer("identify", "loops.csv", "--norm", "l2", "--structure", "paper", cwd=folder)
+    _, got = answer("identify", "loops.csv", "--norm", "l2", "--structure", "maxwell_slip", cwd=folder)
     (error,) = got["errors"]
     assert len(error["starts"]) == 1
     # What comes before the loops is left out.
@@ -266,7 +296,7 @@ def test_identify_reports_where_each_record_began(folder):
 
 @pytest.mark.skipif(not places.DATA.is_dir(), reason="the measured data are not beside the repository")
 def test_measured_records_end_to_end(tmp_path):
-    given = ("--structure", "paper", "--elements", 10, "--norm", "l2", "-o", "model.json")
+    given = ("--structure", "maxwell_slip", "--elements", 10, "--norm", "l2", "-o", "model.json")
     assert run("identify", places.DATA / "major.csv", *given, cwd=tmp_path)[0] in (0, 1)
     low, high = Actuator.load(tmp_path / "model.json").reach
     time = np.arange(500) * 0.01

@@ -508,9 +508,9 @@ def test_impossible_loops_are_refused(arguments, message):
 
 @pytest.mark.parametrize("parts", ["creep", "lag", "inertia"])
 def test_steps_in_time_need_a_period(parts):
-    with pytest.raises(ModelError, match=r"give period= \[s\]"):
+    with pytest.raises(ModelError, match=r"give the period \[s\]"):
         Compensator(PLANTS[parts], (0, 100)).step(0.0)
-    with pytest.raises(ModelError, match=r"give period= \[s\]"):
+    with pytest.raises(ModelError, match=r"give the period \[s\]"):
         Compensator(PLANT, (0, 100), 1e3).step(0.0)
 
 

@@ -9,7 +9,8 @@ import plain_records
 import pytest
 from summaries import anatomy
 
-from dehyst import Compensator, ModelError
+from dehyst import ClampWarning, Compensator, ModelError
+from dehyst.control import home_before
 from dehyst.exports.golden_trace import golden_trace
 
 U = pint.UnitRegistry()
@@ -75,7 +76,7 @@ def test_a_copy_keeps_the_unit():
 
 def test_what_strays_is_refused_in_words_of_the_unit():
     micro = pair()[1]
-    with pytest.raises(ModelError, match=r"This compensator takes displacements in um; or pass extrapolate=True"):
+    with pytest.raises(ModelError, match=r"This compensator takes displacements in um; or extrapolate"):
         micro.trajectory(PATH * 1e3)
     assert micro.strays(PATH) == ""
     assert "in um" in micro.strays(PATH * 1e3)
@@ -88,3 +89,24 @@ def test_what_strays_is_refused_in_words_of_the_unit():
 def test_an_export_is_in_metres_whatever_the_unit():
     metres, micro = (golden_trace(one) for one in pair(period=1e-3))
     assert repr(metres) == repr(micro)  # NaN equals NaN so
+
+
+@pytest.mark.parametrize("units", ["m", "um"])
+def test_a_clamp_warning_points_at_the_caller(units):
+    compensator = pair(units, limits=(0, 100), slew_rate=1e3, period=1e-3)[1]
+    scale = 1.0 if units == "m" else 1e6
+    with pytest.warns(ClampWarning) as caught:
+        for wanted in (3e-6, 5e-6, *np.linspace(5e-6, 15e-6, 200)):
+            compensator.step(wanted * scale)
+            compensator.offer_and_reach(wanted * scale)
+    assert compensator.clamps.limited and compensator.clamps.slewed
+    assert len(caught) >= 2 and {one.filename for one in caught} == {__file__}
+
+
+def test_a_path_in_metres_is_recognized():
+    _, micro = pair(limits=(20, 100))
+    (clamped,), hinted = micro.trajectory(PATH).warnings, micro.trajectory(PATH / 2e6)
+    assert "metres" not in clamped and hinted.clamped.all()
+    assert "in metres" in hinted.warnings[-1] and "in um" in hinted.warnings[-1]
+    assert "in metres" in home_before(micro, PATH / 2e6).warnings[-1]
+    assert not any("metres" in one for one in home_before(micro, PATH).warnings)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pint
 import plain_records
 import pytest
 import structured_records
@@ -11,8 +12,8 @@ from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
 from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
-from dehyst.control import PossibleStart, StartError, home_before, home_before_voltage, start_at
-from dehyst.control.start_error import model_error
+from dehyst.control import PossibleStart, StartError, home_before, plan_path, plan_voltage, start_at
+from dehyst.control.planning.start import model_error
 
 LIMITS = -40.0, 260.0
 STROKE = plain_records.STROKE
@@ -96,6 +97,37 @@ def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
         assert np.abs(y - wanted).max() <= model_error(actuator)
 
 
+@pytest.mark.parametrize(("units", "counts"), [("um", 1e6), ("nm", 1e9)])
+@pytest.mark.parametrize("carrier", ["numbers", "quantities", "xarray"])
+def test_a_homed_path_in_a_unit_is_the_one_in_metres(units, counts, carrier):
+    time = np.arange(100) * 0.025
+    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time))
+    given = {"numbers": counts * wanted, "quantities": 1e3 * wanted * pint.UnitRegistry().mm}.get(carrier)
+    if given is None:
+        given = pytest.importorskip("xarray").DataArray(1e6 * wanted, attrs={"units": "um"})
+    velocity = 2 * np.pi * 0.3 * STROKE * np.sin(2 * np.pi * time)
+    metres = home_before(Compensator(PLAIN, slew_rate=500.0), wanted, time=time, velocity=velocity)
+    other = home_before(
+        Compensator(PLAIN, slew_rate=500.0, units=units), given, time=time, velocity=counts * velocity, present=0.0
+    )
+    np.testing.assert_allclose(other.voltage, metres.voltage, atol=1e-9)
+    assert np.abs(np.diff(other.voltage) / np.diff(other.time)).max() <= 500 * (1 + 1e-9)
+    for name in ("displacement", "expected"):
+        np.testing.assert_allclose(getattr(other, name), counts * getattr(metres, name), atol=1e-9 * counts * STROKE)
+    assert (other.units, other.error.units, metres.units) == (units, units, "m")
+    assert other.error.stroke == pytest.approx(counts * metres.error.stroke)
+    assert other.error.model_error == pytest.approx(counts * metres.error.model_error)
+    assert other.error.matters == metres.error.matters
+
+
+def test_a_path_that_begins_fast_keeps_the_slew_rate_from_the_homing_on():
+    """Its first interval is longer than the others: the homing has the steps of most of them."""
+    time = np.append(0.0, 0.1 + 0.01 * np.arange(200))
+    homed = home_before(Compensator(PLAIN, slew_rate=100.0), STROKE * (0.2 + 0.3 * time), time=time, present=70.0)
+    steps, intervals = np.diff(homed.voltage), np.diff(homed.time)
+    assert np.all(np.abs(steps) <= 100.0 * intervals * (1 + 1e-9) + 1e-9)
+
+
 def test_without_a_homing_it_is_not():
     """The law above would hold of any voltage if the start did not matter."""
     time = np.arange(400) * 0.05
@@ -134,15 +166,33 @@ def test_a_history_of_voltages_closes_what_it_homes():
         PossibleStart.after(PLAIN, [])
 
 
-def test_the_error_of_a_model_is_that_of_its_provenance():
+def test_the_error_of_a_model_is_that_of_its_identification():
     assert model_error(PLAIN) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
-    assert model_error(PLAIN.with_provenance(largest_error_m=5e-8)) == 5e-8
-    assert model_error(PLAIN.with_provenance(largest_error_m="much")) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
+    assert model_error(PLAIN.with_identification(largest_error=5e-8)) == 5e-8
+
+
+def test_a_path_is_homed_where_its_start_matters():
+    time = np.arange(200) * 0.05
+    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
+    loop = Compensator(PLAIN, slew_rate=500.0)
+    homed, unhomed = plan_path(loop, wanted, time=time), plan_path(loop, wanted, time=time, home=False)
+    assert np.array_equal(homed.voltage, home_before(loop, wanted, time=time).voltage) and homed.certified
+    assert homed.unhomed.largest == unhomed.error.largest and unhomed.error.matters
+    assert unhomed.homing is None and set(unhomed.phase) == {2} and not unhomed.start.known
+    # From a known start the way to the first sample is left out if one step leads there.
+    for name, slow in (("top", 500.0), ("top", None)):
+        start = PossibleStart.named(PLAIN, name)
+        led = plan_path(Compensator(PLAIN, slew_rate=slow), wanted, time=time, start=start)
+        assert led.homing is None and led.error.largest == 0 and (led.first > 0) == (slow is not None)
+        np.testing.assert_allclose(led.expected[led.first :], wanted, atol=1e-9 * STROKE)
+    micro = plan_path(Compensator(PLAIN, slew_rate=500.0, units="um"), 1e6 * wanted, time=time, home=False)
+    np.testing.assert_allclose(micro.voltage, unhomed.voltage, atol=1e-9)
+    assert micro.error.largest == pytest.approx(1e6 * unhomed.error.largest)
 
 
 def test_a_voltage_is_homed_before_too():
     voltage = np.linspace(30, 120, 50)
-    homed = home_before_voltage(Compensator(PLAIN), voltage)
+    homed = plan_voltage(Compensator(PLAIN), voltage, home=True)
     assert homed.time is None and homed.seconds is None and homed.certified
     assert np.array_equal(homed.voltage[homed.first :], voltage)
     assert np.array_equal(homed.displacement, homed.expected)

@@ -13,7 +13,7 @@ from rest_states import EXACT, PLANT, SOME, carts_along, drives, equilibrium, me
 from dehyst import ModelError
 from dehyst._native import slip_elongations
 from dehyst.control import StateBounds, shortest_homing
-from dehyst.control.state_bounds import first_move_error, known_by_displacement, least_range
+from dehyst.control.planning.bounds import first_move_error, known_by_displacement, least_range
 
 
 @given(our.motions(bank=our.actuators(0, 30)))

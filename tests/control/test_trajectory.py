@@ -15,6 +15,7 @@ from dehyst.control import trajectory
 PLANT = plain_records.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
 RATE = 2e4
+SHORTEST = 0.5e-3
 
 
 def wanted(seed, size=400):
@@ -23,7 +24,7 @@ def wanted(seed, size=400):
 
 
 def times(seed, size):
-    return np.cumsum(np.random.default_rng(seed + 1).uniform(0.5e-3, 2e-3, size))
+    return np.cumsum(np.random.default_rng(seed + 1).uniform(SHORTEST, 2e-3, size))
 
 
 def assert_true_to_what_was_sent(command, path, start):
@@ -39,12 +40,13 @@ def assert_true_to_what_was_sent(command, path, start):
 def test_no_path_leaves_limits_or_slew_rate(seed, slewing, size):
     path, time = wanted(seed)[:size], times(seed, 400)[:size]
     start = plain_records.any_state(PLANT, float(path[0]), seed)
-    compensator = Compensator(PLANT, (LOW, HIGH), RATE if slewing else None)
+    compensator = Compensator(PLANT, (LOW, HIGH), RATE if slewing else None, period=SHORTEST)
     command = compensator.trajectory(path, time=time, state=start)
     assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
     if slewing:
-        allowed = RATE * np.diff(time)
-        assert np.all(np.abs(np.diff(command.voltage)) <= allowed + 1e-12 * HIGH)
+        present = np.clip(PLANT.voltage(start), LOW, HIGH)
+        allowed = RATE * np.diff(time, prepend=time[0] - SHORTEST)
+        assert np.all(np.abs(np.diff(command.voltage, prepend=present)) <= allowed + 1e-12 * HIGH)
     assert_true_to_what_was_sent(command, path, start)
     assert bool(command.warnings) == bool(command.clamped.any())
 
@@ -84,12 +86,26 @@ def test_clamping_is_loud():
 
 def test_a_slew_rate_is_told_apart_from_the_limits():
     path = plain_records.STROKE * np.where(np.arange(50) < 25, 0.3, 0.6)
-    command = Compensator(PLANT, (-1e3, 1e3), 1e3).trajectory(path, time=np.arange(50) * 1e-3)
+    compensator = Compensator(PLANT, (-1e3, 1e3), 1e3)
+    command = compensator.trajectory(path, time=np.arange(50) * 1e-3, state=PLANT.turned(float(path[0])))
     assert "0 at the limits" in command.warnings[0]
     assert f"{int(command.clamped.sum())} by the slew rate" in command.warnings[0]
     np.testing.assert_allclose(np.diff(command.voltage)[24:26], 1.0, rtol=1e-9)
     # It catches up with the path and follows it again.
     assert not command.clamped[:25].any()
+
+
+def test_the_slew_rate_holds_from_the_voltage_that_was_sent_last():
+    loop = Compensator(PLANT, (LOW, HIGH), RATE, period=1e-3)
+    for _ in range(3):
+        loop.hold()
+    away = PLANT.turned(0.1 * plain_records.STROKE)
+    for options, present in (({}, loop.voltage), ({"state": away}, PLANT.voltage(away)), ({"present": 149.0}, 149.0)):
+        path = np.full(30, 0.4 * plain_records.STROKE)
+        for time in (None, np.arange(30) * 5e-3):
+            command = loop.trajectory(path, time=time, **options)
+            assert abs(command.voltage[0] - present) == pytest.approx(RATE * 1e-3, rel=1e-9)
+            assert command.clamped[0] and command.displacement[0] != path[0]
 
 
 def test_after_a_clamp_the_path_is_followed_again():
@@ -106,7 +122,7 @@ def test_after_a_clamp_the_path_is_followed_again():
 @pytest.mark.parametrize("size", [0, 1, 2, 63, 64, 65, 129])
 def test_any_number_of_samples(size):
     path = np.full(size, 0.4 * plain_records.STROKE)
-    command = Compensator(PLANT, (-1e3, 1e3), RATE).trajectory(path, time=np.arange(float(size)))
+    command = Compensator(PLANT, (-1e3, 1e3), RATE, period=1.0).trajectory(path, time=np.arange(float(size)))
     assert command.voltage.shape == command.displacement.shape == command.clamped.shape == (size,)
     np.testing.assert_allclose(command.voltage, PLANT.compensate(path).voltage, atol=1e-9)
 
@@ -140,6 +156,10 @@ def test_refusals():
     for time, why in refused.items():
         with pytest.raises(ModelError, match=f"time: {why}"):
             slewing.trajectory([0.0, 1e-6], time=time)
+    with pytest.raises(ModelError, match="time since the voltage before"):
+        slewing.trajectory([1e-6], time=[0.0])
+    with pytest.raises(ModelError, match="present: got 300 V, but the limits are 20 to 150 V"):
+        slewing.trajectory([0.0, 1e-6], time=[0.0, 1.0], present=300.0)
     with pytest.raises(ModelError, match="not finite"):
         slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])
     with pytest.raises(ModelError, match="carts"):
@@ -163,7 +183,8 @@ def wider(kind, seed=5, **more):
 @given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
 def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
     plant, path, time = wider(kind), wanted(seed)[:size], times(seed, 400)[:size]
-    command = Compensator(plant, (LOW, HIGH), RATE if slewing else None).trajectory(path, time=time)
+    compensator = Compensator(plant, (LOW, HIGH), RATE if slewing else None, period=SHORTEST)
+    command = compensator.trajectory(path, time=time)
     assert np.all((command.voltage >= LOW) & (command.voltage <= HIGH))
     motion = plant.simulate(command.voltage, time=time, stack=False, extrapolate=True)
     np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
@@ -234,7 +255,7 @@ def test_a_clamped_mass_is_told_as_it_moves():
 def test_what_a_plain_or_a_timeless_task_lacks():
     with pytest.raises(ModelError, match="creeps, so that the answer depends on time"):
         Compensator(wider("creep"), (0, 1)).trajectory([0.0, 1e-6])
-    with pytest.raises(ModelError, match="give load_stiffness="):
+    with pytest.raises(ModelError, match=r"\(load_stiffness=\)"):
         Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])
     with pytest.raises(ModelError, match="load: got 1 values for 2 samples"):
         Compensator(wider("graded", load_stiffness=1e6), (0, 1)).trajectory([0.0, 1e-6], load=[0.0])

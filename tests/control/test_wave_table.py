@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
 from dehyst.control import Compensator, wave_table
-from dehyst.control.lead_in import approach_to, follow
-from dehyst.control.steady_state import steady_state
+from dehyst.control.planning.steady_cycle import follow, steady_state
+from dehyst.control.planning.wave_table import approach_to
 from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
 
 UM = 1e-6
@@ -262,7 +262,7 @@ def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
     table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
     assert table.clamped and not table.settled and table.cycles == 47
     assert "the required number is not known" in table.warnings[-1]
-    assert table.warnings[-1].endswith("by default 47 cycles and 100000 samples are tried at most; try cycles=96")
+    assert table.warnings[-1].endswith("by default 47 cycles and 100000 samples are tried at most; try 96 cycles")
 
 
 def test_creep_without_clipping_is_followed_for_a_thousand_cycles():

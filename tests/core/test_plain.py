@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
-from dehyst._native import Core, slip_elongations
+from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, slip_elongations
 from examples import examples
 
 RANGE = 1e-12
@@ -247,6 +247,7 @@ def test_paths_that_are_none_never_reach_the_core(run, bad):
 
 KNOTS, VOLTS = SPRING.displacement, SPRING.voltage
 ZERO, TWO = np.zeros(1), np.zeros(2)
+STEPS = StepCoefficients(np.array([0, 1]), *[np.zeros((1, 0))] * 3)
 
 
 @pytest.mark.parametrize(
@@ -258,9 +259,9 @@ ZERO, TWO = np.zeros(1), np.zeros(2)
         (lambda: Core(SLIP.breakaway, np.nan * SLIP.stiffness, KNOTS, VOLTS), "not finite"),
         (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS, VOLTS[::-1]), "strictly increase"),
         (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS[:1], VOLTS[:1]), "fewer than two knots"),
-        (lambda: ACTUATOR.core.compensate(ZERO, 0.0, ZERO), "different lengths"),
-        (lambda: ACTUATOR.core.simulate(ZERO, 0.0, TWO + 1), "farther from the displacement"),
-        (lambda: ACTUATOR.core.voltage(np.nan, TWO), "not finite"),
+        (lambda: ACTUATOR.core.compensate(ZERO, STEPS, CoreState(0.0, ZERO, EMPTY, EMPTY)), "different lengths"),
+        (lambda: ACTUATOR.core.simulate(ZERO, STEPS, CoreState(0.0, TWO + 1, EMPTY, EMPTY)), "farther from the disp"),
+        (lambda: ACTUATOR.core.voltage(CoreState(np.nan, TWO, EMPTY, EMPTY)), "not finite"),
         (lambda: ACTUATOR.core.depth(ZERO, 0.0, TWO + 1), "farther from the displacement"),
         (lambda: ACTUATOR.core.depth(ZERO, 0.0, np.array([1e-6, -2e-6])), "no history from rest"),
         (lambda: slip_elongations(SLIP.breakaway, ZERO, ZERO), "different lengths"),

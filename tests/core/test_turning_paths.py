@@ -59,5 +59,7 @@ def test_creep_on_a_turning_path():
 
 
 def _ran(actuator, function, values, start, *, stack):
-    out, y, carts = getattr(actuator.core, function)(values, start.displacement, start.carts, stack=stack)
-    return out, type(start)(y, carts)
+    model = actuator.model
+    pace = model.step_coefficients(np.array([0, values.size]), np.zeros(1))
+    out, reached = getattr(model.core, function)(values, pace, model.core_state(start), stack=stack)
+    return out, model.state_of(reached)

@@ -1,6 +1,7 @@
 """FMUs of both versions: what Python does, to the last bit, through the functions of the standard alone."""
 
 import itertools
+import zlib
 
 import numpy as np
 import plain_records
@@ -244,17 +245,22 @@ def test_a_damaged_state_is_refused(fmus, version, kind):
                 slave.restore(bytes(broken))
             assert slave.said[-1][1] == "state: its checksum does not fit; it is not what was serialized"
         low, high = ALL["creep"].limits
-        sent = 80 + 8 * 4
+        # The output, and of the snapshot, whose header has 32 bytes: the deflection, the voltage and the last number.
+        shown, snapshot = 56 + 8, 80
+        deflection, sent = snapshot + 32, snapshot + 32 + 8 * 4
         for at, value, words in (
-            (80, np.nan, "a number of it is not finite"),
-            (len(data) - 8, np.inf, "a number of it is not finite"),
+            (shown, np.nan, "a number of it is not finite"),
+            (shown, np.nextafter(high, np.inf), "its voltage lies outside the limits"),
+            (deflection, np.nan, "the actuator cannot be in it"),
+            (len(data) - 8, np.inf, "the actuator cannot be in it"),
             (sent, np.nextafter(high, np.inf), "its voltage lies outside the limits"),
-            (sent + 8 * 9, -1e6, "its voltage lies outside the limits"),
+            (sent, -1e6, "the actuator cannot be in it"),
         ):
             broken = bytearray(data)
             broken[at : at + 8] = np.float64(value).tobytes()
+            broken[snapshot + 12 : snapshot + 16] = zlib.crc32(broken[snapshot + 16 :]).to_bytes(4, "little")
             broken[40:48] = checksum(broken)
-            if kind == "actuator" and "limits" in words:
+            if kind == "actuator" and (at == sent or "limits" in words):
                 slave.restore(bytes(broken))
                 continue
             with pytest.raises(FMICallException):

@@ -116,6 +116,6 @@ def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(data
 
 
 def test_no_scheduler_answers(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("dehyst.fleet.dask_engine._PATIENCE", 2)
+    monkeypatch.setattr("dehyst.fleet.engines._PATIENCE", 2)
     with pytest.raises(OSError, match="no Dask scheduler with a worker"):
         identify_fleet(dataset, tmp_path / "m.parquet", by=BY, dask="tcp://127.0.0.1:9")

@@ -7,8 +7,7 @@ import pytest
 
 from dehyst import FileFormatError
 from dehyst.fleet import FleetOptions, Task, open_dataset
-from dehyst.fleet.content import is_current, stamp_of
-from dehyst.fleet.reader import Reader, sha256_of
+from dehyst.fleet.reader import Reader, is_current, sha256_of, stamp_of
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("zarr")
@@ -61,12 +60,17 @@ def test_names_of_files_give_keys_too(tmp_path):
     ]
 
 
-def test_the_digest_is_that_of_name_keys_and_places(tmp_path):
+def test_the_digest_is_that_of_the_name_and_of_those_of_the_keys(tmp_path):
     first = open_dataset(write_parquet(tmp_path / "a.parquet", 3), BY)
     (tmp_path / "b").mkdir()
     same = open_dataset(write_parquet(tmp_path / "b" / "a.parquet", 3), BY)
-    more = open_dataset(write_parquet(tmp_path / "c.parquet", 4), BY)
-    assert first.digest == same.digest != more.digest
+    more = open_dataset(write_parquet(tmp_path / "b" / "a.parquet", 4), BY)
+    assert first.digest == same.digest == more.digest
+    other = open_dataset(write_parquet(tmp_path / "c.parquet", 3), BY)
+    assert len({first.digest, other.digest, open_dataset(tmp_path / "a.parquet").digest}) == 3
+    # The files of a row do not depend on how many records there are.
+    assert [task.code for task in more.tasks[:3]] == [task.code for task in first.tasks]
+    assert len({task.code for task in more.tasks}) == 4
     assert FleetOptions().digest(first.digest) != FleetOptions(elements=7).digest(first.digest)
 
 
@@ -110,11 +114,14 @@ def test_a_row_is_current_until_its_samples_change(tmp_path, kind):
     write, name = WRITERS[kind]
     path, options = write(tmp_path / name, 3), FleetOptions()
     task, reader = open_dataset(path, BY).tasks[1], Reader()
-    row = {"stamp": stamp_of(task.place), "sha256": sha256_of(reader.record(task, options))}
+    samples = sha256_of(reader.record(task, options))
+    row = {"keys": dict(task.keys), "stamp": stamp_of(task.place), "sha256": samples}
     assert is_current(row, task, options, reader)
     # Other files with the same samples: the hash decides.
     assert is_current(row | {"stamp": "other"}, task, options, reader)
-    assert not is_current({"stamp": "other", "sha256": None}, task, options, reader)
+    assert not is_current(row | {"stamp": "other", "sha256": None}, task, options, reader)
+    # The keys are a part of the row: another actuator with the same samples.
+    assert not is_current(row | {"keys": {"serial": "S999", "session": 1}}, task, options, reader)
     other = write(tmp_path / f"other_{name}", 4)
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     moved = open_dataset(other, BY).tasks[3]

@@ -11,11 +11,9 @@ import places
 import pytest
 
 from dehyst import FileFormatError, IdentifyError, Record
-from dehyst._io.marks import written_by_dehyst
 from dehyst.fleet import FleetOptions, drifts_of, findings_of, identify_fleet, load
-from dehyst.fleet.drift import Ageing, _chart
-from dehyst.fleet.order import Order
-from dehyst.fleet.outliers import QUANTITIES, robust_scores
+from dehyst.fleet.drift import Ageing, Order, _chart
+from dehyst.fleet.findings import QUANTITIES, robust_scores
 from dehyst.fleet.page import write_fleet_page
 from dehyst.fleet.prior import Shape, fitted, identified_with_prior, shape_of
 
@@ -107,14 +105,37 @@ def test_the_page_and_the_commands(table, tmp_path):
     status, text, _ = run("fleet", "report", str(table), "-o", str(tmp_path / "fleet.html"))
     page = (tmp_path / "fleet.html").read_text()
     assert status == 0 and "Look at (" in text and "Same samples (1)" in text
-    assert (
-        "S002/1" in page and "http" not in page.replace("http-equiv", "") and written_by_dehyst(tmp_path / "fleet.html")
-    )
+    assert "S002/1" in page and "http" not in page.replace("http-equiv", "")
     status, text, _ = run("fleet", "report", str(table), "--json")
     assert status == 0 and json.loads(text)["outcomes"] == {"identified": COUNT - 1, "refused": 1}
     status, text, _ = run("fleet", "drift", str(table), "--json")
     assert status == 1 and f"S{AGEING:03d}" in json.loads(text)["recalibrate"]
-    assert written_by_dehyst(table)
+
+
+def test_the_report_says_first_what_to_do_and_has_what_drift_finds(table, tmp_path):
+    _, text, _ = run("fleet", "report", str(table), "-o", str(tmp_path / "fleet.html"), "--json")
+    _, drift, _ = run("fleet", "drift", str(table), "--json")
+    assert json.loads(text)["drift"] == json.loads(drift)
+    page = (tmp_path / "fleet.html").read_text()
+    headings = re.findall(r"<h2[^>]*>([^<]*)</h2>", page)
+    assert headings[:4] == ["To recalibrate", "To look at", "Without a model", "Same samples"]
+    assert f"<title>Fleet of {COUNT} records: m</title>" in page
+    assert f"S{AGEING:03d}" in page[: page.index("To look at</h2>")]
+    # A table without sessions has no drift, unless it is asked for.
+    status, text, _ = run("fleet", "report", str(table), "--over", "stroke", "--json")
+    assert status == 2
+    status, text, _ = run("fleet", "report", str(table), "--goal", "50", "--json")
+    assert status == 0 and json.loads(text)["drift"]["goal_percent"] == 50
+
+
+def test_dots_are_visible(table, tmp_path):
+    write_fleet_page(tmp_path / "a.html", findings_of(load(table)))
+    page = (tmp_path / "a.html").read_text()
+    data = json.loads(re.search(r'<script type="application/json" id="chart-data">(.*?)</script>', page, re.S)[1])
+    dots = [one for chart in data["charts"] for one in chart["series"] if one["kind"] == "points"]
+    assert dots and all(one["width"] >= 3 for one in dots)
+    widths = {one["name"]: one["width"] for one in dots}
+    assert widths["to look at"] > widths["records"]
 
 
 def test_a_name_cannot_break_the_page(table, tmp_path):
@@ -164,10 +185,10 @@ def test_a_prior_takes_gain_and_width_from_the_record(shape):
 def test_a_prior_is_kept_where_it_predicts_better_only(shape):
     options = FleetOptions(prior=shape.as_dict())
     quiet, row = identified_with_prior(record(100, samples=160), options)
-    assert row["prior"] == "not tried" and quiet.actuator.provenance.get("method") != "fleet"
+    assert row["prior"] == "not tried" and quiet.actuator.identification.method != "fleet"
     noisy, row = identified_with_prior(record(100, noise=300e-9), options)
     assert row["prior"] == "kept" and row["held_out_prior_percent"] < row["held_out_own_percent"]
-    assert noisy.actuator.provenance["method"] == "fleet"
+    assert noisy.actuator.identification.method == "fleet"
 
 
 @pytest.mark.parametrize("size", [321, 641])

@@ -10,11 +10,11 @@ import time
 
 import pytest
 
-import dehyst.fleet.supervisor
+import dehyst.fleet.engines
 from dehyst import FileFormatError, IdentifyError, identify
 from dehyst.fleet import FleetOptions, actuators, identify_fleet, load, open_dataset
+from dehyst.fleet.engines import Supervisor
 from dehyst.fleet.reader import Reader, sha256_of
-from dehyst.fleet.supervisor import Supervisor
 
 pytest.importorskip("pyarrow")
 from command_line import DEHYST
@@ -72,7 +72,7 @@ def test_a_dead_actuator_is_refused_with_its_reason(complete):
 def test_a_row_is_what_identify_finds(dataset, complete):
     task = open_dataset(dataset, BY).tasks[3]
     record = Reader().record(task, FleetOptions())
-    fit = identify(record, structure="paper")
+    fit = identify(record, structure="maxwell_slip")
     row, actuator = complete.rows[3], complete.actuators(lambda row: row["session"] == 1)[1]
     assert actuator.as_dict() == fit.actuator.as_dict()
     assert row["rms_percent"] == fit.errors[0].rms_percent and row["sha256"] == sha256_of(record)
@@ -170,7 +170,7 @@ for line in sys.stdin:
 
 
 def test_a_task_that_kills_its_workers_is_lost_and_the_others_are_not(dataset, monkeypatch):
-    monkeypatch.setattr(dehyst.fleet.supervisor, "COMMAND", [sys.executable, "-c", FATAL])
+    monkeypatch.setattr(dehyst.fleet.engines, "COMMAND", [sys.executable, "-c", FATAL])
     done = [one for one in Supervisor({}, 2).run(list(open_dataset(dataset, BY).tasks[:8])) if one]
     assert sorted(one.task.position for one in done) == list(range(8))
     reasons = {one.task.position: one.reason for one in done if one.reason}
@@ -178,9 +178,7 @@ def test_a_task_that_kills_its_workers_is_lost_and_the_others_are_not(dataset, m
 
 
 def test_workers_that_never_begin_end_the_run(dataset, monkeypatch):
-    monkeypatch.setattr(
-        dehyst.fleet.supervisor, "COMMAND", [sys.executable, "-c", "raise SystemExit('no such library')"]
-    )
+    monkeypatch.setattr(dehyst.fleet.engines, "COMMAND", [sys.executable, "-c", "raise SystemExit('no such library')"])
     with pytest.raises(OSError, match=r"workers end before their first task \(status 1: no such library"):
         list(Supervisor({}, 2).run(list(open_dataset(dataset, BY).tasks)))
 

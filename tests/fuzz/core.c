@@ -283,21 +283,41 @@ static void play_records(const model *m)
 }
 
 typedef struct life {
-    dehyst_compensator c;
+    dehyst_model c;
     dehyst_loop loop;
+    dehyst_real *memory;
+    dehyst_state start; /* a state of its own, from which the model begins */
     dehyst_real before;
     int free;
 } life;
 
+static int is_sound_now(const model *m, const life *l)
+{
+    const int n = m->actuator.plain.slip.size;
+    dehyst_state now;
+    now.memory.y = l->loop.w, now.memory.cart = l->memory + (l->loop.half ? n : 0);
+    now.strain = l->memory + 2 * n, now.elongation = now.strain + m->actuator.branches;
+    now.y = l->loop.y, now.rate = l->loop.rate, now.input = l->loop.input;
+    return is_sound(m, &now);
+}
+
+static dehyst_status begin(life *l)
+{
+    const dehyst_state *s = &l->start;
+    l->c.start.w = s->memory.y, l->c.start.y = s->y, l->c.start.rate = s->rate;
+    l->c.start.cart = s->memory.cart, l->c.start.strain = s->strain, l->c.start.elongation = s->elongation;
+    return dehyst_loop_begin(&l->c, &l->loop, l->memory);
+}
+
 static void was_sent(const model *m, life *l, dehyst_real v)
 {
-    const dehyst_compensator *c = &l->c;
+    const dehyst_model *c = &l->c;
     const dehyst_real change = v > l->before ? v - l->before : l->before - v;
     if (!(v >= c->low && v <= c->high)) fail("outside the limits", (double)v, (double)(v < c->low ? c->low : c->high));
     /* After a voltage from outside the limits the way back to them is free. */
     if (!l->free && !(change <= c->change + 4 * DEHYST_EPSILON * (c->change + (dehyst_real)fabs(l->before))))
         fail("over the slew rate", (double)change, (double)c->change);
-    if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number", l->loop.state.memory.y, v);
+    if (!m->hostile && !is_sound_now(m, l)) fail("a state that is no number", l->loop.w, v);
     l->before = v;
     l->free = 0;
 }
@@ -310,10 +330,10 @@ static dehyst_real wanted(const model *m)
 
 static void commit_other(const model *m, life *l)
 {
-    const dehyst_compensator *c = &l->c;
+    const dehyst_model *c = &l->c;
     const dehyst_real v = chance(0.5) ? nonsense() : (dehyst_real)between(2 * c->low - c->high, 2 * c->high - c->low);
-    dehyst_loop_commit(c, &l->loop, v);
-    if (!m->hostile && !is_sound(m, &l->loop.state)) fail("a state that is no number after a commit", v, 0);
+    dehyst_loop_commit(c, &l->loop, l->memory, v);
+    if (!m->hostile && !is_sound_now(m, l)) fail("a state that is no number after a commit", v, 0);
     l->before = l->loop.sent;
     l->free = !(l->before >= c->low && l->before <= c->high);
     if (!dehyst_loop_accepts(c, l->before)) fail("a voltage is accepted that is none", l->before, v);
@@ -322,41 +342,66 @@ static void commit_other(const model *m, life *l)
 /* A state that comes from outside is checked, and begins anew. */
 static void damage(const model *m, life *l)
 {
-    dehyst_state *s = &l->loop.state;
+    dehyst_state *s = &l->start;
     dehyst_real *const one[] = {&s->memory.y, &s->y, &s->rate};
     *one[below(3)] = nonsense();
     if (m->actuator.plain.slip.size > 0 && chance(0.3)) s->memory.cart[below(m->actuator.plain.slip.size)] = nonsense();
     if (m->actuator.branches > 0 && chance(0.3)) s->strain[below(m->actuator.branches)] = nonsense();
     if (m->actuator.smooth.size > 0 && chance(0.3)) s->elongation[below(m->actuator.smooth.size)] = nonsense();
-    if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) {
+    if (begin(l) != DEHYST_OK) {
         make_state(m, s);
-        if (dehyst_loop_begin(&l->c, &l->loop) != DEHYST_OK) fail("a sound state is refused", s->memory.y, 0);
+        if (begin(l) != DEHYST_OK) fail("a sound state is refused", s->memory.y, 0);
     }
     l->before = l->loop.sent;
     l->free = 0;
 }
 
+/* A snapshot of which a bit has changed, or that is cut off, is refused; a whole one goes on. */
+static void reset_by_snapshot(const model *m, life *l)
+{
+    const dehyst_actuator *a = &m->actuator;
+    const int size = DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, l->c.taps);
+    unsigned char *bytes = room((size_t)size, 1);
+    const int bit = below(8 * size);
+    dehyst_status status;
+    if (dehyst_loop_save(&l->c, &l->loop, l->memory, bytes, (unsigned long)size) != (unsigned long)size)
+        fail("a snapshot has another size", size, 0);
+    bytes[bit / 8] ^= (unsigned char)(1 << bit % 8);
+    if (dehyst_loop_restore(&l->c, &l->loop, l->memory, bytes, (unsigned long)size) == DEHYST_OK)
+        fail("a changed snapshot is accepted", bit, 0);
+    bytes[bit / 8] ^= (unsigned char)(1 << bit % 8);
+    if (dehyst_loop_restore(&l->c, &l->loop, l->memory, bytes, (unsigned long)below(size)) == DEHYST_OK)
+        fail("a snapshot that is cut off is accepted", size, 0);
+    status = dehyst_loop_restore(&l->c, &l->loop, l->memory, bytes, (unsigned long)size);
+    /* A mass may have come to move faster than can be computed with. */
+    if (status != DEHYST_OK && status != DEHYST_ERR_FINITE && !m->hostile)
+        fail("a snapshot is refused", (double)status, (double)l->loop.sent);
+    free(bytes);
+}
+
 static void act(const model *m, life *l)
 {
-    const int what = below(20);
+    const int what = below(21);
     if (what < 9) {
-        was_sent(m, l, dehyst_loop_step(&l->c, &l->loop, wanted(m)));
+        was_sent(m, l, dehyst_loop_step(&l->c, &l->loop, l->memory, wanted(m)));
     } else if (what < 12) {
-        const dehyst_real v = dehyst_loop_offer(&l->c, &l->loop, wanted(m));
+        const dehyst_real v = dehyst_loop_offer(&l->c, &l->loop, l->memory, wanted(m));
         if (chance(0.3)) return;
-        dehyst_loop_commit(&l->c, &l->loop, v);
+        dehyst_loop_commit(&l->c, &l->loop, l->memory, v);
         was_sent(m, l, v);
     } else if (what < 15) {
         commit_other(m, l);
     } else if (what < 17) {
-        dehyst_loop_commit(&l->c, &l->loop, l->loop.sent);
+        dehyst_loop_commit(&l->c, &l->loop, l->memory, l->loop.sent);
     } else if (what < 19) {
         const dehyst_real kept = l->loop.sent;
-        dehyst_loop_play(&l->c, &l->loop, chance(0.5) ? nonsense() : (dehyst_real)(m->volts * between(-2, 2)));
-        if (!m->hostile && !is_sound(m, &l->loop.state)) fail("no state after a play", l->loop.sent, 0);
+        dehyst_loop_play(&l->c, &l->loop, l->memory, chance(0.5) ? nonsense() : (dehyst_real)(m->volts * between(-2, 2)));
+        if (!m->hostile && !is_sound_now(m, l)) fail("no state after a play", l->loop.sent, 0);
         l->loop.sent = l->before = kept;
-    } else {
+    } else if (what < 20) {
         damage(m, l);
+    } else {
+        reset_by_snapshot(m, l);
     }
 }
 
@@ -378,10 +423,10 @@ static void play_life(const model *m)
         l.c.lag = (dehyst_real)(1 / steps), l.c.keep = (dehyst_real)exp(-steps);
         l.c.from_old = (dehyst_real)(mean - exp(-steps)), l.c.from_new = (dehyst_real)(1 - mean);
     }
-    if (dehyst_compensator_tabulate(&l.c) != DEHYST_OK) return;
-    make_state(m, &l.loop.state);
-    l.loop.inputs = numbers(taps), l.loop.candidate.cart = numbers(m->actuator.plain.slip.size);
-    if (dehyst_loop_begin(&l.c, &l.loop) != DEHYST_OK) return;
+    if (dehyst_model_tabulate(&l.c) != DEHYST_OK) return;
+    make_state(m, &l.start);
+    l.memory = numbers((int)dehyst_memory_size(&l.c));
+    if (begin(&l) != DEHYST_OK) return;
     l.before = l.loop.sent;
     was_sent(m, &l, l.loop.sent);
     while (calls-- > 0) act(m, &l);

@@ -39,7 +39,7 @@ static int is_wrong(const piezo *p, double v, const char *call, long t)
     const int leaves = !(v >= (double)MODEL_LOW && v <= (double)MODEL_HIGH);
     const double most = CHANGE * (1 + 8 * DEHYST_EPSILON) + 8 * DEHYST_EPSILON * fabs(before);
     const int jumps = !from_outside && !(change <= most);
-    if (leaves || jumps || !isfinite((double)piezo_displacement(p)) || !isfinite((double)p->loop.state.memory.y)) {
+    if (leaves || jumps || !isfinite((double)piezo_displacement(p)) || !isfinite((double)p->loop.w)) {
         printf("%s %ld: %.17g V after %.17g V, at %.17g m\n", call, t, v, before, (double)piezo_displacement(p));
         return 1;
     }
@@ -64,10 +64,10 @@ static int act(piezo *p, piezo *kept, long t)
         from_outside = !(before >= (double)MODEL_LOW && before <= (double)MODEL_HIGH);
         return !isfinite((double)piezo_displacement(p));
     case 3: piezo_hold(p); return !isfinite((double)piezo_displacement(p));
-    case 4: piezo_copy(kept, p); return 0;
+    case 4: *kept = *p; return 0;
     case 5:
         if (bits() % 8 > 0) return 0;
-        piezo_copy(p, kept);
+        *p = *kept;
         before = p->loop.sent;
         from_outside = 1;
         return 0;

@@ -92,10 +92,12 @@ _PIECES = (
 def mutated(content: bytes, name: str, others: list[bytes], dice: random.Random) -> bytes:
     """Damage a file by one to four mutations that fit its kind."""
     ways = [_flip, _flip, _cut, _splice, _integer, _integer, _double, _zeros, _repeat]
-    if name.endswith((".csv", ".tsv", ".txt", ".dat")):
+    if name.endswith((".csv", ".tsv", ".txt", ".dat", ".lvm")):
         ways = [_flip, _cut, _splice, _repeat, _cell, _cell, _cell, _insert, _insert, _header, _header, _encode, _rows]
     elif name.endswith(".npz"):
         ways += [_in_npz] * 8
+    elif name.endswith(".xlsx"):
+        ways += [_in_xlsx] * 12
     elif name == "packed.mat":
         ways += [_in_mat] * 6
     taken = [dice.choice(ways) for _ in range(dice.choice((1, 1, 1, 2, 3, 4)))]
@@ -228,6 +230,31 @@ def _in_npz(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
     else:
         way: Callable[..., bytes] = dice.choice((_flip, _integer, _cut, _double, _splice))
         parts[name] = way(parts[name], dice, others)
+    return _packed(parts, dice)
+
+
+def _in_xlsx(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
+    """Parts of a workbook damaged within, and packed again with right checksums; ranges and places of cells edited."""
+    try:
+        parts = npz_parts(content)
+    except Exception:  # damaged by an earlier mutation
+        return content
+    if not parts:
+        return content
+    name = dice.choice([*parts, *(part for part in parts if "sheet" in part)])
+    place = dice.choice((b"A1", b"XFD1", b"A1048576", b"ZZZZ99999999", b"A0", b"", b"A1:A1", b"A1:XFD1048576", b"-1"))
+    if dice.random() < 0.5:
+        count = dice.choice((1, 1, 20))
+        parts[name] = re.sub(
+            rb'\br(ef)?="[^"]*"', lambda m: b'r%s="%s"' % (m[1] or b"", place), parts[name], count=count
+        )
+    else:
+        way: Callable[..., bytes] = dice.choice((_flip, _cut, _splice, _repeat, _insert, _rows))
+        parts[name] = way(parts[name], dice, others) if parts[name] else b""
+    return _packed(parts, dice)
+
+
+def _packed(parts: dict[str, bytes], dice: random.Random) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
         for member, data in parts.items():

@@ -38,13 +38,14 @@ def attack(seed: int, count: int, first: int = 0, only: str = "") -> dict[str, A
     seed, count, first : int
         Cases `first` to `first + count - 1` of the seed; each depends on the seed and its number alone.
     only : str
-        Suffix of the specimens to take; by default all of them.
+        Suffixes of the specimens to take, with commas between them; by default all of them.
     """
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "sound").mkdir()
-        sound = {file: content for file, content in specimens(folder / "sound").items() if file.endswith(only)}
+        taken = tuple(only.split(","))
+        sound = {file: content for file, content in specimens(folder / "sound").items() if file.endswith(taken)}
         numbers = range(first, first + count)
         lines = list(forked.run(lambda number: _case(sound, folder, seed, number), numbers, reader_process.close))
     results = [line for line in lines if "children" not in line or "finding" in line]

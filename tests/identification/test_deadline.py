@@ -10,9 +10,8 @@ import structured_records as wide
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.identification import Deadline, structure_selection
+from dehyst.identification import Deadline, Structure, structure_selection
 from dehyst.identification.structure_selection import StructureTrial, Tried, select, simplest
-from dehyst.model import Structure
 
 START = Structure()
 
@@ -181,7 +180,7 @@ def test_the_model_at_a_deadline_is_usable(record, words, cut):
     fit = dehyst.identify(record, **ended_at(words))
     assert fit.outcome.good
     assert fit.remarks[0].startswith("A request ended ") and cut in fit.remarks[0]
-    assert fit.actuator.provenance["norm"] == fit.options["norm"] == "l2"
+    assert fit.actuator.identification.norm == fit.options["norm"] == "l2"
     assert max(error.largest_percent for error in fit.errors) < 5
     voltage = np.linspace(*fit.actuator.limits, 50)
     assert np.isfinite(fit.actuator.simulate(voltage, time=np.arange(50) / 10).displacement).all()
@@ -193,7 +192,7 @@ def test_a_limit_that_is_not_reached_changes_nothing(record):
     assert free.actuator.slip.stiffness.tobytes() == limited.actuator.slip.stiffness.tobytes()
 
 
-@pytest.mark.parametrize("structure", ["auto", "paper", Structure(elements=10)])
+@pytest.mark.parametrize("structure", ["auto", "maxwell_slip", Structure(elements=10)])
 def test_a_first_model_comes_once_and_says_that_it_is_provisional(record, structure):
     models, sentences = [], []
 
@@ -202,9 +201,9 @@ def test_a_first_model_comes_once_and_says_that_it_is_provisional(record, struct
 
     fit = dehyst.identify(record, structure=structure, first_model=first_model, progress=sentences.append)
     [(first, before)] = models
-    assert first.provenance["provisional"] is True
-    assert first.provenance["norm"] == "l2"
-    assert "provisional" not in fit.actuator.provenance
+    assert first.identification.provisional
+    assert first.identification.norm == "l2"
+    assert not fit.actuator.identification.provisional
     assert not any(words.startswith("trial") for words in before)
     path = np.linspace(*record.voltage_range, 50)
     assert np.ptp(first.simulate(path).displacement) == pytest.approx(np.ptp(record.displacement), rel=0.2)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, IdentifyError, Record, identify
+from dehyst.identification import Readiness
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.model import MaxwellSlip, Readiness, Spring
+from dehyst.model import MaxwellSlip, Spring
 
 STROKE, STEP, LAG = 1e-5, 0.01, 0.08
 
@@ -43,14 +44,14 @@ def test_the_displacement_before_the_sensor_is_found():
 
 def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
     seen, _ = records()
-    unknown, none, known = (identify(seen, structure="paper", sensor_lag=lag) for lag in (None, 0.0, LAG))
+    unknown, none, known = (identify(seen, structure="maxwell_slip", sensor_lag=lag) for lag in (None, 0.0, LAG))
     assert unknown.actuator.delay > 0.5 * LAG
     assert "whether the sensor or the actuator lags" in unknown.expectation.sentence
-    assert any("sensor_lag=SECONDS" in remark for remark in unknown.remarks)
+    assert any("sensor_lag" in remark for remark in unknown.remarks)
     assert unknown.expectation.readiness is not Readiness.READY
     assert "whether the sensor or the actuator lags" not in none.expectation.sentence
     assert abs(known.actuator.delay) < 0.1 * LAG
-    assert known.options["sensor_lag"] == known.actuator.provenance["sensor_lag"] == LAG
+    assert known.options["sensor_lag"] == known.actuator.identification.sensor_lag == LAG
     assert any("before the sensor's lag of 80 ms" in repair for repair in known.repairs)
 
 
@@ -58,8 +59,8 @@ def test_a_coarse_voltage_keeps_a_model_from_being_ready():
     seen, y = records()
     exact = Record(seen.time, seen.voltage, y)
     coarse = Record(seen.time, np.round(seen.voltage / 0.3) * 0.3, y)
-    assert "in steps of" not in identify(exact, structure="paper").expectation.sentence
-    verdict = identify(coarse, structure="paper").expectation
+    assert "in steps of" not in identify(exact, structure="maxwell_slip").expectation.sentence
+    verdict = identify(coarse, structure="maxwell_slip").expectation
     assert "the voltage is recorded in steps of 0.37 % of its range" in verdict.sentence.lower()
     assert verdict.readiness is not Readiness.READY
 

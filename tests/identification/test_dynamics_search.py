@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
-from dehyst.identification.dynamics_search import SensedDynamics, find_dynamics
-from dehyst.identification.preprocessing.dynamics import derivatives, remove_dynamics
+from dehyst.identification.preprocessing.denoising import derivatives, remove_dynamics
 from dehyst.identification.regression.fold_sums import TrainingErrors
+from dehyst.identification.training_data import SensedDynamics, find_dynamics
 
 PLANT = plain_records.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02

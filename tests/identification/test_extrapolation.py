@@ -10,7 +10,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import Creep, Record
-from dehyst.model import Readiness
+from dehyst.identification import Readiness
 
 RATE = 50.0
 PLANT = plain_records.plant(10)

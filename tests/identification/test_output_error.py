@@ -9,10 +9,9 @@ import structured_records as wide
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.identification.output_error import _after_steps, _Iterate, refine
-from dehyst.identification.structured_fit import StructuredFit
-from dehyst.model import Structure
-from dehyst.records.metrics import rms
+from dehyst.identification import Structure
+from dehyst.identification.structured_fit import StructuredFit, _after_steps, _Iterate, refine
+from dehyst.records.signals import rms
 
 NAMES = ["plain", "graded", "transformer", "creep", "smooth"]
 
@@ -93,5 +92,5 @@ def test_identify_says_what_came_of_it():
         plant.record(noise=1e-4 * plain_records.STROKE), structure=Structure(8, knots=7), refine=True, delay=0.0
     )
     assert any(remark.startswith("Refined by simulation: RMS error of cycles held out") for remark in fit.remarks)
-    with pytest.raises(IdentifyError, match="refine: the paper's class is fitted as it is"):
+    with pytest.raises(IdentifyError, match="refine: 'maxwell_slip' is fitted as it is"):
         dehyst.identify(plant.record(), elements=10, refine=True)

@@ -176,7 +176,7 @@ def test_a_spring_that_rises_everywhere_has_nothing_imposed():
 def test_without_a_closed_loop_there_are_no_break_points():
     spiral = plain_records.loops(PLANT, (1, 0, 0.9, 0.05, 0.8, 0.15, 0.65, 0.2, 0.55))
     for method in ("breakpoints", "antisymmetric"):
-        with pytest.raises(IdentifyError, match=r"no closed loop found.*method='record'"):
+        with pytest.raises(IdentifyError, match=r"no closed loop found.*the method 'record'"):
             dehyst.identify(spiral, method=method)
 
 

@@ -5,11 +5,12 @@ import itertools
 import numpy as np
 
 from dehyst import Actuator, Record, identify
-from dehyst.identification.path_error import disagreement, size_error
+from dehyst.identification import Structure
+from dehyst.identification.held_out import disagreement, size_error
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.structured_fit import StructuredFit
-from dehyst.model import MaxwellSlip, Spring, Structure
+from dehyst.model import MaxwellSlip, Spring
 
 STROKE = 1e-5
 
@@ -33,7 +34,7 @@ def captured(monkeypatch, records, **options):
     def look(self, frame, regression, actuator):
         kept.update(frame=frame, regression=regression, actuator=actuator)
 
-    monkeypatch.setattr(run.Run, "look_beyond", look)
+    monkeypatch.setattr(run.IdentificationRun, "estimate_heldout_errors", look)
     identify(records, **options)
     return kept
 
@@ -46,7 +47,7 @@ def test_loops_of_unseen_sizes_are_predicted_by_an_exact_model(monkeypatch):
 
 
 def test_tops_of_one_height_add_no_error(monkeypatch):
-    kept = captured(monkeypatch, record([0.0, 80] * 6 + [0.0]), structure="paper")
+    kept = captured(monkeypatch, record([0.0, 80] * 6 + [0.0]), structure="maxwell_slip")
     assert size_error(kept["regression"]) < 1e-3 * STROKE
 
 

@@ -9,10 +9,9 @@ import structured_records as wide
 import dehyst
 from dehyst import Dynamics
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.resonance_tuning import tune_resonance
-from dehyst.identification.simulation_error import SimulationError
+from dehyst.identification.structured_fit import SimulationError, tune_resonance
 from dehyst.records import Record
-from dehyst.records.metrics import rms
+from dehyst.records.signals import rms
 from dehyst.waveforms import Sampling, descending_tops, staircase
 
 RATE, OMEGA = 5000.0, 2 * np.pi * 250

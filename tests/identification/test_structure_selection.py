@@ -7,10 +7,9 @@ import plain_records
 import pytest
 import structured_records as wide
 
-from dehyst.identification import structure_selection
+from dehyst.identification import Structure, structure_selection
 from dehyst.identification.regression.fold_sums import FoldSums, blocks
 from dehyst.identification.structure_selection import PARTS, StructureTrial, Tried, select
-from dehyst.model import Structure
 
 START = Structure()
 

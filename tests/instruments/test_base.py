@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dehyst._errors import ModelError, RecordError
 from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
 from dehyst.instruments.interrupts import shielded
-from dehyst.instruments.sensor_watch import SensorWatch
+from dehyst.instruments.samples import SensorWatch
 from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
@@ -34,6 +34,10 @@ def test_limits_are_what_both_allow(device, limits, slew_rate):
     if not low < high:
         with pytest.raises(RigError, match="nothing is left"):
             FakeRig(device, limits=limits, slew_rate=slew_rate)
+        return
+    if high - low < 1e-3 or high - low > 3600 * min(300.0, slew_rate or 300.0):
+        with pytest.raises(RigError, match=r"range|hour"):
+            FakeRig(device, limits=limits, slew_rate=slew_rate, device_slew=300.0)
         return
     rig = FakeRig(device, limits=limits, slew_rate=slew_rate, device_slew=300.0)
     assert (rig.limits.low, rig.limits.high) == (low, high)
@@ -478,3 +482,18 @@ def test_a_process_told_to_end_brings_the_voltage_back(name):
     assert out.splitlines()[-1] == "0.0 1"
     assert process.returncode == (-signal.SIGINT if name == "SIGINT" else 128 + number)
     assert ("KeyboardInterrupt" in err) == (name == "SIGINT")
+
+
+@pytest.mark.parametrize(
+    ("limits", "slew"),
+    [((0.0, 1e-320), None), ((0.0, 9e-4), 1.0), ((0.0, 100.0), 1e-300), ((0.0, 100.0), 100.0 / 3601), (None, 0.033)],
+)
+def test_limits_that_vanish_and_ramps_of_more_than_an_hour_are_refused(limits, slew):
+    with pytest.raises(RigError):
+        FakeRig(limits=limits, slew_rate=slew)
+
+
+@pytest.mark.parametrize(("limits", "slew"), [((0.0, 1e-3), 1.0), ((0.0, 100.0), 100.0 / 3599)])
+def test_a_narrow_range_and_a_slow_ramp_are_allowed(limits, slew):
+    rig = FakeRig(limits=limits, slew_rate=slew)
+    assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (*limits, slew)

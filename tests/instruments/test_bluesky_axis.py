@@ -29,7 +29,7 @@ from plain_records import STROKE, VOLTS, plant
 
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
 from dehyst.control import VoltageLimits, shortest_homing
-from dehyst.control.ramps import homing_steps, ramp_step
+from dehyst.control.planning.played_homing import homing_steps
 from dehyst.instruments import DeviceError, RigError
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.channel_access import ChannelAccess
@@ -105,7 +105,7 @@ def read_into(axis, found):
 )
 def test_a_step_keeps_limits_and_slew_rate(wish, present, slew, period):
     limits = VoltageLimits(0.0, 200.0, slew)
-    step = ramp_step(wish, present, limits, period)
+    step = limits.towards(wish, present, period)
     assert 0.0 <= step <= 200.0
     assert abs(step - present) <= slew * period * (1 + 1e-9)
     assert abs(step - limits.nearest(wish)) <= abs(present - limits.nearest(wish))

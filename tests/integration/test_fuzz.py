@@ -9,6 +9,8 @@ import places
 import pytest
 import sanitized
 
+from dehyst.exports.model_header import config_header
+
 FUZZ = places.FUZZ
 
 
@@ -35,9 +37,7 @@ def native(tmp_path_factory):
             folder = tmp_path_factory.mktemp(number)
             for source in places.CORE_FILES:
                 shutil.copy(source, folder)
-            config = folder / "dehyst_config.h"
-            if number == "float":
-                config.write_text(config.read_text().replace("typedef double", "typedef float").replace("DBL_", "FLT_"))
+            (folder / "dehyst_config.h").write_text(config_header(number))
             sources = [*sorted(folder.glob("*.c")), FUZZ / "core.c"]
             strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-I", folder]
             command = ["gcc", *strict, *sanitized.SANITIZE, *sources, "-lm", "-o", folder / "program"]
@@ -94,6 +94,11 @@ def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path, name, count
         pytest.skip(f"{missing} is not installed: the package cannot be built under sanitizers")
     environment = sanitized.environment(sanitized.build(tmp_path))
     assert attacked(FUZZ / f"{name}.py", "--seed", 5, "--count", count, env=environment)["cases"] == count
+
+
+@pytest.mark.fuzz
+def test_no_voltage_jumps_in_ten_thousand_lives():
+    assert attacked(FUZZ / "voltages.py", "--seed", 5, "--count", 10_000)["cases"] == 10_000
 
 
 def test_a_crash_and_a_hang_are_findings(tmp_path):

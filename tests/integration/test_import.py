@@ -1,5 +1,6 @@
 """The public face: what `import dehyst` loads, and the names it offers."""
 
+import ast
 import inspect
 import json
 import subprocess
@@ -22,11 +23,27 @@ def loaded_by(statement):
 
 
 def test_import_loads_nothing_heavier_than_numpy():
-    ours, bare = loaded_by("import dehyst"), loaded_by("import numpy")
-    assert "numpy" in ours
+    ours, bare = loaded_by("import dehyst; dehyst.Compensator, dehyst.identify"), loaded_by("import numpy")
     assert not ours & HEAVY
     outside = {m for m in ours - bare if m not in sys.stdlib_module_names and not m.startswith("_")}
     assert outside == {"dehyst"}
+
+
+def test_a_room_is_loaded_when_a_name_of_it_is_used():
+    program = """
+import json, sys, dehyst
+rooms = lambda: sorted({m.split(".")[1] for m in sys.modules if m.startswith("dehyst.")})
+first = rooms()
+dehyst.Compensator
+second = rooms()
+dehyst.waveforms.descending_tops, dehyst.virtual
+print(json.dumps([first, second, rooms()]))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    first, second, third = map(set, json.loads(done.stdout))
+    assert first == {"_version"}
+    assert "control" in second and not {"identification", "virtual"} & second
+    assert {"waveforms", "virtual"} <= third
 
 
 def test_the_check_would_notice():
@@ -41,14 +58,23 @@ def test_names_are_few_sorted_and_real():
     assert dir(dehyst) == dehyst.__all__
 
 
-def test_no_public_class_or_function_is_left_out_of_all():
-    """What the package's own file brings in, it offers."""
-    things = {
-        name: thing for name, thing in vars(dehyst).items() if inspect.isclass(thing) or inspect.isfunction(thing)
+def test_a_name_that_one_looks_for_names_what_loads():
+    with pytest.raises(AttributeError, match=r"Actuator\.load.*dehyst\.read"):
+        _ = dehyst.load
+
+
+def test_every_name_of_the_face_has_a_room():
+    """The table that loads a name, the list of names, and what a type checker reads are one."""
+    face = ast.parse(inspect.getsource(dehyst))
+    block = next(node for node in face.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
+    checked = {
+        alias.name: node.module.removeprefix("dehyst.")
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
     }
-    found = {name for name, thing in things.items() if thing.__module__.startswith("dehyst")}
-    late = set(dehyst._LATE)
-    assert {name for name in found if not name.startswith("_")} - late == set(dehyst.__all__) - {"__version__"} - late
+    assert checked == dehyst._ROOM_OF
+    assert set(dehyst._ROOM_OF) == set(dehyst.__all__) - {"__version__"}
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -24,7 +24,7 @@ from dehyst import (
     Spring,
     Transformer,
 )
-from dehyst._computable import FARTHEST, LEAST, MOST
+from dehyst._validation import FARTHEST, LEAST, MOST
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 

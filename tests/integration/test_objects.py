@@ -50,7 +50,7 @@ def record(plant):
 
 @pytest.fixture(scope="module")
 def fit(record):
-    return dehyst.identify(record, elements=6, structure="paper", norm="l2")
+    return dehyst.identify(record, elements=6, structure="maxwell_slip", norm="l2")
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,6 @@
 import ast
 import importlib
 import re
-import subprocess
-import sys
 from collections import Counter
 from graphlib import CycleError, TopologicalSorter
 
@@ -47,7 +45,7 @@ def test_every_room_has_a_face_that_is_listed_or_none():
     """A folder without a face (`studies`, the inner folders) offers modules and no names."""
     packages = {module for module, path in MODULES.items() if path.name == "__init__.py"}
     faces = {module for module in packages if "__all__" in MODULES[module].read_text()}
-    assert faces - {"dehyst.rigs"} == {f"dehyst.{room}" if room != "dehyst" else room for room in FACES}
+    assert faces == {f"dehyst.{room}" if room != "dehyst" else room for room in FACES}
 
 
 @pytest.mark.parametrize("face", [f"dehyst.{room}" for room in FACES if room != "dehyst"])
@@ -72,13 +70,6 @@ def test_folders_without_a_face_hold_only_a_docstring():
         assert [type(node) for node in TREES[module].body] == [ast.Expr], module
 
 
-def test_the_old_name_of_the_instruments_warns():
-    """Kept for one release: users' own rigs import from it."""
-    code = "import warnings; warnings.simplefilter('error', DeprecationWarning); import dehyst.rigs"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert "dehyst.rigs is now dehyst.instruments" in done.stderr
-
-
 def test_a_public_name_of_another_room_comes_from_its_face():
     faces = {f"dehyst.{room}": names for room, names in FACES.items()}
     passed_by = [
@@ -91,9 +82,11 @@ def test_a_public_name_of_another_room_comes_from_its_face():
 
 
 def test_the_package_itself_imports_from_faces():
-    own = [one.module for one in architecture.imports(TREES["dehyst"]) if room_of(one.module) in ROOMS]
-    assert own
-    assert all(module.count(".") == 1 for module in own)
+    import dehyst
+
+    rooms = {room for room in dehyst._ROOM_OF.values() if room != "_errors"}
+    assert rooms and rooms <= FACES.keys()
+    assert all(name in FACES[room] for name, room in dehyst._ROOM_OF.items() if room in FACES)
 
 
 def test_nobody_imports_a_private_module_of_another_room():
@@ -165,7 +158,7 @@ def test_the_road_of_an_identification_is_twelve_files_that_exist():
 
 def test_every_room_is_on_the_page_of_the_architecture():
     page = (places.DOCS / "explanation" / "architecture.md").read_text()
-    assert set(re.findall(r"^\| `(\w+)` \|", page, re.M)) == set(ROOMS) - architecture.NOT_DRAWN
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.M)) == set(ROOMS)
 
 
 def test_every_decision_has_its_context_its_consequences_and_a_line_in_the_list():

@@ -95,7 +95,7 @@ def laboratory(tmp_path_factory):
     record, other = demo.record_loops(PlayActuator(plays=60))
     write_record(folder / "loops.csv", record)
     write_record(folder / "new.csv", other)
-    actuator = dehyst.identify(record, structure="paper").actuator
+    actuator = dehyst.identify(record, structure="maxwell_slip").actuator
     actuator.save(folder / "model.json")
     dehyst.Stage((actuator, actuator), [[1, 0.04], [0.03, 1]]).save(folder / "stage.json")
     return folder

@@ -319,7 +319,7 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
         (lambda: Actuator(SLIP, SPRING, creep=3), "creep: got int, need a Creep"),
         (lambda: Actuator(SPRING, SPRING), "slip: got Spring, need a MaxwellSlip or GradedSlip"),
         (lambda: Actuator(SLIP, SPRING, State(0, [0, 0], [1e-9])), "got 1 creep strains, this actuator has 0"),
-        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0]), r"creeps.*give time= \[s\]"),
+        (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0]), r"creeps.*\(time=, "),
         (lambda: Actuator(SLIP, SPRING, creep=CREEP).compensate([0.0]), "depends on time"),
         (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[1, 1]), "strictly increasing"),
         (lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[1]), "got 1 values for 2 samples"),
@@ -360,17 +360,3 @@ def test_charge_balances_power(motion):
     np.testing.assert_allclose(mean * np.diff(q), 0.042 * mean * x, atol=1e-12 * np.abs(v).max() * np.ptp(q))
     at_knots = actuator.charge(actuator.spring.displacement, **constants)
     np.testing.assert_allclose(at_knots, 0.042 * paper.deformation, atol=1e-12 * np.ptp(at_knots))
-
-
-def test_what_knows_plain_actuators_only_says_so():
-    from dehyst.control import StateBounds
-    from dehyst.uncertainty import RestStates, state_from_first_rise
-
-    wider = Actuator(GRADED, SPRING, transformer=TAU, creep=CREEP, limits=(0, 100))
-    for ask, message in (
-        (lambda: StateBounds.at_rest(wider), "this actuator creeps; use dehyst.shortest_homing"),
-        (lambda: RestStates(wider).vertex(np.ones(len(GRADED))), "no polytope of elongations; .*bounds it"),
-        (lambda: state_from_first_rise(wider, None), "plain slip elements and a spring only; home a wider actuator"),
-    ):
-        with pytest.raises(ModelError, match=message):
-            ask()

@@ -261,7 +261,7 @@ def test_a_clamp_is_said_once_of_each_kind():
 
 def test_refusals():
     actuator, creeping = plain_records.plant(10), _creeping()
-    with pytest.raises(ModelError, match=r"need the time between samples; give period= \[s\]"):
+    with pytest.raises(ModelError, match=r"need the time between samples; give the period \[s\]"):
         creeping.to_control()
     for period in (0.0, -1.0, np.nan):
         with pytest.raises(ModelError, match="period: got"):

@@ -3,6 +3,7 @@
 import copy
 import json
 import struct
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -11,8 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import DehystError, FileFormatError, ModelError
-from dehyst._io.json_files import read_json, write_json
-from dehyst.model import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, SmoothSlip, Spring, State, Transformer
+from dehyst._io import read_json, write_json
+from dehyst.identification import Outcome
+from dehyst.model import (
+    Actuator,
+    Creep,
+    Dynamics,
+    GradedSlip,
+    Identification,
+    MaxwellSlip,
+    SmoothSlip,
+    Spring,
+    State,
+    Transformer,
+)
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)
@@ -51,6 +64,7 @@ def actuators(draw):
         delay=draw(st.floats(0, 1e30)),
         name=draw(texts),
         provenance=draw(st.dictionaries(texts, json_values, max_size=4)),
+        identification=draw(st.none() | st.builds(Identification, texts, texts, goal=st.none() | st.floats(0, 1e30))),
     )
 
 
@@ -81,6 +95,7 @@ def test_comes_back_exactly(tmp_path_factory, actuator):
     assert (actuator.limits is None) == (back.limits is None)
     assert actuator.limits is None or [*map(bits, actuator.limits)] == [*map(bits, back.limits)]
     assert actuator.name == back.name
+    assert actuator.identification == back.identification
     assert repr(dict(actuator.provenance)) == repr(dict(back.provenance))
     write_json(folder / "b.json", back.as_dict())
     assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
@@ -94,6 +109,7 @@ def made():
         delay=1 / 3000,
         name="stage X",
         provenance={"records": [{"file": "major.csv", "rms_percent": 0.1 + 0.2}], "note": "µm", "seed": None},
+        identification=Identification("record", "l1", outcome=Outcome.WIDER, largest_error=1e-8 / 3, goal=0.5),
     )
 
 
@@ -131,16 +147,63 @@ def test_wider_parts_come_back_exactly(tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
+@pytest.mark.parametrize("limits", [None, (0.0, 100.0)])
+@pytest.mark.parametrize("speed", [None, 100 / 3])
+def test_the_speed_of_the_records_comes_back_and_old_files_have_none(tmp_path, limits, speed):
+    plain = made()
+    actuator = Actuator(plain.slip, plain.spring, limits=limits, recorded_slew_rate=speed)
+    back = through_a_file(actuator, tmp_path / "a.json")
+    assert (back.limits, back.recorded_slew_rate) == (limits, speed)
+    assert ("recorded_slew_rate_V_per_s" in (back.as_dict()["limits"] or {})) == (speed is not None)
+    for wrong in (0.0, -1.0, np.inf, "fast"):
+        with pytest.raises(ModelError, match="recorded_slew_rate"):
+            Actuator(plain.slip, plain.spring, recorded_slew_rate=wrong)
+
+
 def test_a_file_of_version_1(tmp_path):
     data = made().as_dict()
-    for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s"):
+    for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s", "identification"):
         del data[key]
     del data["state"]["creep_m"], data["state"]["smooth_m"], data["state"]["motion"]
     data["version"] = 1
     write_json(tmp_path / "a.json", data)
     back = Actuator.from_dict(read_json(tmp_path / "a.json"))
-    assert back.as_dict() == made().as_dict()
+    assert back.as_dict() == replace(made(), identification=None).as_dict()
     refused(tmp_path, {**data, "creep": None}, r"model: missing keys \[\], unknown keys \['creep'\]")
+
+
+@pytest.mark.parametrize(
+    ("entries", "known"),
+    [
+        ({"note": "by hand", "goal_percent": "much", "largest_error_m": -1, "outcome": 3, "structure": []}, None),
+        (
+            {
+                "program": "dehyst 0.1.0",
+                "method": "record",
+                "norm": "l1",
+                "slope_floor": 0.1,
+                "shared_datum": True,
+                "drift": False,
+                "sensor_lag": 2e-3,
+                "structure": {"elements": 20, "smoothing": 1e-2},
+                "largest_error_m": 5e-8,
+                "goal_percent": 2,
+                "outcome": "WIDER",
+            },
+            Identification(
+                "record", "l1", 0.1, True, False, 2e-3, False, 1e-2, Outcome.WIDER, largest_error=5e-8, goal=2.0
+            ),
+        ),
+        ({"provisional": True, "ringing": True}, Identification(provisional=True, ringing=True)),
+    ],
+)
+def test_a_file_of_version_2_knows_its_identification_from_free_entries(tmp_path, entries, known):
+    data = {**wide().as_dict(), "version": 2, "provenance": entries}
+    del data["identification"]
+    write_json(tmp_path / "a.json", data)
+    back = Actuator.load(tmp_path / "a.json")
+    assert back.identification == known
+    assert dict(back.provenance) == entries
 
 
 @pytest.mark.parametrize(
@@ -215,6 +278,7 @@ def test_keys_state_their_units(tmp_path):
         "state",
         "limits",
         "delay_s",
+        "identification",
         "provenance",
     ]
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
@@ -267,7 +331,7 @@ def test_a_missing_key_inside(tmp_path, place):
     refused(tmp_path, data, rf"{part}: missing keys \['{key}'\], unknown keys \[\]; need exactly")
 
 
-@pytest.mark.parametrize("part", ["slip", "spring", "state", "limits"])
+@pytest.mark.parametrize("part", ["slip", "spring", "state", "limits", "identification"])
 def test_an_unknown_key_inside(tmp_path, part):
     refused(
         tmp_path, changed(f"{part}.extra", 1), rf"{part}: missing keys \[\], unknown keys \['extra'\]; need exactly"
@@ -284,21 +348,21 @@ def test_a_misspelt_key_is_named_twice(tmp_path):
     refused(tmp_path, data, r"model: missing keys \['delay_s'\], unknown keys \['delay'\]")
 
 
-@pytest.mark.parametrize("version", [0, 3, 1.5, "1", None, [1]])
+@pytest.mark.parametrize("version", [0, 4, 1.5, "1", None, [1]])
 def test_another_version(tmp_path, version):
-    refused(tmp_path, changed("version", version), r"got format 'dehyst-actuator' version .*, need .* version 1 or 2")
+    refused(tmp_path, changed("version", version), r"got format .* version .*, need .* version 1, 2 or 3")
 
 
 @pytest.mark.parametrize("name", ["dehyst-fit", "", None, 1])
 def test_another_format(tmp_path, name):
-    refused(tmp_path, changed("format", name), r"got format .* version 2, need 'dehyst-actuator' version 1 or 2")
+    refused(tmp_path, changed("format", name), r"got format .* version 3, need 'dehyst-actuator' version 1, 2 or 3")
 
 
 @pytest.mark.parametrize("key", ["format", "version"])
 def test_a_missing_format_or_version(tmp_path, key):
     data = made().as_dict()
     del data[key]
-    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1 or 2")
+    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1, 2 or 3")
 
 
 @pytest.mark.parametrize("place", [*PLACES, "delay_s"])
@@ -344,6 +408,11 @@ def test_not_finite_in_text(tmp_path, place, value, word):
         ("state", 0.0, "model: state must be an object with keys .*, got float"),
         ("delay_s", None, "delay_s: got None, need a finite number"),
         ("delay_s", "1", "delay_s: got '1', need a finite number"),
+        ("identification", [], "model: identification must be an object with keys .*, got list"),
+        ("identification.goal_percent", -1.0, "goal: got -1.0, need a finite number of 0 or more"),
+        ("identification.drift", 1, "drift: got 1, need true or false"),
+        ("identification.norm", None, "norm: got None, need text"),
+        ("identification.outcome", "FINE", "outcome: got 'FINE', need one of IDENTIFIED, .*, or null"),
         ("name", 7, "model: name must be text and provenance an object"),
         ("provenance", [], "model: name must be text and provenance an object"),
     ],

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError
-from dehyst._io.drafts import draft_of, is_draft, write_atomically
-from dehyst._io.json_files import read_json, write_json
+from dehyst._io import draft_of, is_draft, read_json, write_atomically, write_json
 from dehyst.records import Record, read, write_columns, write_record
 
 

@@ -8,9 +8,9 @@ import pytest
 import structured_records
 
 from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, Spring, Transformer
-from dehyst.model import Structure
+from dehyst.identification import Structure
 from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
-from dehyst.report.parts_section import made_of
+from dehyst.report.actuator_section import made_of
 
 EVERYTHING = Structure(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True)
 

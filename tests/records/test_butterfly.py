@@ -5,7 +5,7 @@ import plain_records
 import pytest
 
 from dehyst import Record, RecordError
-from dehyst.records.butterfly import butterfly_of
+from dehyst.records.quality import butterfly_of
 from dehyst.studies.demo import record_loops
 from dehyst.virtual import BoucWenActuator, PlayActuator
 

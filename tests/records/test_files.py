@@ -58,6 +58,13 @@ def as_mat73(path):
         stream.write(head)
 
 
+def as_structure():
+    run = np.empty(T.size, dtype=[(name, "f8") for name in NAMED])
+    for name, values in NAMED.items():
+        run[name] = values
+    return run
+
+
 WRITERS = {
     "a.mat": lambda path: scipy.io.savemat(path, {**NAMED, "note": "text", "image": np.eye(3)}),
     "new.mat": as_mat73,
@@ -66,6 +73,7 @@ WRITERS = {
     "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * 30}), path),
     "a.tdms": lambda path: write_tdms(path, [("Group", name, values) for name, values in NAMED.items()]),
     "a.npz": lambda path: np.savez(path, **NAMED),
+    "a.npy": lambda path: np.save(path, as_structure()),
     "a.csv": lambda path: write_columns(path, NAMED),
     "a.tsv": lambda path: write_columns(path, NAMED),
     "A.CSV": lambda path: write_columns(path, NAMED),
@@ -207,15 +215,15 @@ BROKEN = {
     ),
     "wrong unit": (
         "time_s,voltage_um,y_um\n0,1,2\n1,2,3\n",
-        "unit 'um', unknown for voltage; known are V, mV, kV. Select another column with voltage=\"NAME\"",
+        "unit 'um', unknown for voltage; known are V, mV, kV. Select another column with voltage \"NAME\"",
     ),
     "two fit": (
         "time_s,voltage_V,drive_V,y_um\n0,1,2,3\n1,2,3,4\n",
-        r"2 columns fit: 'voltage_V', 'drive_V' as voltage column;.*voltage=\"NAME\"\.",
+        r"2 columns fit: 'voltage_V', 'drive_V' as voltage column;.*voltage \"NAME\"\.",
     ),
     "twice": ("time_s,voltage_V,voltage_V,y_um\n0,1,2,3\n1,2,3,4\n", "2 columns fit: 'voltage_V', 'voltage_V'"),
-    "no voltage": ("time_s,y_um\n0,1\n1,2\n", r"no voltage column; the file holds 'time_s', 'y_um'.*voltage=\"NAME\""),
-    "no time": ("voltage_V,y_um\n0,1\n1,2\n", "no time column; .*time=\"NAME\".*'time_s' is found.*sample_rate= in Hz"),
+    "no voltage": ("time_s,y_um\n0,1\n1,2\n", r"no voltage column; the file holds 'time_s', 'y_um'.*voltage \"NAME\""),
+    "no time": ("voltage_V,y_um\n0,1\n1,2\n", "no time column; .*time \"NAME\".*'time_s' is found.*sample rate in Hz"),
 }
 
 
@@ -239,18 +247,19 @@ def test_time_that_does_not_rise_is_refused_by_the_record(tmp_path):
 
 
 def test_chosen_columns(tmp_path):
-    path = text(tmp_path, "time_s,out,monitor_V,drive_V,gauge 1 (nm),y_um\n0,7,1,2,3,4\n1,7,5,6,7,8\n")
-    record = read(path, voltage="monitor_V", displacement="gauge 1 (nm)")
+    path = text(tmp_path, "time_s,level,piezo_V,drive_V,gauge 1 (nm),y_um\n0,7,1,2,3,4\n1,7,5,6,7,8\n")
+    record = read(path, voltage="piezo_V", displacement="gauge 1 (nm)")
     assert record.voltage.tolist() == [1, 5]
     assert record.displacement == pytest.approx([3e-9, 7e-9])
-    assert record.meta["columns"] == {"time": "time_s", "voltage": "monitor_V", "displacement": "gauge 1 (nm)"}
-    assert read(path, voltage="monitor").voltage.tolist() == [1, 5]
-    assert read(path, voltage="out:mV").voltage == pytest.approx([7e-3, 7e-3])
-    with pytest.raises(FileFormatError, match=r"column 'out' has no unit.*voltage=\"out:V\"$"):
-        read(path, voltage="out")
+    assert record.meta["columns"] == {"time": "time_s", "voltage": "piezo_V", "displacement": "gauge 1 (nm)"}
+    assert read(path, voltage="piezo").voltage.tolist() == [1, 5]
+    assert read(path, voltage="level:mV").voltage == pytest.approx([7e-3, 7e-3])
+    with pytest.raises(FileFormatError, match=r"column 'level' has no unit.*voltage \"level:V\?\"") as refused:
+        read(path, voltage="level")
+    assert refused.value.change == ("voltage",)
     with pytest.raises(FileFormatError, match="unit 'bar', unknown for voltage"):
-        read(path, voltage="out:bar")
-    with pytest.raises(FileFormatError, match=r"no column 'absent' for voltage; the file holds 'time_s', 'out'"):
+        read(path, voltage="level:bar")
+    with pytest.raises(FileFormatError, match=r"no column 'absent' for voltage; the file holds 'time_s', 'level'"):
         read(path, voltage="absent")
     double = text(tmp_path, "time_s,a_V,a_V,y_um\n0,1,2,3\n1,2,3,4\n", "b.csv")
     with pytest.raises(FileFormatError, match="2 columns fit: 'a_V', 'a_V' as column 'a_V' for voltage"):
@@ -282,9 +291,9 @@ def test_sample_rate(tmp_path):
         with pytest.raises(FileFormatError, match=r"sample_rate is .* Hz; give a number above 0"):
             read(path, sample_rate=rate)
     timed = text(tmp_path, HEAD + "0,1,2\n1,2,3\n", "b.csv")
-    with pytest.raises(FileFormatError, match="got sample_rate= and the time column 'time_s'; leave one"):
+    with pytest.raises(FileFormatError, match="got a sample rate and the time column 'time_s'; leave one"):
         read(timed, sample_rate=200)
-    with pytest.raises(FileFormatError, match="got sample_rate= and the time column 'voltage_V'"):
+    with pytest.raises(FileFormatError, match="got a sample rate and the time column 'voltage_V'"):
         read(path, sample_rate=200, time="voltage_V")
     counted = text(tmp_path, "time_ticks,voltage_V,y_um\n0,1,2\n9,2,3\n", "c.csv")
     assert read(counted, sample_rate=10).time.tolist() == [0, 0.1]
@@ -373,8 +382,8 @@ def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
     voltage = [0.0050000000000000044, 33.33333333333333, -109.99999999999999, limit]
     write_columns(tmp_path / "a.csv", {"voltage_V": voltage, "empty": [float("nan")] * 4}, digits=12)
     lines = (tmp_path / "a.csv").read_text().splitlines()[-4:]
-    # The first number has the mark of an output. The least and the largest would grow by rounding.
-    assert lines == ["0.005e0,nan", "33.3333333333,nan", "-109.99999999999999,nan", "99.9876543219876,nan"]
+    # The least and the largest would grow by rounding.
+    assert lines == ["0.005,nan", "33.3333333333,nan", "-109.99999999999999,nan", "99.9876543219876,nan"]
 
 
 @pytest.mark.parametrize(("name", "rows"), [("major.csv", 8027), ("ramps.csv", 7350)])

@@ -1,23 +1,16 @@
 """Files as laboratories have them: read at the first try, or with the options that the first message names."""
 
-import shlex
 import sys
 
 import laboratory_files
 import numpy as np
 import pytest
-from laboratory_files import FILES, RATE, UM, N, T, V, Y
+from laboratory_files import FILES, RATE, UM, N, T, V, Y, assert_measured, options_of
 
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.records import read, read_table
-from dehyst.records.column_choice import ColumnsError
-from dehyst.records.formats.timestamps import elapsed, is_moment, moment
-
-
-def options_of(words):
-    given = shlex.split(words)
-    pairs = zip(given[::2], given[1::2], strict=True)
-    return {k.removeprefix("--").replace("-", "_"): float(v) if k == "--sample-rate" else v for k, v in pairs}
+from dehyst.records.formats.timestamps import clock_of, is_moment, moment
+from dehyst.records.tables import ColumnsError, joined
 
 
 def tried(path, options):
@@ -26,14 +19,9 @@ def tried(path, options):
         return read(path, **options)
     except ColumnsError as error:
         assert error.options
-        assert all(f'{name}="{value}"' in str(error) for name, value in error.options.items())
+        assert all(f'"{value}"' in str(error) for value in error.options.values())
+        assert error.options.keys() <= set(error.change)
         return read(path, **options | error.options)
-
-
-def assert_measured(record):
-    assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
-    assert record.voltage == pytest.approx(V, abs=1e-4)
-    assert record.displacement == pytest.approx(Y, abs=1e-11)
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -90,15 +78,19 @@ def test_all_unknown_names_are_reported_at_once(tmp_path):
     for part in ("no time column", "no voltage column", "no displacement column"):
         assert part in message
     assert "the file holds 'Zeit', 'Ansteuerung', 'Auslenkung'" in message
-    assert caught.value.options == {"time": "Zeit:s", "voltage": "Ansteuerung:V", "displacement": "Auslenkung:um"}
+    assert caught.value.options == {"time": "Zeit:s?", "voltage": "Ansteuerung:V?", "displacement": "Auslenkung:um?"}
 
 
 @pytest.mark.parametrize(("values", "unit"), [(UM, "um"), (UM * 1e3, "nm"), (Y * 1e3, "mm"), (Y, "m")])
 def test_a_hint_names_a_plausible_unit(tmp_path, values, unit):
     path = text(tmp_path, "time_s,voltage_V,y\n" + laboratory_files.rows(T, V, values))
-    with pytest.raises(ColumnsError, match=f'give displacement="y:{unit}"$') as caught:
+    with pytest.raises(ColumnsError) as caught:
         read(path)
-    assert read(path, **caught.value.options).stroke == pytest.approx(np.ptp(Y), rel=1e-6)
+    assert caught.value.options == {"displacement": f"y:{unit}?"}
+    record = read(path, **caught.value.options)
+    assert record.stroke == pytest.approx(np.ptp(Y), rel=1e-6)
+    assert record.meta["guesses"].keys() == {"displacement"}
+    assert "guesses" not in read(path, displacement=f"y:{unit}").meta
 
 
 def test_no_hint_where_no_unit_is_plausible(tmp_path):
@@ -113,10 +105,12 @@ def test_a_sensor_in_volts_is_never_taken_for_micrometres(tmp_path):
     with pytest.raises(ColumnsError, match="has the unit 'V', unknown for displacement") as caught:
         read(path, displacement="sensor_V")
     assert "sensor_V:um" not in str(caught.value)
-    assert caught.value.options == {"displacement": "sensor_V", "displacement_scale": "10 um/V"}
+    assert caught.value.options == {"displacement": "sensor_V", "displacement_scale": "GAIN um/V"}
+    with pytest.raises(FileFormatError, match="replace GAIN"):
+        read(path, **caught.value.options)
     with pytest.raises(FileFormatError, match="has the unit 'V' in the file, got 'um'; give the scale"):
         read(path, displacement="sensor_V:um")
-    assert_measured(read(path, **caught.value.options))
+    assert_measured(read(path, **caught.value.options | {"displacement_scale": "10 um/V"}))
 
 
 def test_volts_are_never_taken_for_millivolts(tmp_path):
@@ -125,18 +119,24 @@ def test_volts_are_never_taken_for_millivolts(tmp_path):
         FileFormatError, match="has the unit 'V' in the file, got 'mV'; if the file is wrong, give"
     ) as it:
         read(path, voltage="voltage_V:mV")
-    assert 'voltage_scale="0.001 V/V"' in str(it.value)
+    assert 'voltage scale "0.001 V/V"' in str(it.value)
     assert read(path, voltage="voltage_V:V").voltage_range == read(path).voltage_range
     (sentence,) = read(path, voltage_scale="1e-6 V/V").problems()
     assert "check its unit and scale" in sentence
 
 
-def test_a_monitor_is_asked_for_its_scale(tmp_path):
-    path = text(tmp_path, "time_s,monitor_mV,y_um\n" + laboratory_files.rows(T, V * 10, UM))
-    assert any("monitor_mV" in sentence for sentence in read(path, voltage="monitor_mV").problems())
-    record = read(path, voltage="monitor_mV", voltage_scale="100 V/V")
-    assert not any("monitor_mV" in sentence for sentence in record.problems())
+@pytest.mark.parametrize("name", ["monitor_mV", "Ausgang Regler [mV]", "AO0 [mV]", "Vmon_mV", "CH1 [mV]"])
+def test_a_monitor_is_asked_for_its_scale(tmp_path, name):
+    path = text(tmp_path, f"time_s,{name},y_um\n" + laboratory_files.rows(T, V * 10, UM))
+    with pytest.raises(ColumnsError) as caught:
+        read(path, voltage=name)
+    assert caught.value.options == {"voltage": name, "voltage_scale": "GAIN V/V"}
+    record = read(path, voltage=name, voltage_scale="100 V/V")
+    assert not any(name in sentence for sentence in record.problems())
     assert_measured(record)
+    assert read(path, voltage=name, voltage_scale="1 V/V").voltage == pytest.approx(V / 100, abs=1e-6)
+    high = text(tmp_path, f"time_s,{name},y_um\n" + laboratory_files.rows(T, V * 1e3, UM))
+    assert_measured(read(high, voltage=name))
 
 
 @pytest.mark.parametrize(
@@ -211,14 +211,14 @@ def test_a_fault_in_a_row_names_its_line(tmp_path):
 def test_timestamps():
     cells = [
         "2024-12-31 23:59:59.9999999",
-        "2025-01-01T00:00:00.5Z",
+        "2025-01-01T00:00:00.5",
         "31.12.2024 23:59:59,25",
         "12/31/2024 11:59:59 PM",
     ]
     assert all(map(is_moment, cells))
-    assert elapsed([moment(cell) for cell in cells]) == pytest.approx([0, 0.5000001, -0.7499999, -0.9999999])
-    assert elapsed([moment("23:59:59.5"), moment("00:00:00.5")]).tolist() == [0, 1]
-    assert elapsed([moment("12:00:00+02:00"), moment("10:00:01Z")]).tolist() == [0, 1]
+    assert clock_of([moment(cell) for cell in cells]).seconds == pytest.approx([0, 0.5000001, -0.7499999, -0.9999999])
+    assert clock_of([moment("23:59:59.5"), moment("00:00:00.5")]).seconds.tolist() == [0, 1]
+    assert clock_of([moment("12:00:00+02:00"), moment("10:00:01Z")]).seconds.tolist() == [0, 1]
     assert not any(map(is_moment, ["", "1.5", "12:00", "2024-01-01", "a12:00:00"]))
 
 
@@ -230,11 +230,17 @@ def test_joined_by_time(tmp_path):
     late = np.linspace(0.01, T[-1] - 0.01, 3000)
     text(tmp_path, "t_ms,y_um\n" + laboratory_files.rows(late * 1e3, 3 * late, number="%.15g"), "b.csv")
     record = read(drive, join=tmp_path / "b.csv")
-    inside = (late[0] <= T) & (late[-1] >= T)
-    assert record.time == pytest.approx(T[inside])
-    assert record.voltage == pytest.approx(V[inside], abs=1e-6)
-    assert record.displacement == pytest.approx(3e-6 * T[inside], rel=1e-9)
+    assert record.time == pytest.approx(late)
+    assert record.voltage == pytest.approx(np.interp(late, T, V), abs=1e-6)
+    assert record.displacement == pytest.approx(3e-6 * late, rel=1e-9)
     assert record.meta["columns"]["displacement"] == "b/y_um"
+    inside = (late[0] <= T) & (late[-1] >= T)
+    turned = read(tmp_path / "b.csv", join=drive)
+    assert turned.voltage == pytest.approx(record.voltage)
+    table = read_table(drive)
+    assert joined(table, read_table(tmp_path / "b.csv"), None, None, "voltage_V").columns[1].data == pytest.approx(
+        V[inside], abs=1e-6
+    )
 
 
 def test_joined_by_sample(tmp_path):

@@ -25,14 +25,14 @@ def read(name):
 
 @cache
 def fitted(method="record", norm="l1"):
-    return dehyst.identify([read("major"), read("ramps")], structure="paper", method=method, norm=norm)
+    return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip", method=method, norm=norm)
 
 
 @cache
 def split():
     ramps = read("ramps")
     rest = ramps[4500:].with_name("rest")
-    return dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="paper")
+    return dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")
 
 
 @pytest.mark.parametrize("norm", ["l1", "l2"])

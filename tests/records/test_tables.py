@@ -89,6 +89,40 @@ def test_dates_and_durations_become_seconds():
         assert same(Record.from_dataframe(pandas.DataFrame({"time": time, **columns})), RECORD)
 
 
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_an_index_of_dates_is_the_time(zone):
+    pandas = pytest.importorskip("pandas")
+    columns = {"voltage_V": VOLTS, "displacement_um": MICROMETRES}
+    dates = pandas.DatetimeIndex(pandas.to_datetime("2024-05-01") + pandas.to_timedelta(TIME, "s"))
+    dates = dates.tz_localize(zone) if zone else dates
+    assert same(Record.from_dataframe(pandas.DataFrame(columns, index=dates)), RECORD)
+    assert same(Record.from_dataframe(pandas.DataFrame(columns, index=dates.rename("time"))), RECORD)
+    assert same(Record.from_dataframe(pandas.DataFrame({"time_s": TIME, **columns}, index=dates[::-1])), RECORD)
+    with pytest.raises(FileFormatError, match="no time column"):
+        Record.from_dataframe(pandas.DataFrame(columns))
+
+
+def test_scales_and_guesses_of_a_dataframe():
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"time_s": TIME, "monitor_V": VOLTS / 10, "y_um": MICROMETRES})
+    with pytest.raises(FileFormatError, match="monitor"):
+        Record.from_dataframe(frame, voltage="monitor_V")
+    assert same(Record.from_dataframe(frame, voltage="monitor_V", voltage_scale="10 V/V"), RECORD)
+    made = Record.from_dataframe(frame, voltage="monitor_V?", voltage_scale="10 V/V")
+    assert made.meta["guesses"].keys() == {"voltage"}
+
+
+def test_micrometres_that_are_taken_for_metres_are_refused():
+    with pytest.raises(RecordError, match='units "um"'):
+        Record.from_arrays(TIME, VOLTS, MICROMETRES, units="m")
+    assert Record.from_arrays(TIME, VOLTS, [0.0, 1.0, 2.0, 1.0, 0.0], units="mm").stroke == 2e-3
+    time = np.arange(400) / 100
+    volts = 50 - 50 * np.cos(2 * np.pi * time)
+    with pytest.raises(RecordError, match='units "um"'):
+        Record(time, volts, 0.12 * volts).check_usable()
+    Record(time, volts, 1.2e-7 * volts).check_usable()
+
+
 def test_a_dataset_and_back():
     pytest.importorskip("xarray")
     dataset = RECORD.to_xarray()

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from dehyst.report.charts import Axis, Chart, ChartData, Series, legend
+from dehyst.report.html import Axis, Chart, ChartData, Series, legend
 
 
 def chart(*series, **kwargs):

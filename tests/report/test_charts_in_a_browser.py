@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, Spring, Trace
+from dehyst.identification import Fit, Outcome, Trace
+from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import write_report
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")

@@ -8,8 +8,8 @@ import pytest
 
 import dehyst
 from dehyst import IdentifyError
-from dehyst.identification import CheckHistory
 from dehyst.report import write_check_history
+from dehyst.trust import CheckHistory
 
 DAY = datetime(2024, 5, 1, 8, tzinfo=UTC)
 

@@ -30,7 +30,7 @@ def things():
     plant = plain_records.plant(6)
     record = plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
     other = plain_records.loops(plant, plain_records.THREE_LOOPS, samples=30, noise=5e-9, name="other")
-    fit = dehyst.identify(record, validate=other, elements=6, structure="paper", norm="l2")
+    fit = dehyst.identify(record, validate=other, elements=6, structure="maxwell_slip", norm="l2")
     insight = dehyst.insight(fit.actuator, record, repeats=20, trajectory=np.linspace(2e-6, 12e-6, 20))
     creeping = anatomy("creep")
     return {"record": record, "actuator": fit.actuator, "creeping": creeping, "fit": fit, "insight": insight}
@@ -126,8 +126,8 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
         things["record"].plot("loops")
     with pytest.raises(ModelError, match="without creep"):
         things["actuator"].plot("creep")
-    with pytest.raises(ModelError, match="kind: got 'loop', need one of directions, stiffnesses, band"):
-        things["insight"].plot("loop")
+    with pytest.raises(ModelError, match="kind: got 'loops', need one of directions, loop, stiffnesses, band"):
+        things["insight"].plot("loops")
     with pytest.raises(ModelError, match=r"fit without traces.*Not identified"):
         Fit(None, Outcome.FAILED).plot()
     assert pyplot.get_fignums() == figures

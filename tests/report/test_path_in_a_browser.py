@@ -10,9 +10,10 @@ import pytest
 
 from dehyst import Compensator
 from dehyst.control import PossibleStart
-from dehyst.model import Actuator, Fit, MaxwellSlip, Outcome, Spring
+from dehyst.identification import Fit, Outcome
+from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import write_report
-from dehyst.report.path_section import SAMPLES, path_trial
+from dehyst.report.actuator_section import SAMPLES, path_trial
 from dehyst.report.report import render
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")

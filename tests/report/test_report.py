@@ -10,20 +10,9 @@ import numpy as np
 import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.model import (
-    Actuator,
-    Check,
-    Expectation,
-    Fit,
-    MaxwellSlip,
-    Outcome,
-    Readiness,
-    RecordErrors,
-    Spring,
-    Trace,
-    Verdict,
-)
-from dehyst.report import plots, record_charts, report
+from dehyst.identification import Check, Expectation, Fit, Outcome, Readiness, RecordErrors, Trace, Verdict
+from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.report import fit_section, plots, report
 from dehyst.report.html import spelled
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
@@ -267,7 +256,7 @@ def test_more_records_than_are_drawn():
     model = actuator()
     traces = [trace(model, f"record {i}", samples=100) for i in range(8)]
     page = Page(report.render(fit_of(*traces, model=model)))
-    assert page.tags.count("canvas") == 1 + 3 * record_charts.MOST_RECORDS + PATH
+    assert page.tags.count("canvas") == 1 + 3 * fit_section.MOST_RECORDS + PATH
     assert "The first 6 of 8 records are drawn" in page.words
     assert "record 7" in page.words
 

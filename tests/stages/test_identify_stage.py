@@ -1,12 +1,14 @@
 """The identification of a stage: coupling, axes, and whether coupling is a matrix."""
 
+from dataclasses import replace
+
 import coupled_stage
 import numpy as np
 import pytest
 
 import dehyst
-from dehyst.stages.coupling.matrix import coupling_by_plays
-from dehyst.stages.coupling.play_columns import PlayColumns
+from dehyst.stages.coupling import coupling_by_plays
+from dehyst.stages.regressors import PlayColumns
 
 OFF = ~np.eye(2, dtype=bool)
 
@@ -16,7 +18,14 @@ def fit():
     training, _ = coupled_stage.excited()
     held, found = coupled_stage.excited(7, steps=2)
     first, stop = found.parts[-1][1:]
-    return dehyst.identify_stage(training, validate=held.part(first, stop, "held-out"))
+    return dehyst.identify_stage(training, validate=held[first:stop].with_name("held-out"))
+
+
+def exchanged(record):
+    """The same record with its axes in the other order."""
+    return replace(
+        record, voltage=record.voltage[:, ::-1], displacement=record.displacement[:, ::-1], axes=record.axes[::-1]
+    )
 
 
 def test_matrix_and_held_out_record(fit):
@@ -33,7 +42,7 @@ def test_matrix_and_held_out_record(fit):
 
 def test_exchanged_columns_of_displacements_are_not_usable():
     training, _ = coupled_stage.excited(coupling=np.array([[1.0, 0.05], [0.04, 1.0]]))
-    turned = dehyst.StageRecord(training.time, training.voltage, training.displacement[:, ::-1], ("x", "y"), "turned")
+    turned = dehyst.Record(training.time, training.voltage, training.displacement[:, ::-1], "turned", axes=("x", "y"))
     found = dehyst.identify_stage(turned)
     assert found.exchanged == ("x", "y")
     assert not found.good
@@ -65,14 +74,14 @@ def test_axes_one_after_the_other_and_together(cycles):
 def test_axes_together_only():
     training, found = coupled_stage.excited(cycles=16)
     first, stop = found.parts[-1][1:]
-    result = coupling_by_plays(PlayColumns.of([training.part(first, stop)]))
+    result = coupling_by_plays(PlayColumns.of([training[first:stop]]))
     assert np.abs(result.matrix - coupled_stage.COUPLING)[OFF].max() < 0.003
 
 
 def test_other_order_of_the_axes_gives_the_same_matrix():
     training, _ = coupled_stage.excited()
     found = coupling_by_plays(PlayColumns.of([training])).matrix
-    other = coupling_by_plays(PlayColumns.of([training.permuted([1, 0])])).matrix
+    other = coupling_by_plays(PlayColumns.of([exchanged(training)])).matrix
     assert np.allclose(found, other[::-1, ::-1], rtol=0, atol=1e-9)
 
 
@@ -100,7 +109,7 @@ def test_what_is_wrong_with_an_axis_names_that_axis():
     x, y = training.displacement.T
 
     def changed(voltage, *displacements):
-        return dehyst.StageRecord(training.time, voltage, np.column_stack(displacements), ("x", "y"), "changed")
+        return dehyst.Record(training.time, voltage, np.column_stack(displacements), "changed")
 
     still = np.column_stack([training.voltage[:, 0], np.full(len(training), 3.0)])
     for record, words in (
@@ -116,6 +125,6 @@ def test_what_is_wrong_with_an_axis_names_that_axis():
 def test_records_of_other_axes_are_refused():
     training, _ = coupled_stage.excited()
     with pytest.raises(dehyst.RecordError, match="same axes in the same order"):
-        dehyst.identify_stage([training, training.permuted([1, 0])])
-    with pytest.raises(dehyst.RecordError, match="need a StageRecord"):
+        dehyst.identify_stage([training, exchanged(training)])
+    with pytest.raises(dehyst.RecordError, match="need records of several axes"):
         dehyst.identify_stage(training.axis(0))

@@ -1,12 +1,14 @@
 """Records of several axes, from arrays and files."""
 
+from dataclasses import replace
+
 import coupled_stage
 import numpy as np
 import pytest
 
 import dehyst
 from dehyst.records import write_columns
-from dehyst.stages.read import axis_columns
+from dehyst.records.tables import axis_columns
 
 RECORD, _ = coupled_stage.excited(steps=2, cycles=3)
 
@@ -21,7 +23,7 @@ def written(folder):
 
 def test_a_file_is_read_as_its_axes_are(tmp_path):
     path = written(tmp_path)
-    record = dehyst.read_stage(path, "vx_V:x_um vy_V:y_um")
+    record = dehyst.read(path, axes="vx_V:x_um vy_V:y_um")
     assert record.axes == ("x", "y")
     assert np.allclose(record.displacement, RECORD.displacement, rtol=0, atol=1e-20)
     for j, axis in enumerate("xy"):
@@ -39,10 +41,11 @@ def test_columns_without_units_are_to_be_named_in_their_order(tmp_path):
     path = written(tmp_path)
     text = path.read_text()
     path.write_text(text.replace("vx_V", "vx").replace("x_um", "x"))
-    with pytest.raises(dehyst.FileFormatError, match=r"Axis x needs its columns .* as columns=\"time:s,vx_V,"):
-        dehyst.read_stage(path, "vx_V:x_um vy_V:y_um")
+    with pytest.raises(dehyst.FileFormatError, match=r"no column .vx_V.") as refused:
+        dehyst.read(path, axes="vx_V:x_um vy_V:y_um")
+    assert "columns" in refused.value.change
     names = "time:s,vx_V,vy_V,x_um,y_um"
-    assert dehyst.read_stage(path, "vx_V:x_um vy_V:y_um", columns=names).axes == ("x", "y")
+    assert dehyst.read(path, axes="vx_V:x_um vy_V:y_um", columns=names).axes == ("x", "y")
 
 
 @pytest.mark.parametrize("axes", ["vx_V:x_um", "vx_V vy_V", "vx_V:x_um vx_V:y_um", "a=vx_V:x_um a=vy_V:y_um", ":"])
@@ -53,7 +56,7 @@ def test_columns_that_are_no_axes_are_refused(axes):
 
 def test_a_column_that_is_missing_is_named(tmp_path):
     with pytest.raises(dehyst.FileFormatError, match="vz_V"):
-        dehyst.read_stage(written(tmp_path), "vx_V:x_um vz_V:y_um")
+        dehyst.read(written(tmp_path), axes="vx_V:x_um vz_V:y_um")
 
 
 @pytest.mark.parametrize(
@@ -69,4 +72,55 @@ def test_a_column_that_is_missing_is_named(tmp_path):
 def test_arrays_that_make_no_record_are_refused(change, words):
     arrays = {"time": RECORD.time, "voltage": RECORD.voltage, "displacement": RECORD.displacement}
     with pytest.raises(dehyst.RecordError, match=words):
-        dehyst.StageRecord(**{**arrays, **change})
+        dehyst.Record(**{**arrays, **change})
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_a_record_of_several_axes_is_written_and_read(tmp_path, suffix):
+    path = tmp_path / f"again{suffix}"
+    guessed = replace(RECORD, meta={"guesses": {"voltage of x": "from the unit V"}})
+    dehyst.write_record(path, guessed)
+    again = dehyst.read(path, axes="vx_V:x_um vy_V:y_um" if suffix == ".csv" else "vx_V:x_m vy_V:y_m")
+    assert again.meta["guesses"] == guessed.meta["guesses"]
+    assert np.array_equal(again.voltage, RECORD.voltage)
+    assert np.allclose(again.displacement, RECORD.displacement, rtol=0, atol=1e-20)
+    assert again.axes == RECORD.axes
+
+
+def test_the_channels_of_a_record_have_names_units_and_roles():
+    assert [(c.name, c.unit, c.role, c.axis) for c in RECORD.channels] == [
+        ("vx", "V", "drive", "x"),
+        ("x", "m", "displacement", "x"),
+        ("vy", "V", "drive", "y"),
+        ("y", "m", "displacement", "y"),
+    ]
+    single = RECORD.axis("y")
+    assert [(c.name, c.role) for c in single.channels] == [("voltage", "drive"), ("displacement", "displacement")]
+    assert single.axes == ()
+    assert single.axis(0) is single
+    assert [*RECORD.columns()] == ["time_s", "vx_V", "x_um", "vy_V", "y_um"]
+
+
+def test_a_part_of_a_record_keeps_its_axes():
+    part = RECORD[10:200].with_name("part").resample(0.05)
+    assert part.axes == RECORD.axes
+    assert part.voltage.shape == part.displacement.shape == (len(part), 2)
+    assert np.array_equal(part.axis(1).voltage, RECORD.axis(1)[10:200].resample(0.05).voltage)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        dehyst.identify,
+        lambda record: dehyst.check(dehyst.identify(RECORD.axis(0), structure="maxwell_slip").actuator, record),
+        lambda record: record.stroke,
+        lambda record: record.cycles(),
+        lambda record: record.check_usable(),
+        lambda record: record.problems(),
+        lambda record: record.axis("z"),
+        lambda record: dehyst.Record(record.time, record.voltage[:, 0], record.displacement[:, 0], axes=("x",)),
+    ],
+)
+def test_what_one_axis_has_is_not_asked_of_several(ask):
+    with pytest.raises(dehyst.RecordError, match=r"axis|axes"):
+        ask(RECORD)

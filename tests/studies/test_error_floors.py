@@ -7,8 +7,13 @@ import pytest
 
 from dehyst import identify
 from dehyst.records import Record
-from dehyst.studies.paper.error_floors import ClosedLoop, chord_error, parabola_chord_error, symmetric_width_floor
-from dehyst.studies.paper.experiment import virtual_actuator
+from dehyst.studies.paper.experiment import (
+    ClosedLoop,
+    chord_error,
+    parabola_chord_error,
+    symmetric_width_floor,
+    virtual_actuator,
+)
 
 
 def loop_of(rising, falling):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst._io.json_files import read_json
+from dehyst._io import read_json
 from dehyst.model import Actuator
 from dehyst.records import read_table
 from dehyst.studies.paper import experiment, tables

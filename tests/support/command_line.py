@@ -58,7 +58,7 @@ for line in sys.stdin:
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 _IMPORTED = (
-    *(f"dehyst.{room}" for room in ("report", "studies", "baselines", "uncertainty", "virtual", "exports")),
+    *(f"dehyst.{room}" for room in ("report", "studies", "baselines", "trust", "virtual", "exports")),
     *(f"scipy.{part}" for part in ("optimize", "signal", "interpolate", "stats", "linalg", "sparse.linalg")),
     *("highspy", "h5py", "matplotlib.figure", "matplotlib.backends.backend_svg", "mpl_toolkits.mplot3d"),
 )

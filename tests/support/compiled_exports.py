@@ -1,6 +1,5 @@
-"""Exported folders compiled by others: for this computer, for an emulated Cortex-M4, and with operations counted."""
+"""Exported folders compiled for this computer, and for an emulated Cortex-M4, whose instructions are counted."""
 
-import re
 import shutil
 import subprocess
 import tempfile
@@ -93,59 +92,37 @@ SECTIONS {
 """
 QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
 
-# In place of the number type, where an export makes floats: a number that counts what is done to it.
-COUNTING = r"""
-#include <float.h>
-struct Counted { long arithmetic, divisions, comparisons; };
-inline Counted counted;
-struct dehyst_real {
-    double x;
-    dehyst_real() = default;
-    constexpr dehyst_real(double value) : x(value) {}
-    explicit operator int() const { return int(x); }
-};
-inline dehyst_real operator+(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x + b.x; }
-inline dehyst_real operator-(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x - b.x; }
-inline dehyst_real operator*(dehyst_real a, dehyst_real b) { counted.arithmetic++; return a.x * b.x; }
-inline dehyst_real operator/(dehyst_real a, dehyst_real b) { counted.divisions++; return a.x / b.x; }
-inline dehyst_real operator-(dehyst_real a) { counted.arithmetic++; return -a.x; }
-inline dehyst_real &operator+=(dehyst_real &a, dehyst_real b) { return a = a + b; }
-inline dehyst_real &operator-=(dehyst_real &a, dehyst_real b) { return a = a - b; }
-inline dehyst_real &operator*=(dehyst_real &a, dehyst_real b) { return a = a * b; }
-inline bool operator<(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x < b.x; }
-inline bool operator>(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x > b.x; }
-inline bool operator<=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x <= b.x; }
-inline bool operator>=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x >= b.x; }
-inline bool operator==(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x == b.x; }
-inline bool operator!=(dehyst_real a, dehyst_real b) { counted.comparisons++; return a.x != b.x; }
-#define DEHYST_EPSILON DBL_EPSILON
-#define DEHYST_LARGEST DBL_MAX
-"""
-CONFIG = re.compile(r"#ifndef DEHYST_CONFIG_H\n.*?#endif\n", re.DOTALL)
-COUNTER = r"""
-#include <cstdio>
-#include <cmath>
+# Prints the instructions of each step and its voltage. The board's timer counts at 25 MHz,
+# and an instruction takes 2**6 ns of QEMU's clock: 1.6 counts.
+STOPWATCH = r"""
+#include <stdio.h>
+#include <stdint.h>
+#include <string.h>
 #include "piezo.h"
+#define CONTROL (*(volatile uint32_t *)0xE000E010u)
+#define RELOAD (*(volatile uint32_t *)0xE000E014u)
+#define COUNT (*(volatile uint32_t *)0xE000E018u)
 
-// Wishes on standard input; prints the most that a step takes of each kind, then voltages.
-int main()
+int main(void)
 {
     static piezo p;
-    Counted most = {};
-    double wish;
+    volatile dehyst_real sent;
+    long t;
+    CONTROL = 0, RELOAD = 0xFFFFFFu, COUNT = 0, CONTROL = 5;
     if (piezo_begin(&p) != DEHYST_OK) return 1;
-    while (std::scanf("%la", &wish) == 1) {
-        counted = {};
-        const dehyst_real v = piezo_step(&p, wish);
-        if (counted.arithmetic > most.arithmetic) most.arithmetic = counted.arithmetic;
-        if (counted.divisions > most.divisions) most.divisions = counted.divisions;
-        if (counted.comparisons > most.comparisons) most.comparisons = counted.comparisons;
-        std::printf("%a\n", v.x);
+    for (t = 0; t < (long)(sizeof WISHES / sizeof *WISHES); t++) {
+        uint32_t begin, end;
+        dehyst_real wish = (dehyst_real)WISHES[t];
+        COUNT = 0;
+        begin = COUNT;
+        sent = piezo_step(&p, wish);
+        end = COUNT;
+        printf("%lu %a\n", (unsigned long)((begin - end) & 0xFFFFFFu), (double)sent);
     }
-    std::printf("%ld %ld %ld\n", most.arithmetic, most.divisions, most.comparisons);
     return 0;
 }
 """
+COUNTS_AN_INSTRUCTION = 1.6
 
 
 def plain(elements=10, *, slew=None, period=None):
@@ -235,19 +212,24 @@ def emulated(folder, compensator, samples, *, every):
     return must_run([*QEMU, "driver.elf"], folder).splitlines()
 
 
-def counted(folder, given):
-    """Most operations of a step over such wishes (arithmetic, divisions, comparisons), and the voltages."""
-    work = folder.parent / f"{folder.name}_counted"
-    shutil.copytree(folder, work, dirs_exist_ok=True)
-    header = work / "dehyst.h"
-    text, places = CONFIG.subn(lambda _: COUNTING, header.read_text())
-    assert places == 1
-    header.write_text(text)
-    (work / "counter.cc").write_text(COUNTER)
-    as_cpp = ["-std=c++17", "-O1", "-ffp-contract=off", "-Drestrict=__restrict", "-x", "c++"]
-    must_run(["g++", *as_cpp, *SOURCES, "counter.cc", "-o", "counter"], work)
-    *voltages, most = must_run(["./counter"], work, input="\n".join(float(x).hex() for x in given)).splitlines()
-    return tuple(int(n) for n in most.split()), np.array([float.fromhex(v) for v in voltages])
+def _built_for_board(folder, source, text, *flags):
+    """Compile a program of an exported folder for the emulated Cortex-M4, with its unit."""
+    for name, content in ((f"{source}.c", text), ("start.S", START), ("board.ld", BOARD)):
+        (folder / name).write_text(content)
+    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
+    command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *flags, f"{source}.c", *SOURCES, *link]
+    must_run([*command, "-o", f"{source}.elf"], folder)
+    return f"{source}.elf"
+
+
+def instructions(folder, given):
+    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages."""
+    values = ",".join(float(x).hex() for x in given)
+    text = STOPWATCH.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
+    program = _built_for_board(folder, "stopwatch", text)
+    rows = must_run([*QEMU[:-1], "-icount", "shift=6", "-kernel", program], folder).splitlines()
+    counts, volts = zip(*(row.split() for row in rows), strict=True)
+    return np.array(counts, dtype=float) / COUNTS_AN_INSTRUCTION, np.array([float.fromhex(v) for v in volts])
 
 
 PAINT = r"""
@@ -293,12 +275,8 @@ int main(void)
 
 def painted(folder):
     """Bytes of stack that steps have touched on an emulated Cortex-M4, by its unit, and of one piezo."""
-    for name, text in (("paint.c", PAINT), ("start.S", START), ("board.ld", BOARD)):
-        (folder / name).write_text(text)
-    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    flags = ["-Wno-dangling-pointer"]
-    must_run(["arm-none-eabi-gcc", *STRICT, *flags, *CORTEX_M4F, "paint.c", *SOURCES, *link, "-o", "paint.elf"], folder)
-    return tuple(int(n) for n in must_run([*QEMU, "paint.elf"], folder).split())
+    program = _built_for_board(folder, "paint", PAINT, "-Wno-dangling-pointer")
+    return tuple(int(n) for n in must_run([*QEMU, program], folder).split())
 
 
 KINDS = {
@@ -312,7 +290,6 @@ KINDS = {
 TOOLS = {
     "gcc": "the exported C cannot be compiled",
     "make": "the exported Makefile cannot be run",
-    "g++": "operations cannot be counted",
     "arm-none-eabi-gcc": "nothing can be compiled for ARM (Debian: gcc-arm-none-eabi libnewlib-arm-none-eabi)",
     "qemu-system-arm": "no Cortex-M4 can be emulated (Debian: qemu-system-arm)",
 }

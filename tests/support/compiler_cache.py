@@ -9,7 +9,7 @@ import os
 import sys
 
 COMPILERS = ("cc", "gcc", "clang", "arm-none-eabi-gcc")
-_SOURCE, _HEADER = "dehyst.c", "dehyst.h"
+_SOURCE, _HEADERS = "dehyst.c", ("dehyst.h", "dehyst_model.h", "dehyst_config.h")
 # These ask for something else than an object or a program, or look for headers elsewhere.
 _OTHERWISE = ("-E", "-S", "-M", "-I", "-x", "-T", "-fsyntax-only", "-save-temps", "@")
 
@@ -39,10 +39,10 @@ def _compiled(kept, compiler, flags):
     from pathlib import Path
 
     work = Path(tempfile.mkdtemp(dir=Path(kept).parent))
-    for name in (_SOURCE, _HEADER):
+    for name in (_SOURCE, *_HEADERS):
         shutil.copyfile(name, work / name)
     done = subprocess.run([compiler, *flags, "-c", _SOURCE], cwd=work, capture_output=True, check=False)
-    for name in (_SOURCE, _HEADER):
+    for name in (_SOURCE, *_HEADERS):
         (work / name).unlink()
     silent = not (done.returncode or done.stdout or done.stderr)
     if silent:
@@ -65,7 +65,11 @@ def _take(kept, output):
 
 def _without_the_core(folder, compiler, words):
     """Arguments of what is left to do once the core's object is at hand; None if that is nothing."""
-    if words.count(_SOURCE) != 1 or any(word.startswith(_OTHERWISE) for word in words) or not os.access(_HEADER, 0):
+    if (
+        words.count(_SOURCE) != 1
+        or any(word.startswith(_OTHERWISE) for word in words)
+        or not all(os.access(name, 0) for name in _HEADERS)
+    ):
         return words
     rest, output = list(words), None
     if "-o" in rest[:-1]:
@@ -76,7 +80,7 @@ def _without_the_core(folder, compiler, words):
     files = [word for word in rest if not word.startswith("-")]
     if not all(file.endswith((".c", ".o")) for file in files):
         return words
-    texts = [_read(name) for name in (_SOURCE, _HEADER)]
+    texts = [_read(name) for name in (_SOURCE, *_HEADERS)]
     kept = f"{folder}/{hashlib.sha256(repr((compiler, flags, texts)).encode()).hexdigest()}"
     if not os.access(kept, 0) and not _compiled(kept, compiler, flags):
         return words

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from dehyst.stages import StageRecord, stage_excitation
+from dehyst.records import Record
+from dehyst.stages import stage_excitation
 from dehyst.virtual import PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling
 
@@ -26,7 +27,7 @@ def played(time, voltage, seed=0, coupling=COUPLING, bent=0.0, noise=3e-9):
     if bent:
         wide = PlayActuator(stroke=16e-6, highest=100.0, width=0.95, noise=0.0)
         y[:, 1] += bent * wide.play(both[:, 0], measured=False)[len(rise) :]
-    return StageRecord(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
+    return Record(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
 
 
 def excited(seed=0, *, steps=8, cycles=8, **options):

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from dehyst.instruments import open_stage_rig
+from dehyst.instruments import open_rig
 from dehyst.virtual import PlayActuator, PreisachActuator, StageBench, VirtualStage
 from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 from dehyst.virtual.emulator.faults import actual_limits
@@ -40,5 +40,5 @@ def served(*faults, speed=20.0, stage=None, **options):
 
 @contextmanager
 def rig_of(server, axes="1,2,3", **options):
-    with open_stage_rig(f"pi://127.0.0.1:{server.port}/{axes}", **options) as rig:
+    with open_rig(f"pi://127.0.0.1:{server.port}/{axes}", **options) as rig:
         yield rig

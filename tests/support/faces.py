@@ -6,9 +6,9 @@ FACES = {
         "dehyst": """
             Actuator Bank ClampWarning Command Compensator Creep DehystError Dynamics FileFormatError Fit GradedSlip
             IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record RecordError
-            RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit StageRecord State Structure
+            RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit State Structure
             Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm identify
-            identify_stage insight read read_stage shortest_homing wave_table write_record
+            identify_stage insight read shortest_homing wave_table write_record
         """,
         "banks": """
             Bank BankClamps BankState
@@ -17,33 +17,34 @@ FACES = {
             BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
             ModelComparison ModifiedPrandtlIshlinskii PrandtlIshlinskii Preisach compare
         """,
+        "calibration": """
+            Calibration PathPlanner Plan ProgressListener TrackedPath calibrate
+        """,
         "cli": """
             main
         """,
         "control": """
-            ClampWarning Command Compensator HomedPath Homing PathPlanner PossibleStart Snapshot StartError StateBounds
-            TrackedPath VoltageLimits WaveTable home_before home_before_voltage shortest_homing start_at wave_table
+            ClampWarning Command Compensator HomedPath Homing PossibleStart Snapshot StartError StateBounds
+            VoltageLimits WaveTable home_before plan_path plan_voltage shortest_homing start_at wave_table
         """,
         "exports": """
-            Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module worst_case
+            Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
             Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task actuators drifts_of findings_of
             identify_fleet load open_dataset
         """,
         "identification": """
-            Change CheckHistory Deadline Method Norm Recheck Standing check identify state_after
+            Check Deadline Expectation Fit Method Norm Outcome Readiness RecordErrors RemainingError Structure Trace
+            Verdict identify initial_state state_after
         """,
         "instruments": """
-            HIGHEST_RATE AbstractRig AbstractStageRig DeviceError LinkError Listener Reading RigError Samples
-            SensorError StageListener StageSamples host_timed open_rig open_stage_rig
-        """,
-        "instruments.calibration": """
-            Calibration Plan ProgressListener calibrate
+            HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
+            open_rig
         """,
         "model": """
-            AbstractModel Actuator Check Creep Dynamics Expectation Fit GradedSlip MaxwellSlip Motion Outcome Physical
-            Readiness RecordErrors RemainingError SmoothSlip Spring State Structure Trace Transformer Verdict simulated
+            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical SmoothSlip
+            Spring State Transformer simulated
         """,
         "records": """
             Record Recording read read_table write_columns write_hdf5 write_record
@@ -52,15 +53,16 @@ FACES = {
             render write_calibration write_check_history write_comparison write_insight write_record_page write_report
         """,
         "stages": """
-            ExportedStage HomedStage Stage StageCalibration StageCompensator StageExcitation StageFit StageInsight
-            StagePlan StageRecheck StageRecord StageTrace calibrate_stage check_stage export_stage
-            home_stage_before identify_stage read_stage stage_excitation stage_insight write_stage_report
+            Stage StageCompensator StageExcitation StageFit StageInsight
+            StageRecheck StageTrace check_stage export_stage
+            home_stage_before identify_stage plan_stage_path plan_stage_voltage stage_excitation stage_insight
+            write_stage_report
         """,
         "studies.paper": """
             Paper
         """,
-        "uncertainty": """
-            FirstRise Insight RestStates insight state_from_first_rise
+        "trust": """
+            Change CheckHistory Insight Judgement Recheck Standing check insight judge
         """,
         "virtual": """
             BoucWenActuator ModelledActuator PlayActuator PreisachActuator StageBench VirtualActuator VirtualBench
@@ -84,5 +86,4 @@ DRIVERS = {
     "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
     "dehyst.instruments.nidaqmx": ["NiRig"],
     "dehyst.instruments.pi": ["PiRig"],
-    "dehyst.instruments.pi_stage": ["PiStageRig"],
 }

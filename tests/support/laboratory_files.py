@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import nptdms
 import numpy as np
+import pytest
 import scipy.io
+
+from dehyst.records import Record
 
 RATE = 500.0
 N = 1200
@@ -36,6 +40,20 @@ def rows(*columns: np.ndarray, sign: str = ",", number: str = "%.9g") -> str:
 
 def german(text: str) -> str:
     return text.replace(".", ",")
+
+
+def options_of(words: str) -> dict[str, str | float]:
+    """The arguments of `dehyst.read` for options of the command line."""
+    given = shlex.split(words)
+    pairs = zip(given[::2], given[1::2], strict=True)
+    return {k.removeprefix("--").replace("-", "_"): float(v) if k == "--sample-rate" else v for k, v in pairs}
+
+
+def assert_measured(record: Record) -> None:
+    """Assert that a record is T, V and Y, from whatever time."""
+    assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
+    assert record.voltage == pytest.approx(V, abs=1e-4)
+    assert record.displacement == pytest.approx(Y, abs=1e-11)
 
 
 def tektronix(path: Path) -> None:

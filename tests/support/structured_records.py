@@ -10,14 +10,14 @@ import numpy as np
 import plain_records
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
-from dehyst.identification.dynamics_search import SensedDynamics
+from dehyst.identification import Structure
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.training_data import TrainingData
-from dehyst.model import SmoothSlip, Structure
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
+from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.model import SmoothSlip
 
 SLOPE = plain_records.VOLTS / plain_records.STROKE
 FLOOR = 0.1 * SLOPE
@@ -110,7 +110,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.identification.preprocessing.internal_states.Beside` is, in one piece."""
+    """What `dehyst.identification.preprocessing.regressors.Beside` is, in one piece."""
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     time, y = piece.time, piece.displacement

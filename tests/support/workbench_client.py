@@ -1,13 +1,18 @@
 """A workbench in a process of its own, and a client of its page."""
 
+import os
+import pty
 import re
 import signal
 import subprocess
+import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import httpx
 from command_line import DEHYST, TIMEOUT
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 LINK = re.compile(r"(http://127\.0\.0\.1:(\d+))/\?token=(\S+)")
 # Seconds between two looks at the state.
@@ -15,34 +20,52 @@ _LOOK = 0.05
 
 
 class Served:
-    """A running workbench: its `folder`, `base` address, `port`, `token` and `process`."""
+    """A running workbench: its `folder`, `base` address, `port` and `process`."""
 
-    def __init__(self, process, folder, base, port, token):
-        self.process, self.folder, self.base, self.port, self.token = process, folder, base, port, token
-        self.link = f"{base}/?token={token}"
+    def __init__(self, process, folder, terminal):
+        self.process, self.folder, self._terminal = process, folder, terminal
+        self._unused = self._printed()
+        self.base, self.port = self._unused[1], int(self._unused[2])
+
+    @property
+    def link(self):
+        """A link that lets one browser in: the first one, then those that Enter prints."""
+        match, self._unused = self._unused, None
+        if match is None:
+            os.write(self._terminal, b"\n")
+            match = self._printed()
+        return match[0]
+
+    def _printed(self):
+        while line := self.process.stdout.readline():
+            if match := LINK.search(line):
+                return match
+        raise AssertionError(self.process.stderr.read())
 
     @contextmanager
     def client(self):
         """Open a client that has the cookie, as the page has."""
         headers = {"Origin": self.base}
         with httpx.Client(base_url=self.base, headers=headers, timeout=60, follow_redirects=True) as client:
-            assert client.get("/", params={"token": self.token}).status_code == 200
+            assert client.get(self.link).status_code == 200
             yield client
 
 
 @contextmanager
-def served(folder, *options):
+def served(folder, *options, browser=None):
+    """Serve a workbench; `browser`: a program that it opens the page with."""
+    page = ["--no-browser"] if browser is None else []
+    terminal, end = pty.openpty()
     process = subprocess.Popen(
-        [*DEHYST, "workbench", str(folder), "--no-browser", "--port", "0", *options],
+        [*DEHYST, "workbench", str(folder), *page, "--port", "0", *options],
+        env={**os.environ, "BROWSER": browser or ""},
+        stdin=end,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        line = process.stdout.readline()
-        match = LINK.search(line)
-        assert match, line + process.stderr.read()
-        yield Served(process, folder, match[1], int(match[2]), match[3])
+        yield Served(process, folder, terminal)
     finally:
         process.send_signal(signal.SIGTERM)
         try:
@@ -53,6 +76,8 @@ def served(folder, *options):
         finally:
             process.stdout.close()
             process.stderr.close()
+            os.close(terminal)
+            os.close(end)
 
 
 def until(client, condition):
@@ -86,3 +111,19 @@ def done(client, answer):
     key = answer.json()["job"]
     state = until(client, lambda state: entry(state, "jobs", key)["status"] != "running")
     return entry(state, "jobs", key), state
+
+
+@contextmanager
+def alive(served, client):
+    """Answer the server's messages, as an open page does: signs of life for the rig's watchdog."""
+    cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+    url = f"ws://127.0.0.1:{served.port}/api/events"
+    with connect(url, origin=served.base, additional_headers={"Cookie": cookies}) as news:
+
+        def answer():
+            with suppress(ConnectionClosed):
+                for _ in news:
+                    news.send('{"kind": "alive"}')
+
+        threading.Thread(target=answer, daemon=True).start()
+        yield

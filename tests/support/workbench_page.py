@@ -44,6 +44,8 @@ class Visitor:
         self.served, self.clicks, self.complaints, self.elsewhere = served, 0, [], []
         self.page = self.tab()
         self.page.goto(served.link)
+        # The link's own page leads to the workbench's; what is done before that is lost.
+        self.page.wait_for_url(re.compile(re.escape(served.base) + "/(#.*)?$"))
 
     def tab(self):
         """Open a page of this browser; the cookie is the browser's."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
 from dehyst.waveforms import Lissajous, Raster, ScanPath, Spiral, Steps, Triangle
-from dehyst.waveforms.profiles import Bridge, Edge, PathPoint, highest, least_blend, least_seconds
+from dehyst.waveforms.scan import Bridge, Edge, PathPoint, highest, least_blend, least_seconds
 
 UM = 1e-6
 ROUNDINGS = st.sampled_from(["parabola", "cosine"])
@@ -253,8 +253,8 @@ def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: Triangle(5 * UM, 5 * UM, 1), "low, high: got 5e-06 and 5e-06 m, need the lower one first"),
-        (lambda: Triangle(5, 45, 1), "low: got 5 m, need 1 m at most; give metres"),
+        (lambda: Triangle(5 * UM, 5 * UM, 1), "low, high: got 5 and 5 um, need the lower one first"),
+        (lambda: Triangle(5, 45, 1), r"low: got 5e\+06 um, need 1e\+06 um at most"),
         (lambda: Triangle(float("nan"), UM, 1), "low: got nan, need a finite number"),
         (lambda: Triangle(0, UM, 0), "frequency: got 0, need a number above 0"),
         (lambda: Triangle(0, UM, 1, turns=1.5), "turns: got 1.5, need a share above 0 and up to 1"),
@@ -269,7 +269,7 @@ def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
         (lambda: Raster(0, UM, 1, 1), "lines: got 1, need a whole number from 2 to"),
         (lambda: Raster(0, UM, 1, 3, slow="fast"), "slow: got 'fast', need 'staircase' or 'ramp'"),
         (lambda: Raster(0, UM, 1, 3, slow="ramp", back=0), "back: got 0, need a whole number from 1 to"),
-        (lambda: Raster(0, UM, 1, 3, y_low=2e-6), "y_low, y_high: got 2e-06 and 1e-06 m"),
+        (lambda: Raster(0, UM, 1, 3, y_low=2e-6), "y_low, y_high: got 2 and 1 um"),
         (
             lambda: Raster(0, UM, 1, 2, y_high=9e-5, speed=3e-6),
             "speed: got .*, but a step to the next line takes .* try",
@@ -288,7 +288,7 @@ def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
         (lambda: Lissajous((UM, UM), 1, phase="x"), "phase: got 'x', need an angle in radians"),
         (lambda: Lissajous((UM, UM), 9, acceleration=1e-3), "acceleration: got .* but x of this figure takes"),
         (lambda: Steps((0,), 1, seconds=1), "levels: got .*, need two displacements at least"),
-        (lambda: Steps((0, 0, UM), 1, seconds=1), "levels: got 0 m twice in a row"),
+        (lambda: Steps((0, 0, UM), 1, seconds=1), "levels: got 0 um twice in a row"),
         (lambda: Steps((0, UM), 1), "seconds: got none, and no acceleration; give the time of an edge"),
         (lambda: Steps((0, UM), 1, seconds=1e-4, acceleration=1), "seconds: got 0.0001 s .*; try .* s, or none"),
         (lambda: SCANS["open"].path().repeated(2), "cycles: got a path that ends elsewhere than it begins"),

@@ -87,7 +87,7 @@ def test_peaks_that_are_no_voltages(peaks):
         (lambda: staircase(1.0, hold=0), "hold: got 0, need a number above 0"),
         (lambda: staircase(1.0, ramp=-1), "ramp: got -1, need a number above 0"),
         (lambda: staircase(1.0, steps=0), "steps: got 0, need a whole number from 1 to"),
-        (homing, "homing: got neither of highest and turns, need one; try highest="),
+        (homing, "homing: got neither of highest and turns, need one; try the highest"),
         (lambda: homing(5.0, turns=[1.0]), "homing: got both of highest and turns, need one"),
         (lambda: homing(turns=[]), "turns: got 0 beside the present 0 V, need 1 to"),
         (lambda: homing(turns=[0.0]), "turns: got 0 beside the present 0 V, need 1 to"),
@@ -124,7 +124,7 @@ def test_too_long_before_memory_is_taken(make):
 
 def test_what_does_not_fit_behind():
     first = raised_cosine(10.0)
-    with pytest.raises(RecordError, match="ends at 0 V, but 'homing' begins at 5 V; make that one with present=0"):
+    with pytest.raises(RecordError, match="begin at the present voltage 0"):
         first.then(homing(turns=[9.0], drive=Sampling(present=5.0)))
     with pytest.raises(RecordError, match="sample rates: got 4 and then 8 Hz, need one; make both with the same"):
         first.then(raised_cosine(10.0, drive=Sampling(sample_rate=8.0)))

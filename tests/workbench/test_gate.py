@@ -1,17 +1,28 @@
 """Nothing passes the gate but the page itself: no foreign host, page, token or path, and no random request."""
 
 import http.client
+import io
 import json
+import os
 import random
 import re
+import resource
+import socket
 import string
 import time
+import zipfile
+from contextlib import suppress
+from pathlib import Path
 
 import httpx
 import pytest
-from websockets.exceptions import InvalidHandshake, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
-from workbench_client import served
+from workbench_client import served, until
+
+from dehyst.workbench.folder import Folder
+from dehyst.workbench.gate import MOST
+from dehyst.workbench.serving import Door
 
 ROUTES = [
     ("GET", "/"),
@@ -87,19 +98,99 @@ def test_a_wrong_token_gives_no_cookie(bench, token):
 
 
 def test_the_cookie_is_hidden_from_scripts_and_from_other_sites(bench):
-    answer = httpx.get(bench.link)
-    assert answer.status_code == 303
+    link = bench.link
+    answer = httpx.get(link)
+    assert answer.status_code == 200
     words = answer.headers["set-cookie"]
     assert words.startswith(f"dehyst-{bench.port}=")
     assert "HttpOnly" in words
     assert "SameSite=Strict" in words
-    assert bench.token not in words
+    assert link.partition("token=")[2] not in words
+    # Else a browser asks for /favicon.ico, which there is not.
+    assert 'rel="icon" href="data:,"' in answer.text
 
 
 def test_the_token_counts_for_the_page_only(bench):
+    token = bench.link.partition("token=")[2]
     for method, path in ROUTES[1:]:
-        joined = f"{path}{'&' if '?' in path else '?'}token={bench.token}"
+        joined = f"{path}{'&' if '?' in path else '?'}token={token}"
         assert httpx.request(method, bench.base + joined, headers={"Origin": bench.base}).status_code == 403
+
+
+def test_a_link_lets_one_browser_in_and_enter_prints_another(bench):
+    first, second = bench.link, bench.link
+    assert first != second
+    for link in (first, second):
+        assert [httpx.get(link).status_code for _ in range(3)] == [200, 403, 403]
+    refused = httpx.get(first)
+    assert "Enter" in refused.text
+    assert not refused.cookies
+
+
+def test_a_link_ends_after_a_minute(tmp_path):
+    now = 100.0
+    door = Door("http://127.0.0.1:1", tmp_path, clock=lambda: now)
+    token = door.link().partition("token=")[2]
+    late, other = (door.link().partition("token=")[2] for _ in range(2))
+    now += 59.9
+    assert not door.admits("")
+    assert door.admits(token)
+    now += 0.2
+    assert not door.admits(late)
+    assert not door.admits(other)
+
+
+def test_the_private_file_leads_to_a_link_and_is_deleted_with_it(tmp_path):
+    door = Door("http://127.0.0.1:1", tmp_path)
+    page = door.page()
+    assert page.stat().st_mode & 0o777 == 0o600
+    token = re.search(r"token=([\w-]+)", page.read_text())[1]
+    assert door.admits(door.link().partition("token=")[2])
+    assert page.exists()
+    assert door.admits(token)
+    assert not page.exists()
+    left = door.page()
+    Door("http://127.0.0.1:1", tmp_path)
+    assert not left.exists()
+
+
+def test_the_command_line_of_a_browser_holds_no_secret(tmp_path):
+    """The browser is a program that writes down its arguments, and what is in the file that they name."""
+    browser, seen = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(
+        f'#!/bin/sh\nprintf "%s\\n" "$@" > {seen}.tmp\ncat "${{1#file://}}" >> {seen}.tmp\nmv {seen}.tmp {seen}\n'
+    )
+    browser.chmod(0o755)
+    with served(tmp_path / "bench", browser=str(browser)) as running:
+        deadline = time.monotonic() + 60
+        while not seen.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        argument, page = seen.read_text().split("\n", 1)
+        assert argument.startswith("file://")
+        assert "token=" not in argument
+        link = re.search(r"url=(http[^\"]+)", page)[1]
+        # As a browser does that follows a link in a file.
+        answer = httpx.get(link, headers={"Sec-Fetch-Site": "cross-site"})
+        assert answer.status_code == 200
+        assert answer.cookies
+        assert not list((tmp_path / "bench").glob("*.html"))
+        assert httpx.get(link).status_code == 403
+        assert running.process.poll() is None
+
+
+@pytest.mark.parametrize("mode", [None, 0o755])
+def test_nobody_else_may_read_the_folder(tmp_path, mode):
+    folder = tmp_path / "bench"
+    if mode is not None:
+        folder.mkdir(mode)
+        folder.chmod(mode)
+    made = Folder(folder)
+    made.close()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert ("other users" in made.privacy) == (mode is not None)
+    again = Folder(folder)
+    assert again.privacy == ""
+    again.close()
 
 
 def test_twice_the_same_header_is_refused(bench, client):
@@ -132,12 +223,17 @@ def test_a_socket_from_elsewhere_is_refused(bench, client, headers):
 
 def test_the_socket_of_the_page_gets_the_state(bench, client):
     url = f"ws://127.0.0.1:{bench.port}/api/events"
-    with connect(url, origin=bench.base, additional_headers={"Cookie": cookie(client)}) as socket:
-        message = json.loads(socket.recv(timeout=10))
+    with connect(url, origin=bench.base, additional_headers={"Cookie": cookie(client)}) as news:
+        message = json.loads(news.recv(timeout=10))
         assert message["kind"] == "state"
         for junk in ("", "{", "[]", '{"kind": "alive"}', '{"kind": 1}', "x" * 60_000):
-            socket.send(junk)
+            news.send(junk)
         assert client.get("/api/state").status_code == 200
+        news.send(b"\x00")
+        with pytest.raises(ConnectionClosed):
+            while True:
+                news.recv(timeout=10)
+        assert news.protocol.close_rcvd.code == 1003
 
 
 def test_the_policy_lets_the_page_load_from_here_only(client):
@@ -211,6 +307,87 @@ def test_an_upload_that_is_too_large_leaves_nothing(bench, client):
         assert "0.5 MB" in answer.json()["error"]
         assert "--max-size" in answer.json()["error"]
     assert sorted(path.name for path in (bench.folder / "uploads").iterdir()) == before
+
+
+def test_an_upload_that_breaks_off_leaves_nothing_and_not_its_name(tmp_path):
+    text = b"time_s,voltage_V,displacement_um\n0,1,2\n"
+    with served(tmp_path / "bench") as running, running.client() as client:
+        head = f"PUT /api/records?name=big.csv HTTP/1.1\r\nHost: 127.0.0.1:{running.port}\r\nOrigin: {running.base}\r\n"
+        head += f"Cookie: {cookie(client)}\r\nContent-Length: 100000\r\n\r\n"
+        for _ in range(3):
+            with socket.create_connection(("127.0.0.1", running.port)) as link:
+                link.sendall(head.encode() + text)
+                time.sleep(0.2)
+        uploads = running.folder / "uploads"
+        until(client, lambda _: not list(uploads.iterdir()))
+        assert client.put("/api/records", params={"name": "big.csv"}, content=text).status_code == 200
+        assert [path.name for path in uploads.iterdir()] == ["big.csv"]
+        running.process.terminate()
+        assert "Traceback" not in running.process.stderr.read()
+
+
+def test_a_folder_comes_as_an_archive_without_what_its_links_lead_to(bench, client, tmp_path):
+    (tmp_path / "secret.txt").write_text("secret")
+    place = bench.folder / "exports" / "plain"
+    (place / "deeper").mkdir(parents=True)
+    (place / "deeper" / "own.txt").write_text("own")
+    (place / "file").symlink_to(tmp_path / "secret.txt")
+    (place / "folder").symlink_to(tmp_path)
+    os.mkfifo(place / "pipe")
+    archive = zipfile.ZipFile(io.BytesIO(client.get("/files/exports/plain").content))
+    assert [name for name in archive.namelist() if not name.endswith("/")] == ["plain/deeper/own.txt"]
+    assert archive.read("plain/deeper/own.txt") == b"own"
+
+
+def test_connections_that_say_nothing_are_closed_after_a_while(bench):
+    with (
+        socket.create_connection(("127.0.0.1", bench.port), 20) as silent,
+        socket.create_connection(("127.0.0.1", bench.port), 20) as slow,
+    ):
+        slow.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n")
+        began = time.monotonic()
+        for link in (silent, slow):
+            with suppress(ConnectionResetError):
+                assert link.recv(10) == b""
+        assert 9.0 < time.monotonic() - began < 18.0
+
+
+def test_a_crowd_of_connections_keeps_neither_the_page_nor_the_stop_out(tmp_path):
+    """A server with few descriptors, and more connections than these, with and without a part of a request."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
+    try:
+        context = served(tmp_path / "bench")
+        running = context.__enter__()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    try:
+        with (
+            running.client() as client,
+            connect(
+                f"ws://127.0.0.1:{running.port}/api/events",
+                origin=running.base,
+                additional_headers={"Cookie": cookie(client)},
+            ) as news,
+        ):
+            crowd = []
+            for k in range(400):
+                crowd.append(socket.create_connection(("127.0.0.1", running.port), 20))
+                with suppress(OSError):
+                    crowd[-1].sendall((b"", b"GET / HTTP/1.1\r\n")[k % 2])
+            for _ in range(20):
+                began = time.monotonic()
+                assert client.post("/api/rig/stop", json={}).status_code == 400
+                assert time.monotonic() - began < 5.0
+            assert len(list(Path(f"/proc/{running.process.pid}/fd").iterdir())) < MOST + 60
+            news.send('{"kind": "alive"}')
+            assert json.loads(news.recv(timeout=10))["kind"] == "state"
+            for link in crowd:
+                link.close()
+        running.process.terminate()
+        assert "Traceback" not in running.process.stderr.read()
+    finally:
+        context.__exit__(None, None, None)
 
 
 def test_an_empty_or_malformed_upload_is_refused_with_a_sentence(bench, client):

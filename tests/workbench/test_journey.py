@@ -1,6 +1,7 @@
 """From a record to a voltage and an export, by requests as the page sends them; and the script does the same again."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -39,7 +40,7 @@ def visited(tmp_path_factory, loops):
     folder = tmp_path_factory.mktemp("journey") / "bench"
     with served(folder) as running, running.client() as client:
         record = upload(client, loops)
-        model = identified(client, [record["id"]], options={"structure": "paper", "name": "my stage"})
+        model = identified(client, [record["id"]], options={"structure": "maxwell_slip", "name": "my stage"})
         base = f"/api/models/{model['id']}"
         path = done(client, client.post(f"{base}/path", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
         scan = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
@@ -145,7 +146,7 @@ def test_the_script_makes_the_same_files_again(visited, tmp_path):
     ended = subprocess.run(
         ["sh", "commands.sh"],
         cwd=tmp_path / "again",
-        env={"PATH": f"{program.parent}:/usr/bin:/bin"},
+        env=os.environ | {"PATH": f"{program.parent}:/usr/bin:/bin"},
         check=False,
         capture_output=True,
         text=True,
@@ -161,7 +162,7 @@ def test_everything_is_there_after_a_kill_and_a_new_start(tmp_path, loops):
     folder = tmp_path / "bench"
     with served(folder) as running, running.client() as client:
         record = upload(client, loops)
-        model = identified(client, [record["id"]], options={"structure": "paper"})
+        model = identified(client, [record["id"]], options={"structure": "maxwell_slip"})
         time.sleep(1)
         running.process.send_signal(signal.SIGKILL)
         running.process.wait()

@@ -13,7 +13,7 @@ from workbench_tour import PICTURES, played
 
 from dehyst.records import read_table
 
-pytest.importorskip("playwright.sync_api", reason="needs playwright")
+Error = pytest.importorskip("playwright.sync_api", reason="needs playwright").Error
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 LIMITS, SLEW = (0, 100), 500
 # Pixels of a block in which pictures are compared.
@@ -40,7 +40,7 @@ def bench_with_model(tmp_path_factory, browser, loops):
     with served(tmp_path_factory.mktemp("page") / "bench") as running:
         with visit(browser, running) as visitor:
             visitor.drop(loops)
-            visitor.identify(structure="paper")
+            visitor.identify(structure="maxwell_slip")
         yield running
 
 
@@ -228,6 +228,17 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
         person.page.locator("#rig-bar").wait_for(state="hidden")
     person.step("Model")
     person.sees("is the largest error to expect", within="#model")
+    person.sees("Calibrated on", within="#model")
+    assert " 0 s" not in person.page.locator("#model").inner_text()
+    person.page.locator("#model .figure .series").first.wait_for()
+    assert colours(person.page.locator("#model .figure").first) > 3
+    assert person.page.locator("#model .figure select option").count() > 1
+    person.sees("Read the report", within="#model")
+    person.step("Trust")
+    person.click("button", "Assess the model")
+    person.sees("etermined", within="#trust-insight")
+    person.step("Export")
+    assert person.download("link", "Model (JSON)")[1].lstrip().startswith(b"{")
     assert list((bench.folder / "calibrations").glob("*/report.html"))
     assert "# moves the actuator: dehyst calibrate" in (bench.folder / "commands.sh").read_text()
 
@@ -240,6 +251,28 @@ def test_the_plan_of_a_calibration_scrolls_in_a_small_window(person):
     assert person.page.evaluate("() => document.documentElement.scrollWidth - innerWidth") <= 0
     person.click("button", "Disconnect")
     person.page.locator("#rig-bar").wait_for(state="hidden")
+
+
+def test_a_rig_stays_armed_while_the_page_asks_whether_to_leave(person):
+    asked = []
+
+    def stay(dialog):
+        asked.append(dialog.type)
+        # Longer than the rig's watchdog waits for a sign of life.
+        time.sleep(1.5)
+        dialog.dismiss()
+
+    with emulator("--limits", "0", "100") as address:
+        person.connect(address, LIMITS, SLEW)
+        person.arm(LIMITS, SLEW)
+        person.page.on("dialog", stay)
+        with pytest.raises(Error):
+            person.page.goto("about:blank")
+        person.page.wait_for_timeout(700)
+        assert asked == ["beforeunload"]
+        person.sees("^armed", within="#rig-bar")
+        person.click("button", "Disconnect")
+        person.page.locator("#rig-bar").wait_for(state="hidden")
 
 
 def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):

@@ -1,7 +1,10 @@
 """The page in a real browser: few clicks from a record to a voltage, keys, errors, the stop, and accessibility."""
 
 import json
+import re
 import shutil
+import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -52,13 +55,16 @@ def start(browser, workbench):
     """A way to open the page; whatever the console writes or leaves this machine fails the test."""
     contexts, complaints, foreign = [], [], []
 
-    def open_page(**options):
+    def open_page(elsewhere=workbench.base, **options):
         context = browser.new_context(viewport={"width": 1400, "height": 900}, **options)
         contexts.append(context)
         page = context.new_page()
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda request: request.url.startswith(workbench.base) or foreign.append(request.url))
+        page.on(
+            "request",
+            lambda request: request.url.startswith((workbench.base, elsewhere)) or foreign.append(request.url),
+        )
         return page
 
     yield open_page
@@ -82,13 +88,30 @@ def journey(start, workbench, loops):
     page.set_input_files("#file", loops)
     clicks.append("drop")
     page.click(".identify summary")
-    page.select_option(".identify select >> nth=0", "paper")
+    page.select_option(".identify select >> nth=0", "maxwell_slip")
     click("#identify:not([disabled])")
     click("text=Make a voltage")
     click("#write")
     with page.expect_download(timeout=LONGEST) as download:
         click("text=Download CSV")
     return page, clicks, download.value.path().read_text()
+
+
+def test_the_private_file_leads_a_browser_in(browser, tmp_path):
+    opener, seen = tmp_path / "opener", tmp_path / "seen"
+    opener.write_text(f'#!/bin/sh\necho "$1" > {seen}.new\nmv {seen}.new {seen}\n')
+    opener.chmod(0o755)
+    with served(tmp_path / "bench", browser=str(opener)) as running:
+        deadline = time.monotonic() + 60
+        while not seen.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        context = browser.new_context()
+        page = context.new_page()
+        page.goto(seen.read_text().strip())
+        sync_api.expect(page.locator("#connection")).to_have_text("Connected", timeout=LONGEST)
+        assert page.url.startswith(running.base)
+        assert not list(running.folder.glob("*.html"))
+        context.close()
 
 
 def test_a_voltage_takes_five_clicks(journey):
@@ -165,17 +188,67 @@ def test_what_cannot_be_reached_is_said_at_once(journey):
 def test_a_bad_file_brings_the_form_that_mends_it(journey, loops, tmp_path):
     page = journey[0]
     bad = tmp_path / "bad.csv"
-    bad.write_text(loops.read_text().replace("time_s,voltage_V,displacement_um", "when,a,b"))
+    bad.write_text(loops.read_text().replace("time_s,voltage_V,displacement_um", "when,a,a"))
     page.click("#step-records")
     page.set_input_files("#file", bad)
     card = page.locator(".card.refused")
     card.wait_for(timeout=LONGEST)
     assert "when" in card.locator(".error >> nth=0").inner_text()
-    card.get_by_label("Or all columns in their order").fill("time:s,voltage:V,displacement:um")
+    columns = ("", "when", "a", "a")
+    for at, quantity in enumerate(("time", "voltage", "displacement"), 1):
+        choice = card.get_by_label(f"Column of the {quantity}")
+        assert choice.evaluate("one => one.options.length") == len(columns)
+        choice.select_option(index=at)
+    for unit, symbol in zip(card.get_by_label("Unit").all(), ("s", "V", "um"), strict=True):
+        unit.select_option(symbol)
     card.get_by_role("button", name="Read again").click()
-    page.wait_for_selector("#record-list .card.ready:nth-child(2)", timeout=LONGEST)
+    sync_api.expect(page.locator("#record-list .card.ready")).to_have_count(2, timeout=LONGEST)
+    facts = page.locator("#record-list .facts").all_inner_texts()
+    assert facts[0] == facts[1]
     page.click('[aria-label="Remove bad from the list"]')
     page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
+
+
+def test_files_that_cannot_be_read_come_first_and_without_a_form(journey, loops, tmp_path):
+    page = journey[0]
+    page.click("#step-records")
+    contents = {
+        "scope.csv": loops.read_bytes().replace(b"time_s", b"when"),
+        "zeros.csv": bytes(4000),
+        "broken.mat": b"nothing of MATLAB" * 40,
+    }
+    page.set_viewport_size({"width": 1400, "height": 500})
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+        page.evaluate("() => window.scrollTo(0, document.body.scrollHeight)")
+        page.set_input_files("#file", tmp_path / name)
+        card = page.locator("#record-list > li").first
+        sync_api.expect(card.locator("h3")).to_have_text(name.split(".")[0])
+        card.locator(".error").first.wait_for(timeout=LONGEST)
+        sync_api.expect(card).to_be_in_viewport()
+        assert card.locator("select").count() == (6 if name == "scope.csv" else 0)
+        words = card.locator(".error").first.inner_text()
+        assert words.startswith(name)
+        assert "uploads" not in words and "ValueError" not in words
+    assert "3 need" in page.inner_text("#step-records")
+    for name in contents:
+        page.click(f'[aria-label="Remove {name.split(".")[0]} from the list"]')
+    page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
+    page.set_viewport_size({"width": 1400, "height": 900})
+
+
+def test_back_leads_to_the_step_before(journey, workbench):
+    page = journey[0]
+    page.click("#step-records")
+    for step in ("model", "export"):
+        page.click(f"#step-{step}")
+    page.go_back()
+    sync_api.expect(page.locator("#model")).to_be_visible()
+    page.go_back()
+    sync_api.expect(page.locator("#records")).to_be_visible()
+    page.go_forward()
+    sync_api.expect(page.locator("#model")).to_be_visible()
+    assert page.url.startswith(workbench.base)
 
 
 @pytest.mark.parametrize("width", [1400, 1000, 400])
@@ -200,26 +273,164 @@ def test_axe_finds_nothing(journey, scheme):
         assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found] == [], step
 
 
-def test_escape_and_the_button_stop_a_rig_twice_over(start, workbench, journey):
-    page, stopped, sockets = start(storage_state=journey[0].context.storage_state()), [], []
+@pytest.fixture
+def staged(start, workbench, journey):
+    """A page on which the server's state is changed before it arrives: `page`, and a way to send another change."""
+    page, sockets, last = start(storage_state=journey[0].context.storage_state()), [], []
 
     def news(route):
         server = route.connect_to_server()
         sockets.append(route)
 
-        def with_rig(message):
-            news = json.loads(message)
-            if news["kind"] == "state":
-                news["state"]["rig"] = {**RIG, "stop": {"port": workbench.port, "key": "k"}}
-            route.send(json.dumps(news))
+        def passed_on(message):
+            if json.loads(message)["kind"] == "state":
+                last[:] = [message]
+                route.send(json.dumps(changed(message)))
 
-        server.on_message(with_rig)
+        server.on_message(passed_on)
+
+    def changed(message):
+        news = json.loads(message)
+        change(news["state"])
+        return news
+
+    def send(another):
+        nonlocal change
+        change = another
+        if sockets:
+            sockets[-1].send(json.dumps(changed(last[0])))
+
+    def change(state):
+        pass
+
+    page.route_web_socket("**/api/events", news)
+    return page, send
+
+
+def with_rig(**about):
+    return lambda state: state.update(rig={**RIG, **about})
+
+
+def test_leaving_asks_while_something_moves(staged, workbench):
+    page, send = staged
+    asked = []
+    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.goto(workbench.base)
+    # A browser asks only on behalf of a page that was used.
+    page.click("#step-rig")
+    page.reload()
+    assert asked == []
+    running = {"id": "j1", "kind": "identify", "subject": "m9", "status": "running", "words": "", "progress": ""}
+    moving = [with_rig(status=status) for status in ("armed", "calibrating", "playing", "stopping")]
+    for change in (*moving, lambda state: state.update(jobs=[running])):
+        send(change)
+        page.click("#step-rig")
+        page.wait_for_timeout(100)
+        page.reload()
+        assert asked == ["beforeunload"]
+        asked.clear()
+
+
+def test_the_answer_to_a_stop_ends_when_a_rig_is_armed(staged, workbench):
+    page, send = staged
+    said = page.locator(".rig-answer")
+    send(with_rig(status="connected", words=["Stopped: no sign of life.", "The voltage was brought to 0 V."]))
+    page.goto(workbench.base)
+    sync_api.expect(said).to_contain_text("no sign of life")
+    send(with_rig(status="armed"))
+    sync_api.expect(said).to_be_empty()
+    send(with_rig(status="calibrating"))
+    sync_api.expect(said).to_be_empty()
+    page.route("**/stop", lambda route: route.fulfill(status=200, body="{}"))
+    page.keyboard.press("Escape")
+    sync_api.expect(said).to_contain_text("received")
+    send(with_rig(status="stopping"))
+    sync_api.expect(said).to_contain_text("received")
+    send(with_rig(status="connected", words=["Stopped: by hand."]))
+    sync_api.expect(said).to_have_text("Stopped: by hand.")
+    send(with_rig(status="armed"))
+    sync_api.expect(said).to_be_empty()
+
+
+def test_a_phone_has_room_beside_the_stop(staged, workbench):
+    page, send = staged
+    page.set_viewport_size({"width": 400, "height": 900})
+    send(with_rig(name="MAKER OF CONTROLLERS, E-123.45, serial 0123456789, firmware 1.2.3.4 at 192.168.0.10:50000"))
+    page.goto(workbench.base)
+    page.wait_for_selector("#rig-bar:not([hidden])")
+    assert page.locator("#rig-bar").bounding_box()["height"] < 130
+    assert page.locator(".stop").bounding_box()["height"] >= 60
+    for step in STEPS:
+        page.click(f"#step-{step}")
+        sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
+    wide = "tabs => tabs.map(tab => [...tab.children].map(one => one.scrollWidth - one.clientWidth)).flat()"
+    assert max(page.locator("#steps button").evaluate_all(wide)) <= 0
+    boxes = [one.bounding_box() for one in page.locator("#steps .title").all()]
+    assert all(one["x"] + one["width"] <= after["x"] for one, after in pairwise(boxes))
+    page.click("#step-records")
+    sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
+    sync_api.expect(page.locator("#identify")).to_be_visible()
+
+
+def test_only_models_of_the_same_records_are_compared(staged, workbench):
+    page, send = staged
+
+    def another(**about):
+        return lambda state: state["models"].append({**state["models"][0], "id": "m99", "name": "other", **about})
+
+    page.route(re.compile("/api/models/m9."), lambda route: route.continue_(url=re.sub("m9.", "m2", route.request.url)))
+    page.goto(f"{workbench.base}/#model")
+    page.locator("#verdict .outcome").wait_for()
+    for about in ({"train": [], "rig": "a stage"}, {"train": ["r77"]}):
+        send(another(**about))
+        sync_api.expect(page.locator("#model .model-choice option")).to_have_count(2)
+        sync_api.expect(page.locator(".comparison")).to_be_hidden()
+    send(another(train=["r1", "r77"]))
+    sync_api.expect(page.locator(".comparison tbody tr")).to_have_count(2)
+    sync_api.expect(page.locator(".comparison .best")).to_have_count(0)
+    sync_api.expect(page.locator(".comparison .series")).to_have_count(2)
+    send(another(id="m98"))
+    sync_api.expect(page.locator(".comparison .best")).to_have_count(4)
+
+
+def test_sentences_have_the_words_of_the_page(staged, workbench):
+    page, send = staged
+    words = ["give it as --sensor-lag SECONDS (0 if it has none)", "give it as sensor_lag=SECONDS"]
+    send(lambda state: state["models"][0]["verdict"].update(remarks=words))
+    page.goto(f"{workbench.base}/#model")
+    said = page.locator("#verdict .remarks li")
+    sync_api.expect(said).to_have_count(2)
+    assert [("Lag of the sensor" in one, "SECONDS" in one) for one in said.all_inner_texts()] == [(True, False)] * 2
+    page.click("#step-records")
+    page.click(".identify summary")
+    sync_api.expect(page.get_by_label("Lag of the sensor")).to_be_visible()
+
+
+def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path):
+    with served(tmp_path / "new") as running:
+        page = start(elsewhere=running.base)
+        page.goto(running.link)
+        sample = page.locator(".drop pre")
+        for width in (1400, 400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert "displacement_um" in sample.inner_text()
+            assert sample.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
+        said = page.inner_text("#drop")
+        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5", "Parquet"))
+        page.click("#example")
+        page.wait_for_selector("#record-list .card.ready", timeout=LONGEST)
+        assert page.locator("#identify").is_enabled()
+        page.close()
+
+
+def test_escape_and_the_button_stop_a_rig_twice_over(staged, workbench):
+    (page, send), stopped = staged, []
 
     def stop(route):
         stopped.append((route.request.url, route.request.headers.get("x-dehyst-stop")))
         route.fulfill(status=200, body="{}")
 
-    page.route_web_socket("**/api/events", news)
+    send(with_rig(stop={"port": workbench.port, "key": "k"}))
     page.route("**/stop", stop)
     page.goto(workbench.base)
     page.wait_for_selector("#rig-bar:not([hidden])", timeout=LONGEST)

@@ -15,7 +15,9 @@ import { readFileSync } from "node:fs";
 import { inkLines } from "./raster.js";
 import { before, nearest, thinPath, thinTime } from "./thinning.js";
 import { inserted, moved, parsedPath, removed, sampled } from "./path_points.js";
-import { bytes, duration, extent, length, parsed, percent, range, short, ticks, whole } from "./numbers.js";
+import { inPage } from "./labels.js";
+import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
+import { ticks, whole } from "./numbers.js";
 const column = (name) => {
   const bytes = readFileSync(new URL(name, import.meta.url));
   return new Float32Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
@@ -228,6 +230,9 @@ def test_numbers_are_written_for_people(run):
         const values = [0, 0.5, 1234.5, -3.25, 1e-9, null];
         const texts = ["0", "0.5", "1235", "\\u22123.25", "1.00e\\u22129", "\\u2013"];
         assert.deepEqual(values.map((one) => short(one)), texts);
+        assert.deepEqual([-3.25, 0.5 ** 20, 1 / 3].map((one) => plain(one, 3)), ["-3.25", "9.54e-7", "0.333"]);
+        const rounded = [[1, 1], [0.99, 0.5], [20, 20], [0.1999, 0.1], [0.2, 0.2], [7.3e-6, 5e-6]];
+        for (const [value, lower] of rounded) assert.ok(Math.abs(roundDown(value) / lower - 1) < 1e-12, String(value));
         assert.equal(percent(0.887), "0.89 %");
         assert.equal(length(0.0085), "8.5 nm");
         assert.equal(length(45.8), "45.8 \\u00b5m");
@@ -236,6 +241,7 @@ def test_numbers_are_written_for_people(run):
         assert.equal(bytes(33e6), "33 MB");
         assert.equal(bytes(null), "\u2013");
         assert.equal(range([-123.1, -73.64], "\\u00b5m"), "\\u2212123.1 to \\u221273.64 \\u00b5m");
+        assert.equal(range([-1.4e-5, 16.15], "V"), "0 to 16.15 V");
         const typed = ["1,5", "1e3", " \\u22122 ", "", "x", "1,000,000"];
         assert.deepEqual(typed.map(parsed), [1.5, 1000, -2, null, NaN, NaN]);
         assert.deepEqual(extent([[1, 3], [NaN, 2]]), [1, 3]);
@@ -283,3 +289,16 @@ def test_a_million_samples_are_thinned_in_a_frame(run):
         y=y,
     )
     assert best < 150
+
+
+def test_options_in_sentences_are_the_fields_of_the_page(run):
+    sentences = {
+        'By --time "NAME" or --sample-rate HZ.': "By <Column of the time> or <Sample rate in Hz>.",
+        "give --voltage-scale '100 V/V'": "give <Scale of the voltage> '100 V/V'",
+        "--time-limit=5 or time_limit=5": "<Time limit> 5 or <Time limit> 5",
+        "give it as sensor_lag=SECONDS (0 if none)": "give it as <Lag of the sensor> (0 if none)",
+        "the goal, at any time; --other NAME": "the goal, at any time; --other NAME",
+    }
+    got = run(f"print({json.dumps(list(sentences))}.map(inPage));")
+    quoted = [words.replace("<", "\u201c").replace(">", "\u201d") for words in sentences.values()]
+    assert got == quoted

@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from observed_rig import ORIGIN, asked
+from observed_rig import ORIGIN, asked, children
 
 from dehyst import DehystError
 from dehyst.workbench.rig.link import RigLink
@@ -35,11 +35,17 @@ class Server:
                 self.link.alive()
             await asyncio.sleep(0.02)
 
+    async def pressed(self, key=None):
+        """Press the emergency stop; the answer."""
+        port = self.link.stop["port"]
+        headers = {"Host": f"127.0.0.1:{port}", "Origin": ORIGIN, "X-Dehyst-Stop": key or self.link.stop["key"]}
+        return await asyncio.to_thread(asked, port, "POST /stop HTTP/1.1", headers)
+
     async def armed(self):
         await self.link.start()
         await self.link.send(CONNECT)
         await self.until(lambda: self.state.get("status") == "connected")
-        await self.link.send(ARM)
+        await self.link.send({**ARM, "identity": self.state["identity"]})
         await self.until(lambda: self.state["status"] == "armed")
 
 
@@ -83,7 +89,7 @@ def test_the_process_is_in_a_session_of_its_own():
     run(journey)
 
 
-def test_its_end_is_reported_and_it_starts_again_with_the_same_stop():
+def test_its_end_is_reported_and_the_next_one_has_a_stop_of_its_own():
     async def journey(server):
         await server.armed()
         stop = dict(server.link.stop)
@@ -95,9 +101,10 @@ def test_its_end_is_reported_and_it_starts_again_with_the_same_stop():
             await server.link.send(ARM)
         assert asked(stop["port"], "POST /stop HTTP/1.1", {})[0] == 0
         await server.armed()
-        assert server.link.stop == stop
-        headers = {"Host": f"127.0.0.1:{stop['port']}", "Origin": ORIGIN, "X-Dehyst-Stop": stop["key"]}
-        assert (await asyncio.to_thread(asked, stop["port"], "POST /stop HTTP/1.1", headers))[0] == 200
+        assert server.link.stop["port"] == stop["port"]
+        assert (await server.pressed(stop["key"]))[0] == 403
+        assert server.state["status"] == "armed"
+        assert (await server.pressed())[0] == 200
         await server.until(lambda: server.state["status"] == "connected")
 
     run(journey)
@@ -123,6 +130,76 @@ def test_closing_lets_the_process_retreat_and_end():
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
         assert "The voltage was brought to 0 V." in server.state["words"]
+
+    run(journey)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.002, 0.02])
+def test_two_starts_at_once_make_one_process(gap):
+    async def journey(server):
+        async def later():
+            await asyncio.sleep(gap)
+            await server.link.start()
+
+        await asyncio.gather(server.link.start(), later())
+        assert len(children(os.getpid(), "dehyst.workbench.rig.process")) == 1
+
+    run(journey)
+
+
+def test_a_start_while_a_process_ends_waits_for_a_fresh_one():
+    async def journey(server):
+        await server.armed()
+        before = server.link.pid
+        os.kill(before, signal.SIGKILL)
+        await server.until(lambda: "status -9" in "".join(server.state["words"]))
+        await server.armed()
+        assert server.link.pid not in (None, before)
+
+    run(journey)
+
+
+def test_a_start_right_after_the_last_state_makes_a_fresh_process():
+    async def journey(server):
+        for _ in range(5):
+            await server.armed()
+            before = server.link.pid
+            server.state.clear()
+            os.kill(before, signal.SIGTERM)
+            end = time.monotonic() + 30
+            while server.state.get("status") != "none":
+                assert time.monotonic() < end
+                await asyncio.sleep(0)
+
+    run(journey)
+
+
+def test_a_stop_that_the_process_does_not_confirm_is_not_answered_by_another():
+    """A process that is stopped (SIGSTOP) confirms nothing; it wakes disarmed, and says how long it slept."""
+
+    async def journey(server):
+        await server.armed()
+        os.kill(server.link.pid, signal.SIGSTOP)
+        assert (await server.pressed())[0] != 200
+        await server.until(lambda: server.link.silent > 1.5)
+        os.kill(server.link.pid, signal.SIGCONT)
+        await server.until(lambda: server.state["status"] == "connected")
+        assert server.link.silent < 1.0
+
+    run(journey)
+
+
+def test_a_process_that_slept_wakes_disarmed():
+    async def journey(server):
+        await server.armed()
+        os.kill(server.link.pid, signal.SIGSTOP)
+        slept = time.monotonic() + 1.5
+        # Signs of life wait in the pipe meanwhile.
+        await server.until(lambda: time.monotonic() > slept)
+        assert server.state["status"] == "armed"
+        os.kill(server.link.pid, signal.SIGCONT)
+        await server.until(lambda: server.state["status"] == "connected")
+        assert "did not run for" in server.state["words"][0]
 
     run(journey)
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from dehyst.instruments import RigError, Samples
-from dehyst.workbench.rig.inlet import LONGEST, lines_of
-from dehyst.workbench.rig.live_feed import MOST, LiveFeed, thinned
-from dehyst.workbench.rig.outlet import Outlet
-from dehyst.workbench.rig.requests import number, pair, path, text
+from dehyst.workbench.rig.messages import LONGEST, Outlet, lines_of, number, pair, path, text
+from dehyst.workbench.rig.tasks import MOST, LiveFeed, thinned
 
 
 def received(data, pieces):

@@ -9,8 +9,8 @@ import pytest
 from observed_rig import LIMITS, SLEW, ObservedController, held, on_disk, triangle
 
 from dehyst import read
+from dehyst.calibration.plan import Plan, entries
 from dehyst.instruments import open_rig
-from dehyst.instruments.calibration.plan import Plan, entries
 
 
 @pytest.fixture
@@ -98,8 +98,69 @@ def test_a_command_with_impossible_fields_is_refused(holder, command):
 def test_arming_needs_the_limits_and_the_slew_rate_in_force(confirmation, tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address)
-        assert "arm: got" in refused(holder, do="arm", **confirmation)
+        assert "arm: got" in refused(holder, do="arm", identity=holder.state["identity"], **confirmation)
         assert holder.state["status"] == "connected"
+
+
+@pytest.mark.parametrize("identity", [None, "", "another rig"])
+def test_arming_needs_the_identity_of_the_connected_rig(simulated, identity):
+    confirmed = {name: simulated.state[name] for name in ("limits", "slew")}
+    assert "arm: got the rig" in refused(simulated, do="arm", identity=identity, **confirmed)
+    assert simulated.state["status"] == "connected"
+
+
+@pytest.mark.parametrize("plan", [{"frequency": 0}, {"goal": 0}, {"frequency": -1}, {"goal": 1e-300}])
+def test_a_plan_with_impossible_numbers_is_refused(simulated, plan):
+    assert next(iter(plan)) in refused(simulated, do="plan", **plan)
+    assert simulated.state["plan"] is None
+
+
+def test_a_request_with_an_id_is_answered_once(tmp_path):
+    def outcomes(holder):
+        holder.settle()
+        return {one["id"]: one for one in holder.messages if one["kind"] == "done"}
+
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.send(do="stop", id=1)
+        holder.connect(controller.address)
+        holder.send(do="plan", frequency=0, id=2)
+        holder.arm()
+        holder.play()
+        holder.send(do="arm", id=3)
+        holder.send(do="stop", id=4)
+        holder.until(lambda: 4 in outcomes(holder))
+        holder.send(do="plan", id=5)
+        holder.until(lambda: 5 in outcomes(holder))
+        found = outcomes(holder)
+        assert sorted(found) == [1, 2, 3, 4, 5] == [one["id"] for one in holder.messages if one["kind"] == "done"]
+        assert [found[1]["armed"], found[4]["armed"]] == [False, True]
+        assert "frequency" in found[2]["error"]
+        assert "busy" in found[3]["error"]
+
+
+def test_the_words_of_a_stop_go_when_the_rig_is_armed(simulated, tmp_path):
+    simulated.arm()
+    assert simulated.press() == 200
+    simulated.until(lambda: simulated.state["status"] == "connected" and simulated.state["words"])
+    simulated.arm()
+    assert simulated.state["words"] == []
+    assert simulated.state["error"] is None
+
+
+def test_the_emergency_stop_says_if_nothing_was_armed(simulated):
+    assert simulated.press() == 409
+
+
+def test_a_later_stop_keeps_the_reason_of_the_first(simulated):
+    simulated.arm()
+    assert simulated.press() == 200
+    simulated.until(lambda: simulated.state["status"] == "connected" and len(simulated.state["words"]) == 2)
+    first = simulated.state["words"]
+    for _ in range(2):
+        simulated.state["words"] = []
+        assert simulated.press() == 409
+        simulated.until(lambda: simulated.state["words"])
+        assert simulated.state["words"][:2] == first and len(simulated.state["words"]) == 4
 
 
 @pytest.mark.parametrize("command", [{"do": "play"}, {"do": "calibrate", "folder": "out"}])
@@ -122,7 +183,8 @@ def test_a_rig_that_stands_outside_the_limits_is_not_armed(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         controller._bench.set_voltage(150.0)
         holder.connect(controller.address)
-        assert "stands at 150 V" in refused(holder, do="arm", limits=list(LIMITS), slew=SLEW)
+        confirmed = {name: holder.state[name] for name in ("identity", "limits", "slew")}
+        assert "stands at 150 V" in refused(holder, do="arm", **confirmed)
         assert controller.voltage == 150.0
 
 
@@ -205,7 +267,7 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
         fcntl.fcntl(holder.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
         holder.alive(True)
         holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
-        holder.send(do="arm", limits=LIMITS, slew=SLEW)
+        holder.send(do="arm", identity=controller.identity, limits=LIMITS, slew=SLEW)
         play(holder, triangle(tmp_path, seconds=3.0))
         assert controller.wait_for((tmp_path / "wave.h5").exists)
         assert controller.wait_for(lambda: on_disk(tmp_path) == 3001)
@@ -226,7 +288,7 @@ def test_a_reader_that_closes_the_pipe_does_not_hold_up_the_wave(tmp_path):
         holder.process.stdout.close()
         holder.alive(True)
         holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
-        holder.send(do="arm", limits=LIMITS, slew=SLEW)
+        holder.send(do="arm", identity=controller.identity, limits=LIMITS, slew=SLEW)
         play(holder, triangle(tmp_path, seconds=2.0))
         assert controller.wait_for(lambda: on_disk(tmp_path) == 2001)
         holder.alive(False)
@@ -272,7 +334,7 @@ def test_a_calibration_writes_what_the_command_writes(simulated, tmp_path):
     assert result["good"] is True
     assert result["compensated_percent"] < result["nominal_percent"]
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written == {"records", "campaign.json", "model.json", "calibration.json", "report.html"}
+    assert written == {"records", "campaign.json", "model.json", "model.npz", "calibration.json", "report.html"}
     assert "dehyst calibrate sim://play" in (tmp_path / "out" / "report.html").read_text()
     assert result["command"].endswith("--limits 0.0 100.0 --slew 2000.0 --frequency 5.0 --rounds 1 --goal 1.0")
     assert simulated.state["status"] == "armed"

@@ -7,7 +7,7 @@ from command_line import run
 from dehyst._errors import DehystError
 from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.records import read_table
-from dehyst.workbench.scan_preview import requested, scan_columns
+from dehyst.workbench.requests import requested, scan_columns
 
 SCANS = (
     {"kind": "triangle", "low": 2, "high": 8, "frequency": 5, "cycles": 3, "rising": 0.3},
@@ -41,11 +41,12 @@ def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
     ("scan", "rate", "sentence"),
     [
         ({"kind": "circle"}, 1000, "need one of triangle"),
-        ({"kind": "triangle", "low": 2, "high": 8}, 1000, "lacks an option"),
-        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "lines": 3}, 1000, "one too many"),
+        ({"kind": "triangle", "low": 2, "high": 8}, 1000, "got no frequency"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "lines": 3}, 1000, "lines: got 3"),
         ({"kind": "triangle", "low": 8, "high": 2, "frequency": 1}, 1000, "the lower one first"),
         ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1}, "x", "need a number"),
         ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "cycles": 1000}, 1e5, "need 2000000 at most"),
+        ({"kind": "raster", "low": 2, "high": 8, "frequency": 1, "lines": 3.5}, 1000, "lines: got 3.5"),
         ([], 1000, "need one of triangle"),
     ],
 )

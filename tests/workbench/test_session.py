@@ -6,10 +6,10 @@ import json
 import pytest
 
 from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
-from dehyst.workbench.command import Finished
-from dehyst.workbench.events import Events
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.jobs import Finished, brief_insight
 from dehyst.workbench.requests import RequestError, identify_words, path_words, read_words, written_path
+from dehyst.workbench.server import Events
 from dehyst.workbench.session import SessionError, WorkbenchSession
 
 SHOWN = {
@@ -123,15 +123,30 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 @played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await stage.next(
-        Finished(2, None, ["dehyst: no voltage", "Check units, then try:", "  dehyst show a.csv --voltage U:V --json"])
-    )
+    await stage.next(Finished(2, None, ["dehyst: no voltage", "To try:", "  ..."], {"suggestion": {"voltage": "U:V"}}))
     assert (entry.status, entry.error) == ("refused", "no voltage")
     assert entry.hint == {"options": {"voltage": "U:V"}}
     assert stage.session.state()["log"] == []
+    assert entry.columns == []
     stage.session.read_record(entry.id, {"voltage": "U:V"})
     await stage.next()
     assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
+
+
+@played
+async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage):
+    entry = stage.session.add_record("uploads/a.csv", "a.csv")
+    columns = {"file_columns": [{"name": "U", "unit": ""}, {"name": "s", "unit": "um"}]}
+    await stage.next(Finished(2, columns, ["dehyst: uploads/a.csv: no voltage"]))
+    assert (entry.status, entry.error, entry.columns) == ("refused", "a.csv: no voltage", ["U", "s"])
+    assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
+    stage.session.read_record(entry.id, {"voltage": "U:kg"})
+    await stage.next(Finished(2, None, ["dehyst: the unit 'kg' is unknown"]))
+    assert (entry.status, entry.columns) == ("refused", ["U", "s"])
+    stage.session.read_record(entry.id, {"columns": "voltage:V,displacement"})
+    renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
+    await stage.next(Finished(0, {**SHOWN, **renamed}))
+    assert (entry.status, entry.columns) == ("ready", ["U", "s"])
 
 
 @played
@@ -154,12 +169,12 @@ async def test_a_model_without_a_verdict_has_failed(stage):
 async def test_a_model_is_not_ready_before_its_ranges_are_known(stage):
     seen = []
 
-    def ranges(_):
-        seen.append(next(iter(stage.session.models.values())).status)
-        return [0.0, 100.0], [0.0, 10.0]
+    def fill_ranges(entry, _):
+        seen.append(entry.status)
+        entry.range_v, entry.range_um = [0.0, 100.0], [0.0, 10.0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dehyst.workbench.session.ranges", ranges)
+        patch.setattr("dehyst.workbench.session.fill_ranges", fill_ranges)
         entry = await stage.model(Finished(0, FIT))
     assert seen == ["identifying"]
     assert (entry.status, entry.range_v, entry.range_um) == ("ready", [0.0, 100.0], [0.0, 10.0])
@@ -215,9 +230,30 @@ async def test_a_calibration_brings_its_model(stage):
     place = stage.session.folder.path / "calibrations" / "rig"
     place.mkdir()
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100)).save(place / "model.json")
-    entry = stage.session.add_calibrated("calibrations/rig", {"fit": FIT})
+    error = dict.fromkeys(("samples", "left_out", "largest_percent", "rms_percent"), 1)
+    roles = {"look": "training", "others": "validation"}
+    errors = [{"record": name, "role": role, **error} for name, role in roles.items()]
+    result = {"rig": "a stage", "axis": "1", "fit": {**FIT, "errors": errors}}
+    entry = stage.session.add_calibrated("calibrations/rig", result)
     assert (entry.status, entry.file, entry.range_v) == ("ready", "calibrations/rig/model.json", [0.0, 100.0])
     assert entry.verdict["largest_um"] == pytest.approx(0.05)
+    assert (entry.seconds, entry.rig, entry.report) == (None, "a stage, axis 1", "calibrations/rig/report.html")
+    stage.session.insight(entry.id)
+    assert stage.commands[-1].words == [
+        "insight",
+        "calibrations/rig/model.json",
+        "calibrations/rig/records/look.h5",
+        "--json",
+    ]
+
+
+def test_what_is_known_is_not_repeated_as_a_warning():
+    result = {
+        "warnings": ["4 of 7 are known. 3 are not.", "The limits go beyond."],
+        "known": {"sentence": "4 of 7 are known."},
+    }
+    assert brief_insight(result)["warnings"] == ["The limits go beyond."]
+    assert brief_insight({"warnings": ["The limits go beyond."]})["warnings"] == ["The limits go beyond."]
 
 
 def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
@@ -378,8 +414,11 @@ def test_an_upload_that_ends_early_leaves_nothing(tmp_path):
 def test_identify_has_its_outputs_and_validation_last():
     from dehyst.workbench.entries import ModelEntry
 
-    entry = ModelEntry("m1", "stage", "models/stage.json", options={"structure": "paper", "time_limit": None})
-    words = identify_words(entry, ["records/a.npz"], ["records/b.npz"], "reports/stage.html")
+    entry = ModelEntry("m1", "stage", "models/stage.json", options={"structure": "maxwell_slip", "time_limit": None})
+    entry.report = "reports/stage.html"
+    words = identify_words(entry, ["records/a.npz"], ["records/b.npz"])
     assert words[:2] == ["identify", "records/a.npz"]
-    assert words[-3:] == ["--structure=paper", "--validate", "records/b.npz"]
-    assert "models/stage.npz" in words
+    assert words[-3:] == ["--structure=maxwell_slip", "--validate", "records/b.npz"]
+    assert {"models/stage.npz", "reports/stage.html"} <= set(words)
+    entry.options["sensor_lag"] = 0
+    assert "--sensor-lag=0.0" in identify_words(entry, ["records/a.npz"], [])

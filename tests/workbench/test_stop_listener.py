@@ -1,6 +1,7 @@
 """The emergency stop: who may press it, and that nobody else can or can be in the way."""
 
 import socket
+import threading
 import time
 
 import numpy as np
@@ -17,7 +18,7 @@ def stop():
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     pressed = []
-    listener = StopListener(listening, KEY, [ORIGIN], lambda: pressed.append(time.monotonic()))
+    listener = StopListener(listening, KEY, [ORIGIN], lambda confirm: (pressed.append(confirm), confirm(True)))
     listener.start()
     listener.pressed = pressed
     yield listener
@@ -146,11 +147,40 @@ def test_a_thousand_random_requests_stop_nothing(stop):
     assert stop.pressed == []
 
 
+@pytest.mark.parametrize(("armed", "status"), [(True, 200), (False, 409)])
+def test_a_stop_is_answered_when_it_is_confirmed(armed, status):
+    listening, pressed, answered = socket.socket(), [], []
+    listening.bind(("127.0.0.1", 0))
+    listener = StopListener(listening, KEY, [ORIGIN], pressed.append)
+    listener.start()
+    press = threading.Thread(
+        target=lambda: answered.append(asked(listener.port, "POST /stop HTTP/1.1", headers(listener)))
+    )
+    press.start()
+    press.join(0.3)
+    assert len(pressed) == 1
+    assert answered == []
+    pressed[0](armed)
+    press.join()
+    assert answered[0][0] == status
+    assert (b'"stopped": true' in answered[0][1].encode()) == armed
+
+
+def test_a_stop_that_nobody_confirms_is_answered_so():
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    listener = StopListener(listening, KEY, [ORIGIN], lambda confirm: None)
+    listener.start()
+    began = time.monotonic()
+    assert asked(listener.port, "POST /stop HTTP/1.1", headers(listener))[0] == 504
+    assert 1.9 < time.monotonic() - began < 4.0
+
+
 def test_without_a_key_nobody_may_stop():
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     pressed = []
-    listener = StopListener(listening, "", [ORIGIN], lambda: pressed.append(1))
+    listener = StopListener(listening, "", [ORIGIN], pressed.append)
     listener.start()
     assert asked(listener.port, "POST /stop HTTP/1.1", headers(listener, **{"X-Dehyst-Stop": ""}))[0] == 403
     assert pressed == []

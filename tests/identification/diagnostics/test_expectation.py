@@ -6,19 +6,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.identification.diagnostics.expectation import HeldOutErrors, expectation
-from dehyst.model import Check, Expectation, Outcome, Readiness, RecordErrors, RemainingError, Verdict
+from dehyst.identification import Check, Expectation, Outcome, Readiness, RecordErrors, RemainingError, Verdict
+from dehyst.identification.expectation import HeldOutErrors, expectation
 
 STROKE = 1e-5
 ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)
 
 
-def expected(*errors, held_out=None, checks=(), goal=1.0, noise=0.0, vibration=0.0, outcome=Outcome.WIDER, doubts=()):
+def expected(*errors, held_out=None, checks=(), goal=1.0, noise=0.0, vibration=0.0, outcome=Outcome.WIDER, caveats=()):
     causes = []
     for one in errors:
         shares = min(noise**2 / one.rms**2, 1.0), min(0.5 * vibration**2 / one.rms**2, 1.0)
         causes.append(RemainingError(one.record, one.role, one.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
-    return expectation(outcome, errors, checks, held_out or HeldOutErrors(), causes, noise, goal, doubts)
+    return expectation(outcome, errors, checks, held_out or HeldOutErrors(), causes, noise, goal, caveats)
 
 
 def test_small_errors_are_ready_and_large_ones_of_no_use():
@@ -74,7 +74,7 @@ def test_what_the_sensor_adds_is_not_of_the_path():
 
 
 def test_a_doubt_keeps_a_model_from_being_ready():
-    found = expected(ERRORS, doubts=["the sensor or the actuator lags"])
+    found = expected(ERRORS, caveats=["the sensor or the actuator lags"])
     assert found.readiness is Readiness.USABLE
     assert "The sensor or the actuator lags" in found.sentence
 

@@ -16,7 +16,7 @@ from dehyst import Actuator, MaxwellSlip, Spring
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
 from dehyst.records import Record
 
 PLANT = plain_records.plant()

@@ -8,9 +8,9 @@ import plain_records
 import pytest
 
 import dehyst
+from dehyst.identification import RecordErrors
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.messages import repaired
-from dehyst.model import RecordErrors
 from dehyst.records import Record
 
 SAMPLE = 1e-3
@@ -57,7 +57,7 @@ TOO_SHORT = (
 def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, shape, words):
     """Told as a rate, it was 200 % of the range a decade."""
     record = drifting(turns, 0.8, shape)
-    fit = dehyst.identify(record, structure="paper", elements=10, delay=0.0, throw=False)
+    fit = dehyst.identify(record, structure="maxwell_slip", elements=10, delay=0.0, throw=False)
     found = re.fullmatch(words, set_aside(fit))
     assert found
     assert 5 < float(found[1]) < 150
@@ -87,7 +87,9 @@ def test_a_drift_is_named_by_its_course_and_size(rate, decades, steady, words):
 def test_a_creep_is_told_as_a_rate():
     made = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="made")
     crept = made.displacement + 0.02 * plain_records.STROKE * np.log10(1 + made.time / 0.1)
-    fit = dehyst.identify(Record(made.time, made.voltage, crept, "made"), structure="paper", elements=10, delay=0.0)
+    fit = dehyst.identify(
+        Record(made.time, made.voltage, crept, "made"), structure="maxwell_slip", elements=10, delay=0.0
+    )
     said = set_aside(fit)
     assert re.fullmatch(r"made: creeps by \S+ % of the range a decade of time since its start; set aside\.", said)
 

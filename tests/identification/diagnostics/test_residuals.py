@@ -7,8 +7,8 @@ import pytest
 import structured_records
 
 from dehyst import identify
-from dehyst.identification.diagnostics.residuals import residual_checks
-from dehyst.model import RecordErrors, Structure, Trace, Verdict
+from dehyst.identification import RecordErrors, Structure, Trace, Verdict
+from dehyst.identification.diagnostics.checks import model_checks
 from dehyst.report import render
 
 STROKE = 10e-6
@@ -27,7 +27,7 @@ def left(pattern, noise=0.05, seed=0):
     residual = made - made.mean() + noise * np.random.default_rng(seed).normal(size=time.size)
     trace = Trace("made", "training", time, 200 * place, simulated + residual / 100 * STROKE, simulated)
     errors = RecordErrors("made", "training", time.size, 0, 0, 0, 0, 0, STROKE, 0, 0, 0)
-    return {check.name: check for check in residual_checks(ACTUATOR, [trace], [errors])}
+    return {check.name: check for check in model_checks(ACTUATOR, (), [trace], [errors])}
 
 
 def test_noise_alone_is_not_a_pattern():
@@ -69,8 +69,8 @@ def test_a_transformer_left_out_shows_in_the_middle_or_the_width():
         identify(record, structure=one, delay=0.0)
         for one in (Structure(elements=6, grades=3, knots=7, transformer=5), Structure(elements=6, grades=2, knots=2))
     )
-    good = {check.name: check for check in residual_checks(right.actuator, right.traces, right.errors)}
-    bad = {check.name: check for check in residual_checks(poor.actuator, poor.traces, poor.errors)}
+    good = {check.name: check for check in model_checks(right.actuator, (), right.traces, right.errors)}
+    bad = {check.name: check for check in model_checks(poor.actuator, (), poor.traces, poor.errors)}
     assert all(check.verdict is Verdict.HOLDS for check in good.values())
     assert Verdict.FAILS in (bad["Width"].verdict, bad["Middle line"].verdict)
     text = render(right)
@@ -92,6 +92,6 @@ def test_elements_that_never_slide_are_told():
     small = 0.1 * STROKE * np.sin(time * 6)
     trace = Trace("small", "training", time, 10 + small * 1e6, small, small)
     errors = RecordErrors("small", "training", 400, 0, 0, 0, 0, 0, STROKE, 0, 0, 0)
-    (sliding,) = (one for one in residual_checks(ACTUATOR, [trace], [errors]) if one.name == "Sliding elements")
+    (sliding,) = (one for one in model_checks(ACTUATOR, (), [trace], [errors]) if one.name == "Sliding elements")
     assert sliding.verdict is Verdict.FAILS
     assert "record a wider loop" in sliding.sentence

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, Record, identify
-from dehyst.identification.preprocessing.block_means import block_means, block_of
-from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.validation import Protocol, errors_of
+from dehyst.identification.preprocessing.preparation import block_means, block_of, prepare
+from dehyst.identification.validation import ComparisonOptions, errors_of
 from dehyst.model import MaxwellSlip, Spring
 from dehyst.records.signals import bandwidth
 
@@ -69,7 +68,7 @@ def test_a_fast_recording_gives_the_model_of_a_slow_one():
     found = {}
     for rate in (200, 10_000):
         fit = identify(recorded(20, rate, 3, 0.003))
-        protocol = Protocol("validation", fit.actuator.delay, None, False, STROKE)
+        protocol = ComparisonOptions("validation", fit.actuator.delay, None, False, STROKE)
         found[rate] = errors_of(fit.actuator, prepare(unseen), protocol)[0]
         assert fit.actuator.delay == pytest.approx(DELAY, abs=1e-3)
         assert fit.errors[0].samples > 0.99 * 20 * rate

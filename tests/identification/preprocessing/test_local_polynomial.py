@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from dehyst.identification.preprocessing.local_polynomial import local_polynomial
+from dehyst.identification.preprocessing.denoising import local_polynomial
 
 
 @pytest.mark.parametrize(("window", "order"), [(5, 2), (9, 4), (13, 2), (3, 1)])

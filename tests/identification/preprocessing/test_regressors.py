@@ -8,7 +8,7 @@ from dehyst import Record
 from dehyst.identification.preprocessing.regressors import collect, epochs
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
 
 RANDOM_RECORDS = 300
 

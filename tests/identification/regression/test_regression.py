@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import IdentifyError, ModelError, State
+from dehyst.identification import Structure
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression import regression as program
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.model import Structure
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
 
 NAMES = tuple(wide.STRUCTURES)
 

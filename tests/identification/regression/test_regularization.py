@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dehyst.identification.regression.regularization import regularization_rows
-from dehyst.model import Structure
+from dehyst.identification import Structure
+from dehyst.identification.regression.coefficients import regularization_rows
 
 STROKE, HIGHEST = 16e-6, 200.0
 SLOPE = HIGHEST / STROKE

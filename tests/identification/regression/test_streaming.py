@@ -15,11 +15,11 @@ from dehyst.identification import validation
 from dehyst.identification.preprocessing import denoising, regressors
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect
+from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.regression.streaming import Stream
 from dehyst.identification.solvers.program import NORMS
+from dehyst.identification.structure import Grid
 from dehyst.model import Creep, Dynamics, SmoothSlip, Transformer
-from dehyst.model.structure import Grid
 from dehyst.records import signals
 
 RHO = plain_records.plant(12).slip.breakaway
@@ -152,7 +152,7 @@ def test_a_wider_actuator_played_in_stretches_carries_its_state_on(parts, size):
     actuator = dehyst.Actuator(plain.slip, plain.spring, **parts)
     record = wide_record(actuator, 0.9 * plain_records.VOLTS)
     compared = validation.compare(
-        actuator, record, validation.Protocol("training", 0.0, 0.0, True, plain_records.STROKE)
+        actuator, record, validation.ComparisonOptions("training", 0.0, 0.0, True, plain_records.STROKE)
     )
     ((number, epoch, whole),) = compared.played(actuator)[-1:]
     begin = compared.state_before(actuator, number, epoch), compared.offsets[-1]
@@ -167,7 +167,7 @@ def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
     plain = plain_records.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, creep=WIDE["creep"]["creep"])
     record = wide_record(actuator, 0.9 * plain_records.VOLTS)
-    protocol = validation.Protocol("training", 0.0, 0.0, True, plain_records.STROKE)
+    protocol = validation.ComparisonOptions("training", 0.0, 0.0, True, plain_records.STROKE)
     compared = validation.compare(actuator, record, protocol)
     assert compared.source.count > 1
     last = compared.source.count - 1
@@ -221,7 +221,7 @@ def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
 @pytest.mark.slow
 def test_a_million_samples_take_half_a_gigabyte_at_most():
     script = places.BENCHMARKS / "size.py"
-    command = [sys.executable, script, "1000000", "l1", "paper"]
+    command = [sys.executable, script, "1000000", "l1", "maxwell_slip"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     found = json.loads(done.stdout)
     assert found["peak_MiB"] < 512

@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._native import slip_elongations
-from dehyst.identification.regression.ties import EpochRange, ties
-from dehyst.model.structure import Grid
+from dehyst.identification.preprocessing.regressors import EpochRange
+from dehyst.identification.regression.coefficients import ties
+from dehyst.identification.structure import Grid
 
 RHO = np.array([1.0, 2.0, 4.0, 7.0])
 

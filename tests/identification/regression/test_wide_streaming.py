@@ -11,9 +11,8 @@ import pytest
 import structured_records as wide
 
 from dehyst.identification.preprocessing import regressors
-from dehyst.identification.preprocessing.internal_states import InternalStates
-from dehyst.identification.preprocessing.regressors import RowSource
-from dehyst.identification.regression.streaming import Stream
+from dehyst.identification.preprocessing.regressors import InternalStates, RowSource
+from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.solvers.program import NORMS
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}

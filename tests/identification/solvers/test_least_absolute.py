@@ -15,10 +15,10 @@ from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute_blocks
 from dehyst.identification.solvers.highs import LinearSolution
-from dehyst.identification.solvers.l1_interior_point import interior
+from dehyst.identification.solvers.least_absolute import interior
 from dehyst.identification.solvers.problem import Problem
 from dehyst.identification.solvers.program import solve
-from dehyst.model.structure import Grid
+from dehyst.identification.structure import Grid
 from examples import examples
 
 KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")

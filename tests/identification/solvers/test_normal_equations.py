@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.identification.solvers.normal_equations import ActiveSet, NormalEquations
-from dehyst.identification.solvers.program import solve
+from dehyst.identification.solvers.program import ActiveSet, NormalEquations, solve
 
 
 @st.composite

@@ -13,6 +13,7 @@ import zlib
 from pathlib import Path
 
 import h5py
+import laboratory_files
 import numpy as np
 import places
 import pyarrow as pa
@@ -134,6 +135,12 @@ def with_declared(path, kind):
         np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (many,)})
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("time_s.npy", head.getvalue())
+    elif kind == "npy header":
+        with path.open("wb") as stream:
+            np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (many,)})
+    elif kind == "xlsx wide":
+        laboratory_files.write_xlsx(path, [[1.0]] * 2000)
+        with_cells(path, rb"<row><c>", b'<row><c r="NTP1">')
     elif kind == "npz bomb":
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("time_s.npy", "w") as stream:
             np.lib.format.write_array_header_1_0(
@@ -162,9 +169,30 @@ def with_declared(path, kind):
     return path
 
 
+def with_cells(path, old, new):
+    """Replace text in the sheets of a workbook."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, part in parts.items():
+            archive.writestr(name, re.sub(old, new, part) if "sheet1" in name else part)
+
+
+def test_a_sheet_has_no_more_rows_than_a_spreadsheet(tmp_path):
+    for old, new, what in (
+        (rb"<row>(?=<c><v>3)", b'<row r="1000000000">', "more than 1048576 rows"),
+        (rb"<c>(?=<v>3)", b'<c r="XFD3">', "more than 10000 columns"),
+    ):
+        laboratory_files.write_xlsx(tmp_path / "a.xlsx", [["time_s"], [1.0], [2.0], [3.0]])
+        with_cells(tmp_path / "a.xlsx", old, new)
+        refused(tmp_path / "a.xlsx", what)
+
+
 @pytest.mark.parametrize(
     ("kind", "name", "what"),
     [
+        ("npy header", "a.npy", "array 'a' declares 8000 MB"),
+        ("xlsx wide", "a.xlsx", "the cells of sheet 'run' declares 500"),
         ("npz header", "a.npz", "array 'time_s' declares 8000 MB"),
         ("npz bomb", "a.npz", "array 'time_s' declares 560 MB"),
         ("hdf5 fill", "a.h5", "dataset 'time_s' declares 8000 MB"),
@@ -191,9 +219,9 @@ def test_the_limit_is_named_and_can_be_raised(tmp_path, suffix):
         ".parquet": lambda: pq.write_table(pa.table(NAMED), path),
     }
     writers[suffix]()
-    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*max_bytes="):
+    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*allow more bytes"):
         read(path, max_bytes=N)
-    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*max_bytes="):
+    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*allow more bytes"):
         read_table(path, max_bytes=path.stat().st_size - 1)
     assert len(read(path, max_bytes=1e6)) == N
     for nonsense in (0, -1, float("nan"), float("inf"), "5", True, None):
@@ -297,7 +325,7 @@ def test_a_library_that_crashes_or_stops_is_contained(tmp_path, monkeypatch, suf
     """A stand-in for the library, for which file does it changes with its version."""
     script = tmp_path / "sitecustomize.py"
     script.write_text(
-        "import dehyst.records.formats.loaders as f, os, signal\n"
+        "import dehyst.records.formats.reader_process as f, os, signal\n"
         f"def stop(data, allowance):\n"
         f"    if {suffix == '.mat'}: os.kill(os.getpid(), signal.SIGSEGV)\n"
         "    while True: pass\n"

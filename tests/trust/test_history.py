@@ -11,8 +11,8 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, IdentifyError
-from dehyst.identification import CheckHistory, Standing
-from dehyst.identification.checking.history import ALLOWANCE, DECISION, LIMIT, WEIGHT, ControlChart
+from dehyst.trust import CheckHistory, Standing
+from dehyst.trust.history import ALLOWANCE, DECISION, LIMIT, WEIGHT, ControlChart
 
 DAY = datetime(2024, 5, 1, 8, tzinfo=UTC)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import IdentifyError
-from dehyst.model import Structure
+from dehyst.identification import Structure
 
 SPAN, VOLTS, TIMES = (-1e-6, 15e-6), (-20.0, 120.0), (0.01, 50.0)
 STRUCTURES = st.builds(

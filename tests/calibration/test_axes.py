@@ -8,14 +8,16 @@ from click.testing import CliRunner
 from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 
 from dehyst import FileFormatError, Stage
+from dehyst.calibration import PathPlanner, Plan, calibrate
+from dehyst.calibration.plan import entries as planned_entries
+from dehyst.calibration.plan import steps as planned_steps
 from dehyst.cli import main
+from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.records import read
-from dehyst.stages import StagePlan, calibrate_stage
-from dehyst.stages.calibration.experiment import STAGE_STEPS, stage_entries, stage_steps
-from dehyst.stages.calibration.tracking import StagePathPlanner
+from dehyst.waveforms import Excitation
 
-PLAN = StagePlan(steps=6, cycles=8)
+PLAN = Plan(steps=6, cycles=8)
 
 
 class Listener:
@@ -44,7 +46,7 @@ class Listener:
 def calibrated(tmp_path_factory):
     folder, listener = tmp_path_factory.mktemp("calibration"), Listener()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
-        result = calibrate_stage(rig, folder, plan=PLAN, watcher=listener)
+        result = calibrate(rig, folder, plan=PLAN, watcher=listener)
         ends = [one.voltage for one in bench.benches], [one.log.highest for one in bench.benches]
     return result, folder, listener, ends
 
@@ -57,7 +59,7 @@ def test_every_axis_follows_the_path_to_three_thousandths(calibrated):
     assert np.abs(result.fit.coupling - COUPLING).max() < 0.005
     assert result.fit.is_matrix
     # All axes move together through most of their strokes.
-    assert np.all(np.ptp(result.compensated.wanted, axis=0) > 0.65 * result.compensated.strokes)
+    assert np.all(np.ptp(result.compensated.wanted, axis=0) > 0.65 * result.compensated.stroke)
 
 
 def test_the_progress_shows_the_axis_that_is_farthest_off(calibrated):
@@ -76,23 +78,23 @@ def test_stage_numbers_and_records_are_on_disk(calibrated):
     result, folder, listener, _ = calibrated
     stage = Stage.load(folder / "stage.json")
     assert stage.axes == ("1", "2", "3")
-    np.testing.assert_array_equal(stage.coupling, result.stage.coupling)
+    np.testing.assert_array_equal(stage.coupling, result.model.coupling)
     numbers = json.loads((folder / "calibration.json").read_text())
     assert numbers["compensated"]["2"]["largest_percent"] == result.compensated.largest_percent[1]
     names = ["axes", "others", "nominal", "compensated"]
     assert listener.steps == [*names[:2], "identify", *names[2:]]
-    assert set(listener.steps) < set(STAGE_STEPS)
+    assert set(listener.steps) < {*names, "identify", "report"}
     assert set(numbers["sha256"]) == {f"{name}-{axis}.h5" for name in names for axis in "123"}
     record = read(folder / "records" / "axes-2.h5")
     assert record.meta["complete"] is True
-    np.testing.assert_array_equal(record.voltage, result.training.voltage[:, 1])
+    np.testing.assert_array_equal(record.voltage, result.training[0].voltage[:, 1])
 
 
 def test_the_same_folder_is_used_again_with_its_records_moved_aside(calibrated, tmp_path):
     _, folder, *_ = calibrated
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         with pytest.raises(KeyboardInterrupt) as caught:
-            calibrate_stage(rig, folder, plan=PLAN, watcher=Listener("axes"))
+            calibrate(rig, folder, plan=PLAN, watcher=Listener("axes"))
         assert [one.voltage for one in bench.benches] == [0.0] * 3
     assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
     cut = read(folder / "records" / "axes-3.h5")
@@ -109,14 +111,14 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
         rig_of(server, "1,2") as rig,
         pytest.raises(FileFormatError, match=r"holds a calibration of .*axis 1,2,3, and this is"),
     ):
-        calibrate_stage(rig, folder, plan=PLAN)
+        calibrate(rig, folder, plan=PLAN)
     assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
 
 
 def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
     with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
         with pytest.raises(DeviceError):
-            calibrate_stage(rig, tmp_path, plan=PLAN)
+            calibrate(rig, tmp_path, plan=PLAN)
         assert [one.voltage for one in bench.benches] == [0.0] * 3
     records = [read(tmp_path / "records" / f"axes-{axis}.h5") for axis in "123"]
     assert len({len(record) for record in records}) == 1
@@ -129,7 +131,7 @@ class TestPlan:
 
     def test_axes_move_one_after_the_other_then_together(self):
         with served() as (server, bench), rig_of(server) as rig:
-            steps = {step.name: step.voltage for step in stage_steps(rig, PLAN)}
+            steps = {step.name: step.excitation.voltage for step in planned_steps(rig, PLAN)}
             assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
         moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
         alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
@@ -140,16 +142,17 @@ class TestPlan:
 
     def test_entries_say_how_long_it_plays(self):
         with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
-            entries = stage_entries(rig, PLAN)
-            steps = stage_steps(rig, PLAN)
+            entries = planned_entries(rig, PLAN)
+            steps = planned_steps(rig, PLAN)
         assert [entry["step"] for entry in entries] == ["axes", "others", "nominal", "compensated"]
-        assert entries[0]["samples"] == len(steps[0].voltage)
+        assert entries[0]["samples"] == len(steps[0].excitation)
         assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]
         assert all(max(entry["steepest_V_per_s"]) <= 200.0 * (1 + 1e-9) for entry in entries)
 
     def test_a_path_has_the_samples_that_the_plan_says(self, calibrated):
         result, *_ = calibrated
-        planned = StagePathPlanner.samples(200, 3)
+        homing = Excitation("homing", np.zeros((2, 3)), 400.0)
+        planned = PathPlanner(homing, [VoltageLimits(0, 1)] * 3, 200).samples
         assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from dehyst import DehystError, FileFormatError, RecordError, read
-from dehyst.instruments.calibration.protocol import ExcitationPlan
-from dehyst.instruments.calibration.session import NullProgress, Session
+from dehyst.calibration.protocol import ExcitationPlan
+from dehyst.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
 from dehyst.records.hdf5 import sha256_of

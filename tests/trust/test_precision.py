@@ -10,11 +10,11 @@ import structured_records
 
 import dehyst
 from dehyst import ModelError
-from dehyst._io.json_files import finite
-from dehyst.model import Structure
+from dehyst._io import finite
+from dehyst.identification import Structure
 from dehyst.report.uncertainty_section import sections
-from dehyst.uncertainty import insight
-from dehyst.uncertainty.precision import NumberVerdict, PartPrecision, Precision
+from dehyst.trust import insight
+from dehyst.trust.precision import NumberVerdict, PartPrecision, Precision
 
 NAMES = ("stiffness", "stiffnesses", "V/m")
 
@@ -116,7 +116,7 @@ def test_without_intervals_nothing_is_said_of_precision():
     found = insight(actuator, record, repeats=0)
     assert found.precision is None
     assert found.as_dict()["known"] is None
-    assert "How precisely was not judged" in "\n".join(sections(found))
+    assert "was not judged: there are no intervals" in "\n".join(sections(found))
 
 
 def test_open_stiffnesses_are_not_known_however_narrow_their_intervals():

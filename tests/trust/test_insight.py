@@ -8,15 +8,15 @@ import pytest
 
 import dehyst
 from dehyst import Outcome, Record
-from dehyst._io.json_files import finite
+from dehyst._io import finite
 from dehyst.identification.diagnostics.identifiability import identifiability
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.model.structure import Grid
-from dehyst.uncertainty import insight
-from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.experiment_design import advise
-from dehyst.uncertainty.feasible_set import feasible_set
+from dehyst.identification.structure import Grid
+from dehyst.trust import insight
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.experiment_design import advise
+from dehyst.trust.feasible_set import feasible_set
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
 

@@ -12,14 +12,14 @@ from plain_records import plant
 from rehearsal import DEHYST, Served
 
 from dehyst import Actuator, FileFormatError, RecordError, read
-from dehyst._io.drafts import unwritten
+from dehyst._io import unwritten
+from dehyst.calibration import Plan, calibrate
+from dehyst.calibration.comparison_loop import agreement, cycles, replay
+from dehyst.calibration.plan import steps
+from dehyst.calibration.protocol import ExcitationPlan
+from dehyst.calibration.session import NullProgress, Session
 from dehyst.cli.output.instrument_errors import _left
 from dehyst.instruments import open_rig
-from dehyst.instruments.calibration import Plan, calibrate
-from dehyst.instruments.calibration.comparison_loop import agreement, cycles, replay
-from dehyst.instruments.calibration.plan import steps
-from dehyst.instruments.calibration.protocol import ExcitationPlan
-from dehyst.instruments.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator

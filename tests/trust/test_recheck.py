@@ -10,7 +10,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import IdentifyError, Record, RecordError
-from dehyst.identification import Standing
+from dehyst.trust import Standing
 
 STROKE = 16.152e-6
 SECONDS = 1200.0
@@ -91,7 +91,7 @@ def test_a_model_that_never_met_the_goal_is_not_blamed_for_it():
     recheck = dehyst.check(loops.model(), loops.later(), goal=1e-3)
     assert recheck.standing is Standing.NEVER_MET
     assert not recheck.good
-    unknown = replace(loops.model(), provenance={})
+    unknown = replace(loops.model(), identification=None)
     recheck = dehyst.check(unknown, loops.later(), goal=1e-3)
     assert recheck.standing is Standing.RECALIBRATE
     assert (recheck.before, recheck.ratio) == (None, None)
@@ -99,10 +99,9 @@ def test_a_model_that_never_met_the_goal_is_not_blamed_for_it():
 
 def test_the_goal_is_that_of_the_identification():
     model = loops.model()
-    assert model.provenance["goal_percent"] == 1.0
+    assert model.identification.goal == 1.0
     assert dehyst.check(model, loops.later()).goal == 1.0
-    assert dehyst.check(model.with_provenance(goal_percent=2.5), loops.later()).goal == 2.5
-    assert dehyst.check(model.with_provenance(goal_percent="much"), loops.later()).goal == 1.0
+    assert dehyst.check(model.with_identification(goal=2.5), loops.later()).goal == 2.5
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "transformer", "creep", "smooth", "all"])

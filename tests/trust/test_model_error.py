@@ -13,10 +13,10 @@ import pytest
 
 import dehyst
 from dehyst.report.uncertainty_section import sections
-from dehyst.uncertainty import insight
-from dehyst.uncertainty.bootstrap import resample
-from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.model_error import HeldOut
+from dehyst.trust import insight
+from dehyst.trust.bootstrap import resample
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.model_error import HeldOut
 from dehyst.virtual import PreisachActuator
 from dehyst.waveforms import Sampling, descending_tops
 
@@ -43,7 +43,7 @@ def stranger():
     truth = PreisachActuator()
     made = descending_tops(truth.highest, drive=Sampling(sample_rate=100.0, frequency=1.0))
     record = dehyst.Record(made.time, made.voltage, truth.play(made.voltage), "tops")
-    actuator = dehyst.identify(record, structure="paper", norm="l2", delay=0.0, drift=False).actuator
+    actuator = dehyst.identify(record, structure="maxwell_slip", norm="l2", delay=0.0, drift=False).actuator
     return truth, actuator, record
 
 

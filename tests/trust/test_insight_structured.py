@@ -10,13 +10,13 @@ import pytest
 import structured_records
 
 from dehyst import ModelError, Record, identify
-from dehyst.model import Structure
+from dehyst.identification import Structure
 from dehyst.report import render, write_insight
 from dehyst.report.uncertainty_section import sections
-from dehyst.uncertainty import insight
-from dehyst.uncertainty.bootstrap import resample
-from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.part_identifiability import part_identifiability
+from dehyst.trust import insight
+from dehyst.trust.bootstrap import resample
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.identifiability import part_identifiability
 
 STRUCTURES = {
     "graded, transformer": Structure(elements=6, grades=3, knots=7, transformer=5),
@@ -130,15 +130,15 @@ def test_a_lone_loop_is_something_to_beware_of():
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert not found.trustworthy
-    assert "leave 4 of 9 directions of plain elements open" in found.warnings()[0]
-    assert "dehyst excite descending-tops 200 -o voltage.csv" in found.warnings()[0]
+    assert "4 of 9 directions of plain elements are open" in found.warnings()[0]
+    assert f"Add {found.advice[0].words}" in found.warnings()[0]
+    assert found.advice[0].determined == 9
     assert insight(model, whole, repeats=0).trustworthy
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_look_at_a_wider_model(name):
     found, fit, _ = looked(name)
-    assert found.structured
     told_ = json.loads(json.dumps(found.as_dict()))
     assert told_["not_judged"] == found.not_judged != ""
     assert told_["homing"]["certified"] == found.homing.certified
@@ -150,7 +150,7 @@ def test_a_look_at_a_wider_model(name):
     text = "\n".join(sections(found))
     for words in (
         "What the records determine of each part",
-        "How accurate the numbers are",
+        "How accurate the parts are",
         "The trajectory",
         "Not judged",
         "When the state becomes known",
@@ -188,8 +188,9 @@ def test_limits_beyond_the_records_are_told():
 
 def test_a_creeping_model_asks_for_the_time_of_a_trajectory():
     _, fit, record = looked("creep")
-    with pytest.raises(ModelError, match="this actuator creeps, so that the answer depends on time; give time="):
+    with pytest.raises(ModelError, match="this actuator creeps, so that the answer depends on time") as refused:
         insight(fit.actuator, record, trajectory=trajectory()[0], repeats=20)
+    assert "time" in refused.value.change
 
 
 def test_everything_at_once_with_and_without_repeats(tmp_path):
@@ -227,7 +228,7 @@ def test_the_command(tmp_path):
     for words in (
         "Known of each part",
         "the displacement on the major loop",
-        "Not judged of a structured model",
+        "Not judged of a model with more parts than slip elements and a spring",
         "not judged from the voltage alone",
         "Largest error to expect on the trajectory",
     ):

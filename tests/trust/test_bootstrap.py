@@ -13,9 +13,9 @@ from scipy.stats import binom
 import dehyst
 from dehyst import IdentifyError, Outcome
 from dehyst.model import MaxwellSlip
-from dehyst.uncertainty.bootstrap import Intervals, resample
-from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.feasible_set import feasible_set
+from dehyst.trust.bootstrap import Intervals, resample
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.feasible_set import feasible_set
 
 TOPS = (1, 0, *(turn for top in (1, 0.8, 0.6, 0.4, 0.2) for turn in (top, 0, top, 0)))
 MAJOR = (1, 0) * 5
@@ -170,7 +170,7 @@ def test_the_spread_is_how_much_more_least_absolute_deviations_scatter():
 
 def test_another_method_is_not_widened():
     one = evidence(norm="l1")
-    paper = replace(one.actuator, provenance={**one.actuator.provenance, "method": "breakpoints"})
+    paper = one.actuator.with_identification(method="breakpoints")
     record = one.comparisons[0].record.record
     assert resample(Evidence.from_records(paper, record), repeats=20).spread == 1
 

@@ -1,0 +1,143 @@
+"""Errors are data: argument, got, need and hint; a command shows them with the names of its options."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import click
+import pytest
+from click.testing import CliRunner
+from summaries import anatomy
+
+import dehyst
+from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
+from dehyst.cli import main
+from dehyst.cli.output.terminal import error_text, options_of
+from dehyst.cli.start import start_words
+from dehyst.control import PossibleStart
+from dehyst.records import write_record
+from dehyst.studies import demo
+from dehyst.virtual import PlayActuator
+
+
+def commands(command=main, words=()):
+    """All commands that can be run, with their words."""
+    if isinstance(command, click.Group):
+        for name, inner in command.commands.items():
+            yield from commands(inner, (*words, name))
+    else:
+        yield " ".join(words), command
+
+
+COMMANDS = dict(commands())
+
+
+@pytest.mark.parametrize("kind", [ModelError, RecordError, FileFormatError, LinkError])
+def test_an_error_is_made_of_its_fields(kind):
+    error = kind(argument="limits", got=(5, 2), need="the lower one first", hint="swap them", change=("limits",))
+    assert str(error) == "limits: got (5, 2), need the lower one first; swap them"
+    assert error.text(str.upper).startswith("LIMITS: got")
+    again = pickle.loads(pickle.dumps(error))
+    assert (
+        again.as_dict()
+        == error.as_dict()
+        == {
+            "kind": kind.__name__,
+            "message": str(error),
+            "argument": "limits",
+            "got": "(5, 2)",
+            "need": "the lower one first",
+            "hint": "swap them",
+            "change": ["limits"],
+        }
+    )
+    assert str(kind("a sentence")) == "a sentence"
+
+
+@pytest.mark.parametrize(
+    ("command", "error", "shown"),
+    [
+        ("identify", {"argument": "slope_floor", "got": 2.0}, "--slope-floor: got 2.0"),
+        ("identify", {"argument": "elements, knots", "got": 3}, "--elements, --knots: got 3"),
+        ("identify", {"argument": "voltage", "got": "no samples"}, "voltage: got no samples"),
+        ("export", {"argument": "slew_rate", "got": -1.0}, "--slew: got -1.0"),
+        ("excite raised-cosine", {"argument": "peaks", "got": (0.0,)}, "PEAKS: got (0.0,)"),
+        ("compensate", {"argument": "cycles", "got": 3}, "--start-up: got 3"),
+        ("insight", {"hint": "give limits", "change": ("limits",)}, "give limits (--limits LOW HIGH)"),
+        ("simulate", {"argument": "slope_floor", "got": 1}, "slope_floor: got 1"),
+    ],
+)
+def test_a_command_shows_its_options(command, error, shown):
+    assert error_text(ModelError(**error), COMMANDS[command]) == shown
+    assert options_of(COMMANDS[command])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Records and models that some command must refuse, or has something to say of."""
+    place = tmp_path_factory.mktemp("words")
+    write_record(place / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
+    (place / "units.csv").write_text("a,b,c\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)))
+    (place / "path.csv").write_text("displacement_um\n" + "".join(f"{k / 10}\n" for k in range(50)))
+    anatomy("creep").save(place / "creeps.json")
+    anatomy("plain").save(place / "plain.json")
+    return place
+
+
+@pytest.mark.parametrize(
+    ("line", "argument", "flag"),
+    [
+        ("identify loops.csv --slope-floor 7", "slope_floor", "--slope-floor: "),
+        ("identify loops.csv --delay 1e6", "delay", "--delay: "),
+        ("compensate creeps.json path.csv -o out.csv", "", "(--time NAME, --sample-rate HZ)"),
+        ("compensate plain.json path.csv -o out.csv --slew -1 --sample-rate 10", "slew_rate", "--slew: "),
+        ("insight plain.json loops.csv --level 7", "level", "--level: "),
+        ("export creeps.json firmware", "", "(--period S)"),
+        ("export plain.json firmware --period -1", "period", "--period: "),
+        ("excite raised-cosine 0 -o out.csv", "peaks", "PEAKS: "),
+        ("excite staircase 100 -o out.csv --sample-rate 0.01", "sample_rate", "--sample-rate: "),
+    ],
+)
+def test_errors_of_commands_name_options(folder, monkeypatch, line, argument, flag):
+    monkeypatch.chdir(folder)
+    done = CliRunner().invoke(main, line.split())
+    assert done.exit_code == 2 and flag in done.stderr
+    done = CliRunner().invoke(main, [*line.split(), "--json"])
+    if "excite" not in line:
+        assert json.loads(done.stdout)["error"]["argument"] == argument
+
+
+def test_columns_are_suggested_as_data(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    done = CliRunner().invoke(main, ["show", "units.csv", "--json"])
+    error = json.loads(done.stdout)["error"]
+    assert done.exit_code == 2 and error["kind"] == "ColumnsError"
+    assert error["suggestion"].keys() == {"time", "voltage", "voltage_scale", "displacement"}
+
+
+def test_the_help_of_knots_is_what_is_done():
+    shown = CliRunner().invoke(main, ["identify", "--help"]).stdout
+    assert "[default: N + 1, at most 41]" in " ".join(shown.split())
+    record = demo.record_loops(PlayActuator(plays=60))[0]
+    for elements, knots in ((20, 21), (50, 41)):
+        fit = dehyst.identify(record, elements=elements, norm="l2", delay=0.0)
+        assert fit.actuator.spring.displacement.size == knots
+
+
+def test_the_start_is_said_alike_and_within_the_limits():
+    """The state at the top of the spring is held by a little more than the highest voltage of the records."""
+    actuator = replace(anatomy("plain"), limits=(0.0, 150.0))
+    top = PossibleStart.named(actuator, "top")
+    assert actuator.voltage(top.state) > 160
+    begin = top.within(actuator, None)
+    assert start_words(actuator, top) == start_words(actuator, top, begin) == "(coming from the top, 150 V)"
+
+
+@pytest.mark.parametrize("name", ["limits", "knots", "delay"])
+def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monkeypatch):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "x").touch()
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, ["demo", "-o", name, "--no-report"])
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

@@ -1,0 +1,68 @@
+"""Models and snapshots as blocks of bytes: one layout for Python and C, and nothing broken is accepted."""
+
+import re
+import subprocess
+
+import compiled_exports
+import golden_core
+import numpy as np
+import places
+import pytest
+import sanitized
+
+import dehyst
+from dehyst import ModelError
+from dehyst.exports.model_header import config_header
+
+
+def test_the_core_has_the_version_of_the_package():
+    header = (places.CORE / "include" / "dehyst.h").read_text()
+    assert re.search(r'#define DEHYST_VERSION "(.*)"', header)[1] == dehyst.__version__
+
+
+def test_what_c_replays_is_what_python_computes():
+    assert golden_core.TARGET.read_text() == golden_core.text()
+
+
+@pytest.mark.parametrize("number", ["double", "float"])
+def test_broken_blocks_are_refused_or_keep_to_their_limits(tmp_path, number):
+    if missing := sanitized.runtime_missing():
+        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
+    (tmp_path / "dehyst_config.h").write_text(config_header(number))
+    for name in ("dehyst.h", "dehyst_model.h"):
+        (tmp_path / name).write_text((places.CORE / "include" / name).read_text())
+    sources = [*sorted((places.CORE / "src").glob("*.c")), places.CORE / "tests" / "blocks.c"]
+    strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-I", tmp_path]
+    command = ["gcc", *strict, *sanitized.SANITIZE, *sources, "-lm", "-o", tmp_path / "blocks"]
+    subprocess.run(list(map(str, command)), check=True, timeout=300)
+    subprocess.run([tmp_path / "blocks", "500", "7"], check=True, timeout=120)
+
+
+@pytest.mark.parametrize("kind", ["slewing", "moving"])
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
+    loop = compiled_exports.KINDS[kind]()
+    low, high = loop.reach
+    path = np.random.default_rng(3).uniform(low, high, 80)
+    loop.run(path[:40])
+    kept, other = loop.snapshot_block(), loop.afresh()
+    expected = loop.run(path[40:])
+    for place in range(8 * len(kept)):
+        broken = bytearray(kept)
+        broken[place // 8] ^= 1 << place % 8
+        with pytest.raises(ModelError):
+            other.restore_block(bytes(broken))
+    for block in (kept[:-1], kept + b"0", b"", loop.model_block(), compiled_exports.KINDS["creep"]().snapshot_block()):
+        with pytest.raises(ModelError):
+            other.restore_block(block)
+    assert other.snapshot_block() == loop.afresh().snapshot_block()
+    other.restore_block(kept)
+    np.testing.assert_array_equal(other.run(path[40:]), expected)
+
+
+def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
+    loop = compiled_exports.plain()
+    block, number = loop.model_block(), loop.model_id()
+    loop.reset(loop.actuator.turned(0.5 * sum(loop.reach), rising=False))
+    assert loop.model_block() != block
+    assert loop.model_id() == number != compiled_exports.KINDS["creep"]().model_id()

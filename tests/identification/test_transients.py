@@ -1,0 +1,85 @@
+"""Records with rest, and with steps that ring: what does not count, and what is expected of the model."""
+
+import numpy as np
+import pytest
+import transients as suite
+
+import dehyst
+from dehyst import Record
+from dehyst.fleet.drift import widths
+from dehyst.identification.preprocessing.cleaning import cycle_time, rest_at_ends
+from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+
+
+@pytest.mark.parametrize(("name", "kind"), [("plays", "step first"), ("mass", "step first"), ("slip", "step last")])
+def test_the_motion_is_promised_and_the_transient_named(name, kind):
+    found = suite.run(name, kind, samples=30_000)
+    error, expected = found.fit.errors[0], found.fit.expectation
+    assert any("set aside" in sentence for sentence in found.fit.repairs)
+    assert expected.largest_percent < 1.0
+    assert found.rms < 2 * 100 * expected.rms / error.stroke
+    # Rest counts neither as used nor as left out; what rings is left out.
+    assert error.samples < 21_000
+    assert 40 < error.left_out < 4000
+
+
+def test_what_rings_neither_counts_nor_is_compared():
+    record, _, _ = suite.record_of("plays", "staircase", samples=20_000)
+    prepared = prepare(record)
+    aside = prepared.record.set_aside
+    assert len(aside) >= 6
+    fit = dehyst.identify(record, structure="maxwell_slip")
+    for first, last in aside:
+        assert not np.any((fit.traces[0].time >= first) & (fit.traces[0].time <= last))
+
+
+def resting(seconds, creep=0.0):
+    """A record at rest before and after three cycles of 1 s; the displacement creeps at the end."""
+    time = np.arange(0, 3 + 2 * seconds, 0.002)
+    since = np.clip(time - seconds, 0, 3)
+    voltage = 50 - 50 * np.cos(2 * np.pi * since)
+    y = PlayActuator(noise=0.0).play(voltage)
+    y = y + creep * np.ptp(y) * np.log10(1 + np.clip(time - seconds - 3, 0, None) / 0.01)
+    return Record(time, voltage, y + np.random.default_rng(1).normal(0, 1e-9, time.size))
+
+
+def test_rest_before_and_after_the_motion_does_not_count():
+    prepared, moving = prepare(resting(4.0)), prepare(resting(0.1))
+    assert len(prepared.record) < 1.05 * len(moving.record)
+    assert cycle_time(prepared.record) == pytest.approx(1.0, rel=0.02)
+    assert prepared.samples == pytest.approx(moving.samples, rel=0.05)
+    assert prepared.lead is not None
+    assert len([sentence for sentence in prepared.sentences if "rest" in sentence]) == 2
+
+
+def test_rest_in_which_the_displacement_creeps_stays():
+    prepared = prepare(resting(4.0, creep=0.01))
+    assert prepared.record.time[-1] == pytest.approx(11.0, abs=0.01)
+
+
+def test_a_short_rest_changes_nothing():
+    record = resting(0.1)
+    assert rest_at_ends(record) == (0, len(record))
+
+
+MAKES = {
+    "plays": lambda: PlayActuator(plays=120, noise=0.0),
+    "relays": lambda: PreisachActuator(noise=0.0),
+    "bouc-wen": lambda: BoucWenActuator(noise=0.0),
+}
+
+
+@pytest.mark.parametrize("shape", ["sine", "triangle"])
+@pytest.mark.parametrize(("noise", "within"), [(0.01, 0.1), (0.005, 0.05)])
+@pytest.mark.parametrize("name", MAKES)
+def test_noise_of_the_sensor_does_not_narrow_the_loop(name, noise, within, shape):
+    part = np.arange(500) / 500
+    cycle = 0.5 - 0.5 * np.cos(2 * np.pi * part) if shape == "sine" else 1 - np.abs(2 * part - 1)
+    voltage = 200 * np.tile(cycle, 4)
+    y = MAKES[name]().play(voltage, time=1e-3 * np.arange(voltage.size), measured=False)
+    up, down = slice(500, 751), slice(750, 1001)
+    true = np.interp(100, voltage[down][::-1], y[down][::-1]) - np.interp(100, voltage[up], y[up])
+    noisy = y + np.random.default_rng(1).normal(0, noise * np.ptp(y), y.size)
+    fit = dehyst.identify(Record(1e-3 * np.arange(y.size), voltage, noisy))
+    assert widths(fit.actuator, (0.0, 200.0), 1.0)[1] == pytest.approx(true, rel=within)

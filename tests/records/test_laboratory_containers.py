@@ -1,0 +1,193 @@
+"""Files that are easily read wrong: refused, read right or marked as a guess, also with the options of messages."""
+
+import h5py
+import laboratory_files
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from laboratory_containers import NM, TRAPS, TWINS
+from laboratory_files import N, T, V, Y, assert_measured, options_of
+
+from dehyst import Record, identify
+from dehyst._errors import FileFormatError, RecordError
+from dehyst.records import read, read_table, write_columns, write_hdf5, write_record
+from dehyst.records.tables import ColumnsError
+
+# Of traps that can be read right: the clock and the displacement, if they are others.
+CLOCKS = {"gap.parquet": T + 0.7 * (T[N // 2] <= T)}
+STROKES = {"group.h5": NM * 1e-9, "small.mat": NM * 1e-9}
+# Their channels do not have the clock of the truth in common.
+APART = ("starts.lvm", "steps.lvm", "multi.lvm", "times.lvm", "late.tdms")
+
+
+def outcome(path, options):
+    """How a file is read, pasting what is proposed: "refused", "right", "guessed" or "wrong"."""
+    for _ in range(3):
+        try:
+            record = read(path, **options)
+            record.check_usable()
+            break
+        except ColumnsError as error:
+            if not error.options or error.options.items() <= options.items():
+                return "refused"
+            options = options | error.options
+        except (FileFormatError, RecordError):
+            return "refused"
+    else:
+        return "refused"
+    if record.meta.get("guesses"):
+        return "guessed"
+    expected = CLOCKS.get(path.name, T), V, STROKES.get(path.name, Y)
+    found = record.time - record.time[0], record.voltage, record.displacement
+    alike = len(record) == N and all(
+        np.allclose(a, b, rtol=0, atol=1e-6 * np.ptp(b)) for a, b in zip(found, expected, strict=True)
+    )
+    return "right" if alike and path.name not in APART else "wrong"
+
+
+@pytest.mark.parametrize("name", TRAPS)
+def test_no_trap_is_read_wrong_in_silence(name, tmp_path):
+    write, words = TRAPS[name]
+    write(tmp_path / name)
+    assert outcome(tmp_path / name, options_of(words)) in ("refused", "right", "guessed")
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_innocent_twins_are_read(name, tmp_path):
+    write, words = TWINS[name]
+    write(tmp_path / name)
+    record = read(tmp_path / name, **options_of(words))
+    assert_measured(record)
+    record.check_usable()
+    assert "guesses" not in record.meta
+
+
+# Guesses
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
+def test_a_guess_is_kept_by_record_files(suffix, tmp_path):
+    np.save(tmp_path / "a.npy", np.array([T, V, Y * 1e6]))
+    with pytest.raises(ColumnsError) as caught:
+        read(tmp_path / "a.npy")
+    assert caught.value.options == {"columns": "time:s?,voltage:V?,displacement:um?"}
+    record = read(tmp_path / "a.npy", **caught.value.options)
+    assert record.meta["guesses"].keys() == {"time", "voltage", "displacement"}
+    assert len([words for words in record.problems() if "guessed, verify" in words]) == 3
+    path = tmp_path / f"b{suffix}"
+    (write_hdf5 if suffix == ".h5" else write_record)(path, record)
+    assert read(path).meta["guesses"] == record.meta["guesses"]
+    assert np.array_equal(read(path).voltage, record.voltage)
+    known = read(tmp_path / "a.npy", columns="time:s,voltage:V,displacement:um")
+    assert_measured(known)
+    assert "guesses" not in known.meta
+    (write_hdf5 if suffix == ".h5" else write_record)(path, known)
+    assert "guesses" not in read(path).meta
+
+
+@pytest.mark.parametrize("line", ["[1]", '{"voltage": 1}', "{" * 3000, "\xff", ""])
+def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
+    rows = "".join(f"{k},{k % 5},{k % 7}\n" for k in range(40))
+    table = f"# dehyst-guesses: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
+    (tmp_path / "a.csv").write_text(table, "latin-1")
+    assert "guesses" not in read(tmp_path / "a.csv").meta
+
+
+def test_a_guess_is_repeated_by_the_verdict(tmp_path):
+    path = tmp_path / "a.csv"
+    write_record(path, Record(T, V, Y))
+    path.write_text(path.read_text().replace("displacement_um", "y"))
+    fit = identify([read(path, displacement="y:um?")], structure="maxwell_slip", elements=4, throw=False)
+    assert [words for words in fit.remarks if "guessed, verify" in words] == [fit.remarks[0]]
+    assert fit.options["records"][0]["guesses"].keys() == {"displacement"}
+    fit = identify([read(path, displacement="y:um")], structure="maxwell_slip", elements=4, throw=False)
+    assert not [words for words in fit.remarks if "guessed" in words]
+
+
+def test_guesses_of_several_axes_name_the_axis(tmp_path):
+    write_columns(tmp_path / "a.csv", {"time_s": T, "vx_V": V, "vy_V": V[::-1], "x_um": Y * 1e6, "y_um": Y[::-1] * 1e6})
+    record = read(tmp_path / "a.csv", axes="vx_V?:x_um vy_V:y_um?")
+    assert record.meta["guesses"].keys() == {"voltage of x", "displacement of y"}
+    assert len([words for words in record.axis(0).problems() if "guessed, verify" in words]) == 2
+    assert "guesses" not in read(tmp_path / "a.csv", axes="vx_V:x_um vy_V:y_um").meta
+
+
+def test_a_name_may_end_as_a_guess_does(tmp_path):
+    (tmp_path / "a.csv").write_text("time_s,drive?_V,why?\n0,1,2\n1,2,3\n")
+    record = read(tmp_path / "a.csv", voltage="drive?_V", displacement="why?:um")
+    assert record.displacement == pytest.approx([2e-6, 3e-6])
+    assert "guesses" not in record.meta
+    assert read(tmp_path / "a.csv", voltage="drive?_V?", displacement="why?:um").meta["guesses"].keys() == {"voltage"}
+
+
+# Containers
+
+
+def test_rows_of_one_array_are_series_or_refused(tmp_path):
+    options = {"columns": "time:s,voltage:V,displacement:um"}
+    table = np.array([T, V, Y * 1e6])
+    for name, array in (("a.npy", table), ("b.npy", table.T), ("c.npy", np.asfortranarray(table))):
+        np.save(tmp_path / name, array)
+        assert_measured(read(tmp_path / name, **options))
+    np.savez(tmp_path / "a.npz", table)
+    assert_measured(read(tmp_path / "a.npz", **options))
+    np.savez(tmp_path / "b.npz", table, image=np.eye(4), note=np.array("x"))
+    assert_measured(read(tmp_path / "b.npz", **options))
+    for name, array in (("square", np.eye(4)), ("cube", np.zeros((3, 4, 5))), ("text", np.array(["a", "b"]))):
+        np.save(tmp_path / f"{name}.npy", array)
+        with pytest.raises(FileFormatError, match="no numeric columns found"):
+            read(tmp_path / f"{name}.npy")
+    np.save(tmp_path / "objects.npy", np.array([{}, {}], dtype=object))
+    with pytest.raises(FileFormatError, match="holds Python objects"):
+        read(tmp_path / "objects.npy")
+
+
+def test_an_own_unit_and_a_name_count_more_than_the_unit_of_a_group(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("time", "voltage_mV", "y", "z"):
+            file[f"run/{name}"] = np.arange(3.0)
+        file["run"].attrs["unit"] = "nm"
+        file["run/z"].attrs["unit"] = "mm"
+    units = {column.leaf: column.parts[1] for column in read_table(tmp_path / "a.h5").columns}
+    assert units == {"time": "", "voltage_mV": "mV", "y": "nm", "z": "mm"}
+
+
+def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
+    ticks = np.array([5, 7, 10], "int64") + 1_700_000_000_000_000_001
+    columns = {
+        "stamp": pa.array(ticks, pa.timestamp("ns", "UTC")),
+        "lasting": pa.array([1, None, 4], pa.duration("ms")),
+        "gone": pa.array([None, 2_000, 3_000], pa.timestamp("ms")),
+    }
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    found = {column.name: column for column in read_table(tmp_path / "a.parquet").columns}
+    assert {column.unit for column in found.values()} == {"s"}
+    assert found["stamp"].data == pytest.approx([0, 2e-9, 5e-9], rel=1e-12)
+    np.testing.assert_allclose(found["lasting"].data, [1e-3, np.nan, 4e-3])
+    np.testing.assert_allclose(found["gone"].data, [np.nan, 0, 1])
+
+
+def test_the_header_of_an_oscilloscope_states_the_step(tmp_path):
+    rows = "".join(f"{k},{k % 7},{k % 5}\n" for k in range(60))
+    for header, step in (
+        ("XInc, 0.01, s\nXOrg, -0.3, s", 0.01),
+        ("# Sample interval [ms] = 20", 0.02),
+        ("dt: 5 us", 5e-6),
+        ("Sample Rate,1 kS/s", 1e-3),
+        ("X Increment,2\nX Units,ms", 2e-3),
+    ):
+        (tmp_path / "a.csv").write_text(f"{header}\nIndex,drive_V,y_um\n{rows}")
+        record = read(tmp_path / "a.csv")
+        assert record.time[0] == pytest.approx(-0.3 if "XOrg" in header else 0)
+        assert record.sample_time == pytest.approx(step, rel=1e-9)
+        assert "guesses" not in record.meta
+
+
+def test_columns_keep_their_fields_on_the_way_from_the_reader_process(tmp_path):
+    write, _ = TWINS["rows.xlsx"]
+    write(tmp_path / "a.xlsx")
+    ends = [column.ends for column in read_table(tmp_path / "a.xlsx").columns]
+    assert ends[0] == ("0", repr(float(T[-1])))
+    laboratory_files.write_xlsx(tmp_path / "b.xlsx", [["t/s", "U/V", "Position/nm"], *np.c_[T, V, Y * 1e9].tolist()])
+    assert_measured(read(tmp_path / "b.xlsx"))

@@ -1,0 +1,360 @@
+"""Random lives through every way by which a voltage leaves: none may leave the limits or jump from the present voltage.
+
+A jump is a change beyond slew rate times time, from the voltage before; that before the first one counts too.
+"""
+
+import contextlib
+import io
+import json
+import tempfile
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pint
+import strategies
+import xarray
+from fake_rig import FakeRig
+
+from dehyst import Actuator, Bank, Compensator, DehystError
+from dehyst.cli import main
+from dehyst.control import PossibleStart, home_before, plan_voltage, wave_table
+from dehyst.instruments.base import TICK
+from dehyst.model import Creep, Dynamics
+from dehyst.stages import Stage, StageCompensator, home_stage_before
+from dehyst.waveforms import Excitation
+from dehyst.waveforms.named import scan_of
+
+QUANTITY = pint.UnitRegistry().Quantity
+COUNTS = {"m": 1.0, "um": 1e6, "nm": 1e9}
+CARRIERS = ("list", "array", "series", "xarray", "quantity")
+PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag")
+# Of each call, in 1000; those that take long are rare.
+SHARES = {
+    "step": 250,
+    "offer": 80,
+    "hold": 40,
+    "run": 120,
+    "snapshot": 50,
+    "reset": 30,
+    "trajectory": 250,
+    "home": 30,
+    "lead": 25,
+    "table": 4,
+    "stage": 10,
+    "stage_home": 3,
+    "bank": 20,
+    "rig": 6,
+    "file": 1,
+}
+
+
+def carried(rng, path, units):
+    """A path [m] as someone may give it to a compensator in `units`: plain numbers in them, or a unit of its own."""
+    kind, plain = str(rng.choice(CARRIERS)), path * COUNTS[units]
+    if kind == "list":
+        return plain.tolist()
+    if kind == "series":
+        return pandas.Series(plain, index=np.arange(path.size) + 7)
+    if kind == "xarray":
+        return xarray.DataArray(path * 1e9, dims="n", attrs={"units": "nm"})
+    return QUANTITY(path * 1e3, "mm") if kind == "quantity" else plain
+
+
+def one(rng, wanted, units):
+    """A single displacement [m] likewise."""
+    kind = rng.integers(3)
+    return QUANTITY(wanted * 1e6, "um") if kind == 0 else (float, np.float64)[kind - 1](wanted * COUNTS[units])
+
+
+def random_actuator(rng):
+    """An actuator of 1 to 20 um and 20 to 200 V, and its kind."""
+    kind, span, volts = str(rng.choice(PARTS)), rng.uniform(1e-6, 2e-5), rng.uniform(20, 200)
+    seed, elements, knots = int(rng.integers(2**32)), int(rng.integers(1, 8)), int(rng.integers(2, 6))
+    plain = strategies.make_actuator(seed, elements, knots, True, 0.0)
+    in_length, in_voltage = span / strategies.span_of(plain), volts / float(np.ptp(plain.spring.voltage))
+    low = float(plain.spring.voltage[0])
+    slip = type(plain.slip)(plain.slip.breakaway * in_length, plain.slip.stiffness * in_voltage / in_length)
+    begin = float(plain.spring.displacement[0])
+    spring = type(plain.spring)(
+        (plain.spring.displacement - begin) * in_length, (plain.spring.voltage - low) * in_voltage
+    )
+    actuator, more = Actuator(slip, spring), {}
+    if kind in ("transformer", "graded"):
+        flags = {"graded": kind == "graded", "transformer": kind == "transformer", "creep": False}
+        actuator = strategies.make_wider(actuator, seed, **flags)
+    if kind == "creep":
+        more["creep"] = Creep([0.05, 1.0], np.full(2, 0.2 * volts / span))
+    if kind == "dynamics":
+        more["dynamics"] = Dynamics(2 * np.pi * rng.uniform(50, 500), rng.uniform(0.05, 1))
+    if kind == "lag":
+        more["lag"] = 10 ** rng.uniform(-4, -2)
+    made = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, **more)
+    edge = sorted(rng.uniform(-0.2, 1.2, 2))
+    low, high = (volts * np.array(edge)).tolist() if edge[1] - edge[0] > 0.2 else (0.0, volts)
+    return replace(made, limits=(low, high)), kind
+
+
+@dataclass
+class Life:
+    """A compensator, the voltage that it sent last, and what is wrong."""
+
+    rng: np.random.Generator
+    note: object = lambda _: None
+    findings: list = field(default_factory=list)
+
+    def __post_init__(self):
+        rng = self.rng
+        self.actuator, self.kind = random_actuator(rng)
+        self.low, self.high = self.actuator.limits
+        self.period = 10 ** rng.uniform(-3, -1)
+        self.slew = (self.high - self.low) / self.period * 10 ** rng.uniform(-1.8, 0.3)
+        self.units = str(rng.choice(list(COUNTS)))
+        self.options = {"period": self.period, "units": self.units}
+        self.loop = Compensator(self.actuator, None, self.slew, state=self.state(), **self.options)
+        self.before = self.loop.voltage
+
+    def wish(self):
+        low, high = self.actuator.reach
+        return low + (high - low) * self.rng.uniform(-0.3, 1.3)
+
+    def path(self, size=None):
+        """Smooth, in jumps, or at rest."""
+        size = int(self.rng.choice([1, 2, 30, 120])) if size is None else size
+        turns = np.array([self.wish() for _ in range(int(self.rng.integers(1, 6)))])
+        if self.rng.random() < 0.3:
+            return turns[np.arange(size) * turns.size // size]
+        return np.interp(np.linspace(0, turns.size, size), np.arange(turns.size), turns)
+
+    def clock(self, size):
+        if self.rng.random() < 0.5:
+            return self.rng.uniform(-5, 5) + self.period * np.arange(size)
+        return np.cumsum(self.period * self.rng.uniform(0.3, 2, size))
+
+    def state(self):
+        if self.rng.random() < 0.4:
+            return None
+        low, high = self.actuator.reach
+        return self.actuator.turned(low + (high - low) * self.rng.uniform(-0.2, 1.2), rising=bool(self.rng.integers(2)))
+
+    def held(self, state):
+        return min(max(self.actuator.voltage(state), self.low), self.high)
+
+    def hold_against(self, call, voltage, present, intervals, slew=None, rounding=2e-12, slack=1e-9):
+        """Hold voltages (n,) [V] that leave, with the seconds (n,) before each, against limits and slew rate."""
+        voltage, slew = np.atleast_1d(np.asarray(voltage, dtype=float)), self.slew if slew is None else slew
+        self.note("voltages")
+        tolerance = rounding * (self.high - self.low)
+        if not np.all((voltage >= self.low - tolerance) & (voltage <= self.high + tolerance)):
+            self.findings.append(f"{self.kind}: {call}: {voltage.min()!r} to {voltage.max()!r} V outside the limits")
+        change = np.abs(np.diff(voltage, prepend=present))
+        most = slew * np.broadcast_to(intervals, change.shape) * (1 + slack) + tolerance
+        if (change > most).any():
+            k = int(np.argmax(change - most))
+            self.findings.append(
+                f"{self.kind} in {self.units}: {call}: sample {k} jumps by {change[k]!r} V, {most[k]!r} are allowed"
+            )
+
+    def sent(self, call, voltage):
+        self.hold_against(call, voltage, self.before, self.period)
+        self.before = float(np.atleast_1d(voltage)[-1]) if np.size(voltage) else self.before
+
+    def step(self):
+        self.sent("step", self.loop.step(one(self.rng, self.wish(), self.units)))
+
+    def offer(self):
+        voltage = self.loop.offer(one(self.rng, self.wish(), self.units))
+        self.loop.commit(voltage)
+        self.sent("offer", voltage)
+
+    def hold(self):
+        self.loop.hold()
+        self.sent("hold", self.loop.voltage)
+
+    def run(self):
+        path = self.path()
+        self.sent("run", self.loop.run(carried(self.rng, path, self.units)))
+
+    def snapshot(self):
+        memory, before = self.loop.snapshot(), self.before
+        self.step()
+        self.loop.restore(memory)
+        self.before = before
+        other = self.loop.afresh()
+        other.restore(memory)
+        self.loop = other
+        self.step()
+
+    def reset(self):
+        self.loop.reset(self.state())
+        self.before = self.loop.voltage
+
+    def trajectory(self):
+        path, options = self.path(), {}
+        present, time = self.before, None
+        if (state := self.state()) is not None:
+            options["state"], present = state, self.held(state)
+        if self.rng.random() < 0.3:
+            present = options["present"] = float(self.rng.uniform(self.low, self.high))
+        intervals = np.full(path.size, self.period)
+        if self.rng.random() < 0.7:
+            options["time"] = time = self.clock(path.size)
+            intervals[1:] = np.diff(time)
+            intervals[0] = min([self.period, *intervals[1:2]])
+        command = self.loop.trajectory(carried(self.rng, path, self.units), extrapolate=True, **options)
+        self.hold_against("trajectory", command.voltage, present, intervals)
+        if command.units != self.units:
+            self.findings.append(f"trajectory: in {command.units}, need {self.units}")
+
+    def home(self):
+        """A path after a homing, or a voltage."""
+        if self.kind == "creep" and self.rng.random() < 0.9:
+            return
+        path, present = self.path(60), float(self.rng.uniform(self.low, self.high))
+        self.homed("home_before", path, present=present)
+        if self.rng.random() < 0.2:
+            wave = np.full(5, float(self.rng.uniform(self.low, self.high)))
+            homed = plan_voltage(self.loop, wave, home=True, present=present)
+            self.hold_against("plan_voltage", homed.voltage, present, np.diff(homed.time, prepend=-self.period))
+
+    def lead(self):
+        """From a state at rest within the limits."""
+        state = self.actuator.relaxed(float(np.clip(0.0, self.low, self.high)))
+        if self.kind not in ("dynamics", "lag"):
+            voltage = [self.rng.uniform(self.low, self.high)]
+            state = self.actuator.simulate(voltage, time=[0.0], extrapolate=True).state
+        self.homed("from a state", self.path(60), state=state)
+
+    def homed(self, call, path, **options):
+        time = self.clock(path.size)
+        homed = home_before(self.loop, carried(self.rng, path, self.units), time=time, **options)
+        present = options["present"] if "present" in options else self.held(options["state"])
+        step = float(np.median(np.diff(time)))
+        self.hold_against(call, homed.voltage, present, np.diff(homed.time, prepend=homed.time[0] - step), slack=1e-6)
+        wanted = path * COUNTS[self.units]
+        if homed.units != self.units or not np.allclose(homed.displacement[homed.first :], wanted, rtol=1e-9):
+            self.findings.append(f"{call}: the displacement is not in {self.units}")
+
+    def table(self):
+        if self.kind not in ("plain", "transformer", "graded"):
+            return
+        low, high = (1e6 * (self.actuator.reach[0] + np.ptp(self.actuator.reach) * share) for share in (0.2, 0.8))
+        options = {"low": low, "high": high, "frequency": 10 ** self.rng.uniform(-2.5, -1.5) / self.period}
+        scan = scan_of(str(self.rng.choice(["triangle", "lissajous"])), options, 1 / self.period)
+        state, present = self.state(), float(self.rng.uniform(self.low, self.high))
+        table = wave_table(self.actuator, scan, slew_rate=self.slew, state=state, present=None if state else present)
+        played = table.played(3)
+        begin = present if state is None else self.held(state)
+        intervals = np.diff(played.time, prepend=played.time[0] - self.period)
+        self.hold_against("wave table", played.voltage, begin, intervals, slack=1e-6)
+
+    def stage(self):
+        other, _ = random_actuator(self.rng)
+        coupling = np.array([[1, 0.1], [-0.05, 1]])
+        slews = [self.slew, None]
+        stage = Stage((self.actuator, other), coupling, ("x", "y"))
+        loop = StageCompensator(stage, period=self.period, slew_rate=slews)
+        present = float(loop.voltage[0])
+        wanted = np.column_stack([self.path(20), np.full(20, np.mean(other.reach))])
+        trace = loop.trajectory(wanted, extrapolate=True)
+        self.hold_against("stage: trajectory", trace.voltage[:, 0], present, self.period)
+        stepped = np.array([loop.step(row) for row in wanted])
+        self.hold_against("stage: step", stepped[:, 0], present, self.period)
+
+    def stage_home(self):
+        stage = Stage((self.actuator, replace(self.actuator, name="y")), np.array([[1, 0.1], [-0.05, 1]]), ("x", "y"))
+        if self.kind == "creep":
+            return
+        loop = StageCompensator(stage, period=self.period, slew_rate=[self.slew] * 2)
+        time = self.period * np.arange(40)
+        wanted = np.column_stack([self.path(40), self.path(40)])
+        known = bool(self.rng.integers(2))
+        homed = home_stage_before(loop, wanted, time=time, states=loop.states if known else None)
+        voltage = np.column_stack([one.voltage for one in homed])
+        present = loop.voltage if known else np.full(2, min(max(0.0, self.low), self.high))
+        for j in range(2):
+            intervals = np.diff(homed[j].time, prepend=homed[j].time[0] - self.period)
+            self.hold_against("homed stage", voltage[:, j], present[j], intervals, slack=1e-6)
+
+    def bank(self):
+        bank = Bank([self.actuator] * 3, None, self.slew, period=self.period)
+        present = self.held(self.actuator.state)
+        first = bank.step(np.array([self.wish() for _ in range(3)]))
+        later = bank.compensate(np.column_stack([self.path(30).clip(*self.actuator.reach) for _ in range(3)]))
+        for j in range(3):
+            self.hold_against("bank", np.append(first[j], later[:, j]), present, self.period)
+
+    def rig(self):
+        """What a rig plays: refused, or led to within the slew rate."""
+        # Its list of voltages begins at 0 V.
+        limits = min(self.low, 0.0), max(self.high, 1.0)
+        rig = FakeRig(limits, limits=limits, slew_rate=self.slew)
+        command = self.loop.trajectory(self.path(40) * COUNTS[self.units], extrapolate=True)
+        with contextlib.suppress(DehystError):
+            rig.play(Excitation("path", command.voltage, 1 / self.period), lambda _: None)
+        sent, done = np.array(rig.instrument.sent), rig.done
+        ramped = done.index("wave") if "wave" in done else len(done)
+        # After the wave, if the rig retreats, its ramp has ticks again.
+        sent = sent[: 1 + ramped + command.voltage.size]
+        intervals = np.where(np.arange(sent.size - 1) < ramped, TICK, self.period)
+        own, (self.low, self.high) = (self.low, self.high), limits
+        self.hold_against("rig", sent[1:], sent[0], intervals, slack=1e-5)
+        self.low, self.high = own
+
+    def file(self):
+        """What `dehyst compensate` writes, with the speed of the records as its bound."""
+        known = replace(self.actuator, recorded_slew_rate=self.slew)
+        if self.kind == "creep":
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            model, path, out = (Path(folder) / name for name in ("model.json", "path.csv", "out.csv"))
+            known.save(model)
+            table = np.column_stack([self.period * np.arange(50), 1e6 * self.path(50)])
+            np.savetxt(path, table, delimiter=",", header="time_s,displacement_um", comments="")
+            start = str(self.rng.choice(["top", "bottom", "unknown"]))
+            words = [
+                "compensate",
+                model,
+                path,
+                "-o",
+                out,
+                "--json",
+                *([] if start == "unknown" else ["--start", start]),
+            ]
+            told = io.StringIO()
+            with contextlib.redirect_stdout(told), contextlib.redirect_stderr(io.StringIO()):
+                try:
+                    main.main([*map(str, words)], prog_name="dehyst")
+                except SystemExit as done:
+                    if done.code == 2:
+                        self.note("files refused")
+                        return
+            result, columns = json.loads(told.getvalue()), np.genfromtxt(out, delimiter=",", names=True, comments="#")
+            time, voltage = columns["time_s"], columns["voltage_V"]
+            if result["slew_from"] != "records" or result["slew_V_per_s"] != self.slew:
+                self.findings.append("file: the bound is not that of the records")
+            present = float(voltage[0])
+            if start != "unknown":
+                present = self.held(PossibleStart.named(known, start).state)
+            self.hold_against(
+                f"file from {start}", voltage, present, np.diff(time, prepend=time[0] - self.period), rounding=1e-8
+            )
+
+
+def play(seed, case, note):
+    """Play one life; return what is wrong."""
+    rng = np.random.default_rng([seed, case])
+    names, shares = list(SHARES), np.array([*SHARES.values()]) / sum(SHARES.values())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        life = Life(rng, note)
+        note(life.kind)
+        for name in rng.choice(names, int(rng.choice([3, 6, 12])), p=shares):
+            try:
+                getattr(life, name)()
+                note(name)
+            except DehystError as error:
+                note(f"refused: {name}: {str(error)[:40]}")
+    return life.findings
