@@ -47,6 +47,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/strangers.py --jobs 2
+	$(BIN)/python benchmarks/transients.py
+	$(BIN)/python benchmarks/lags.py
 	$(BIN)/python benchmarks/coupled_axes.py
 	$(BIN)/python benchmarks/calibrated_axes.py
 	$(BIN)/python benchmarks/paper.py
@@ -68,6 +70,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/figure.py
 	$(BIN)/python benchmarks/readme.py
 	$(BIN)/python benchmarks/benchmarks_page.py
+	$(BIN)/python benchmarks/rules_page.py
 	$(BIN)/python benchmarks/control_page.py
 	$(BIN)/python benchmarks/safety_page.py
 	$(BIN)/python benchmarks/trust_page.py

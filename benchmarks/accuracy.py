@@ -24,8 +24,7 @@ from typing import Any
 import dehyst
 from dehyst import Actuator
 from dehyst.baselines import compare
-from dehyst.baselines.comparison import contenders
-from dehyst.baselines.scores import OURS, ModelScore
+from dehyst.baselines.comparison import OURS, ModelScore, contenders
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.studies import demo

@@ -15,8 +15,6 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "dehyst"
 PICTURE = ROOT / "docs" / "explanation" / "architecture.svg"
 FOUNDATION = "foundation"
-# `rigs` is an old name of `instruments`.
-NOT_DRAWN = frozenset({"rigs"})
 WIDTH, BOX, HEIGHT, STEP, MARGIN = 860, 244, 46, 96, 24
 HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-labelledby="title">
@@ -89,7 +87,7 @@ def room_graph() -> dict[str, set[str]]:
     rooms: dict[str, set[str]] = {FOUNDATION: set()}
     for module, used in module_graph(files()).items():
         room = room_of(module)
-        if module != "dehyst" and room not in NOT_DRAWN:
+        if module != "dehyst":
             rooms.setdefault(room, set()).update(room_of(one) for one in used if one != "dehyst")
     return {room: used - {room} for room, used in rooms.items()}
 

@@ -15,12 +15,11 @@ from strangers.truths import TRUTHS, Bench
 
 import dehyst
 from dehyst import Compensator, Record
-from dehyst.model import Structure
-from dehyst.uncertainty.bootstrap import resample
-from dehyst.uncertainty.evidence import Evidence
-from dehyst.uncertainty.messages import misfit_of
-from dehyst.uncertainty.model_error import HeldOut
-from dehyst.uncertainty.prediction_band import PredictionBand, rise_excitation, state_after_rise
+from dehyst.identification import Structure
+from dehyst.trust.bootstrap import resample
+from dehyst.trust.evidence import Evidence
+from dehyst.trust.model_error import HeldOut
+from dehyst.trust.prediction_band import PredictionBand, rise_excitation, state_after_rise
 from dehyst.virtual import BoucWenActuator
 
 CLASSES = {
@@ -112,7 +111,7 @@ def repeat(name: str, structure: Structure, kind: str, seed: int) -> Repeat:
         Compensator(actuator, limits).trajectory(wanted, state=start),
         intervals,
         None,
-        misfit=misfit_of(actuator, evidence.comparisons),
+        misfit=evidence.misfit,
         limits=limits,
         played=played,
         held_out=HeldOut.of(evidence, intervals),

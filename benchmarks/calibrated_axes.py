@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from strangers import truths
 
-from dehyst.instruments import open_stage_rig
-from dehyst.stages import calibrate_stage
+from dehyst.calibration import calibrate
+from dehyst.instruments import open_rig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, StageBench, VirtualStage
 from dehyst.virtual.emulator import Controller, Server
 from dehyst.virtual.stage import spread_coupling
@@ -75,8 +75,8 @@ def measure(name):
     )
     began = time.monotonic()
     with Server(Controller(StageBench(stage, speed=SPEED)), port=0, lock=threading.Lock()) as server:
-        with open_stage_rig(f"pi://{server.host}:{server.port}/1,2,3") as rig, tempfile.TemporaryDirectory() as folder:
-            result = calibrate_stage(rig, folder)
+        with open_rig(f"pi://{server.host}:{server.port}/1,2,3") as rig, tempfile.TemporaryDirectory() as folder:
+            result = calibrate(rig, folder)
         ends = [bench.voltage for bench in server.controller.instrument.benches]
     row = {
         "truths": name,

@@ -15,7 +15,8 @@ import numpy as np
 from strangers import truths
 
 import dehyst
-from dehyst.stages import StageRecord, stage_excitation
+from dehyst.records import Record
+from dehyst.stages import stage_excitation
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling
 
@@ -106,7 +107,7 @@ def records(stage, seed):
 
 
 def _record(stage, seconds, voltage, name):
-    return StageRecord(seconds, voltage, stage.play(seconds, voltage), name=name)
+    return Record(seconds, voltage, stage.play(seconds, voltage), name=name)
 
 
 def measure(kinds, seed, bent):
@@ -116,13 +117,10 @@ def measure(kinds, seed, bent):
     began = time.monotonic()
     fit = dehyst.identify_stage(training, validate=held)
     seconds = time.monotonic() - began
-    strokes = training.strokes
+    strokes = np.ptp(training.displacement, axis=0)
     single, floor = [], []
     for j in range(3):
-        exact = [
-            one.with_displacement(j, (one.displacement @ np.linalg.inv(stage.coupling).T)[:, j])
-            for one in (training, held)
-        ]
+        exact = [one.axis(j, (one.displacement @ np.linalg.inv(stage.coupling).T)[:, j]) for one in (training, held)]
         by_itself = dehyst.identify(exact[0], validate=exact[1], throw=False)
         floor.append(100 * by_itself.errors[-1].largest / strokes[j])
         alone = dehyst.identify(training.axis(j), validate=held.axis(j), throw=False)

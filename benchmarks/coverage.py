@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.uncertainty.bootstrap import resample
-from dehyst.uncertainty.evidence import Evidence
+from dehyst.trust.bootstrap import resample
+from dehyst.trust.evidence import Evidence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))

@@ -31,7 +31,7 @@ from rehearsal import (
     web_server,
 )
 
-from dehyst._io.drafts import write_atomically
+from dehyst._io import write_atomically
 
 HERE = Path(__file__).resolve().parent
 # Loops a second, and seconds of the device in each second: fast, and slow enough for a signal in mid-wave.

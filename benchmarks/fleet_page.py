@@ -60,6 +60,12 @@ def kills(result: dict) -> list[str]:
         for name, words in KILLS.items()
         if (one := result.get(name))
     ]
+    if (one := result.get("rehearsal")) is not None:
+        words = f"{len(one['faults'])} tables with a fault"
+        rows.append(
+            f"| {one['kills']} times at any moment, `--resume` on records that were added, removed or changed, with "
+            f"names of any bytes; {one['double_starts']} double starts | {words} |"
+        )
     return ["| killed (`kill -9`) | the table |", "| --- | --- |", *rows]
 
 

@@ -31,7 +31,7 @@ import stage
 from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
-from dehyst.control.preview import Preview
+from dehyst.control.loop import Preview
 from dehyst.model import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")

@@ -90,6 +90,11 @@ class ObservedController:
         return f"pi://127.0.0.1:{self._server.port}"
 
     @property
+    def identity(self) -> str:
+        """Its answer to the question who it is."""
+        return self._controller._identity
+
+    @property
     def told(self) -> int:
         """Number of samples that it has delivered."""
         return self._controller.recorder.rows_sent
@@ -113,6 +118,12 @@ class ObservedController:
                 return np.array([self._began]), np.array([0.0])
             at, voltage = (np.concatenate(columns) for columns in zip(*self._log, strict=True))
         return self._began + at, voltage
+
+    def forget(self) -> None:
+        """Forget what was put out until now."""
+        with self._lock:
+            self._log.clear()
+        self._late.clear()
 
     def wait_for(self, condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:
         """Wait for a condition; return whether it came in time."""
@@ -212,7 +223,7 @@ class RigHolder:
     def arm(self) -> None:
         """Let signs of life come, and arm."""
         self.alive(True)
-        self.send(do="arm", limits=self.state["limits"], slew=self.state["slew"])
+        self.send(do="arm", **{name: self.state[name] for name in ("identity", "limits", "slew")})
         self.until(lambda: self.state["status"] == "armed")
 
     def play(self, name: str = "wave") -> None:
@@ -316,3 +327,14 @@ def asked(port: int, first: str, headers: dict[str, str], seconds: float = 5.0) 
             answer += data
         return int(answer.split()[1]), answer.decode()
     return 0, ""
+
+
+def children(parent: int, module: str) -> list[int]:
+    """Return the processes that `parent` started and that run this Python module."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            begun = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            if begun == parent and module in (entry / "cmdline").read_bytes().decode("utf-8", "replace").split("\0"):
+                found.append(int(entry.name))
+    return found

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.control.tracking import wanted_path
 from dehyst.studies.demo import record_loops
 from dehyst.virtual import PlayActuator
+from dehyst.waveforms.standard import wanted_path
 
 OUTPUT = Path(__file__).parent / "saturation.json"
 LIMITS, SLEW_RATE, PERIOD = (0.0, 100.0), 2e3, 1e-3

@@ -4,7 +4,7 @@ Maxwell-slip, plain, and a wider model: 20 elements, a transformer of 10 segment
 runs in a process of its own, whose peak memory counts above what the imports took: the record is in it.
 
 And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with
-all parts. `size.py firmware` measures that alone.
+all parts, and the instructions of its steps on a Cortex-M4F that QEMU emulates. `size.py firmware` measures that alone.
 """
 
 from __future__ import annotations
@@ -24,11 +24,16 @@ import scipy.interpolate
 import scipy.linalg
 import scipy.optimize  # noqa: F401
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+
+import compiled_exports
+
 import dehyst
 from dehyst.exports import sizes
 from dehyst.exports.firmware import code
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
-from dehyst.model import GradedSlip, MaxwellSlip, Spring, Structure, Transformer
+from dehyst.identification import Structure
+from dehyst.model import GradedSlip, MaxwellSlip, Spring, Transformer
 
 SIZES = (100_000, 1_000_000, 10_000_000)
 OUTPUT = Path(__file__).parent / "size.json"
@@ -90,7 +95,7 @@ def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
         seconds = round(time.perf_counter() - begun, 1)
         print(words, seconds, f"{peak() - before:.0f} MiB", file=sys.stderr, flush=True)
 
-    fit = dehyst.identify(made, norm=norm, structure=WIDE if wide else "paper", progress=tell)  # type: ignore[arg-type]
+    fit = dehyst.identify(made, norm=norm, structure=WIDE if wide else "maxwell_slip", progress=tell)  # type: ignore[arg-type]
     error = fit.errors[0]
     return {
         "samples": len(made),
@@ -159,6 +164,24 @@ def firmware() -> list[dict[str, object]]:
     return found
 
 
+def steps() -> list[dict[str, object]]:
+    """Instructions of a step in floats on an emulated Cortex-M4F: in the middle, and the most of clamped ones."""
+    found: list[dict[str, object]] = []
+    for structure in ("plain", "wide"):
+        compensator = small(structure == "wide")
+        low, high = compensator.reach
+        far = 10 * (high - low)
+        with tempfile.TemporaryDirectory() as work:
+            folder = compiled_exports.written(Path(work) / "c", compensator, "float")
+            swept = np.linspace(low, high, 500)
+            followed, _ = compiled_exports.instructions(folder, np.concatenate([swept, swept[::-1]]))
+            clamped, _ = compiled_exports.instructions(folder, [low - far, high + far] * 100)
+        row = {"structure": structure, "followed": float(np.median(followed)), "clamped": float(clamped.max())}
+        found.append({key: round(value) if isinstance(value, float) else value for key, value in row.items()})
+        print(found[-1], flush=True)
+    return found
+
+
 def keep(section: str, found: object) -> None:
     """Write one section, the other as it was."""
     data = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
@@ -171,10 +194,11 @@ def main() -> None:
         print(json.dumps(measure(int(sys.argv[1]), sys.argv[2], sys.argv[3])))
         return
     keep("firmware", firmware())
+    keep("instructions", steps())
     if sys.argv[1:] == ["firmware"]:
         return
     found = []
-    for structure in ("paper", "wide"):
+    for structure in ("maxwell_slip", "wide"):
         for samples in SIZES:
             for norm in ("l1", "l2"):
                 command = [sys.executable, __file__, str(samples), norm, structure]

@@ -1,6 +1,7 @@
 """The ways to lose page, server, network or driver while a wave plays; writes `workbench_rehearsal.json`.
 
-Names on the command line select some of them; then nothing is written.
+Names on the command line select some of them; then nothing is written. `stops 200`: that many times two connects at
+once and two emergency stops instead; writes `workbench_stops.json`.
 """
 
 import json
@@ -14,8 +15,9 @@ from pathlib import Path
 from observed_rig import LIMITS, SLEW
 from page_ways import PAGE_WAYS, rehearse_page
 from rig_ways import WAYS, Outcome, Way, rehearse
+from stop_ways import rehearse_stops
 
-from dehyst._io.drafts import write_atomically
+from dehyst._io import write_atomically
 
 HERE = Path(__file__).resolve().parent
 # Digits of a number.
@@ -67,6 +69,10 @@ def pages() -> tuple[dict, float]:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["stops"]:
+        summary = {"machine": platform.machine(), **rehearse_stops(int(sys.argv[2]))}
+        write_atomically(HERE / "workbench_stops.json", (json.dumps(summary, indent=1) + "\n").encode())
+        return
     chosen = [way for way in WAYS if len(sys.argv) == 1 or way.name in sys.argv[1:]]
     told = {}
     for way in chosen:

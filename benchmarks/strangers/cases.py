@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from dehyst import Compensator, Record
 from dehyst.model import AbstractModel, Actuator, simulated
-from dehyst.model.replay import timed
+from dehyst.model.states import timed
 from strangers.disturbances import DISTURBANCES, QUIET, Disturbance, Raw, Scale
 from strangers.protocols import PROTOCOLS, Part, Protocol, path, through
 from strangers.truths import TRUTHS, Bench, Truth

@@ -11,8 +11,9 @@ from typing import Any
 
 import dehyst
 from dehyst import Record
-from dehyst.baselines.registry import BASELINES
-from dehyst.model import AbstractModel, Actuator, Fit, Verdict
+from dehyst.baselines.comparison import BASELINES
+from dehyst.identification import Fit, Verdict
+from dehyst.model import AbstractModel, Actuator
 from strangers.cases import Case, Experiment
 
 AUTO, PLAIN, LINEAR = "auto", "plain", "linear ratio"
@@ -56,7 +57,7 @@ def score(case: Case) -> dict[str, Any]:
 
         return run
 
-    ways = {AUTO: fitted(AUTO, "auto"), PLAIN: fitted(PLAIN, "paper")}
+    ways = {AUTO: fitted(AUTO, "auto"), PLAIN: fitted(PLAIN, "maxwell_slip")}
     ways |= {name: BASELINES[name] for name in (*RIVALS, LINEAR)}
     methods = {name: _tried(experiment, name, way) for name, way in ways.items()}
     for name, fit in fits.items():

@@ -16,9 +16,9 @@ tops = descending_tops(200, drive=Sampling(sample_rate=4))
 record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="loops")
 
 # %%
-# ``structure="paper"`` is the class of Yeh, Lu and Wu: its loops are equally wide at both ends. ``"auto"``, the
+# ``structure="maxwell_slip"`` is the class of Yeh, Lu and Wu: its loops are equally wide at both ends. ``"auto"``, the
 # default, adds the parts that predict cycles which were held out.
-plain = dehyst.identify(record, structure="paper")
+plain = dehyst.identify(record, structure="maxwell_slip")
 wider = dehyst.identify(record)
 for name, fit in ("plain", plain), ("auto", wider):
     print(f"{name}: largest error {fit.errors[0].largest_percent:.2f} % of the stroke")

@@ -32,7 +32,7 @@ print(fill(line, 85))
 
 # %%
 # A staircase with other levels and longer holds, predicted from its voltages alone. The plain model has no creep.
-plain = dehyst.identify(record, structure="paper")
+plain = dehyst.identify(record, structure="maxwell_slip")
 drive = Sampling(frequency=0.2, sample_rate=rate)
 steps = staircase(160, steps=4, hold=30, drive=drive)
 later = time[-1] + (1 + np.arange(len(steps))) / rate

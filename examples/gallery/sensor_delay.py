@@ -24,8 +24,8 @@ record = dehyst.Record(tops.time, tops.voltage, measured, name="late")
 
 # %%
 # The delay is searched for beside the model. ``delay=0`` forbids it.
-fit = dehyst.identify(record, structure="paper")
-without = dehyst.identify(record, structure="paper", delay=0)
+fit = dehyst.identify(record, structure="maxwell_slip")
+without = dehyst.identify(record, structure="maxwell_slip", delay=0)
 print(f"delay: {1e3 * fit.actuator.delay:.2f} ms")
 for name, one in ("with it", fit), ("delay=0", without):
     print(f"{name}: {one.errors[0].rms_percent:.3f} % of the stroke RMS on the record")

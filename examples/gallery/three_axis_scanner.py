@@ -21,7 +21,7 @@ def play(time, voltage):
     """Return what sensors on the three axes measure."""
     moved = [stack.play(column) for stack, column in zip(stacks, voltage.T, strict=True)]
     noise = np.random.default_rng(0).normal(0, 2e-9, voltage.shape)
-    return dehyst.StageRecord(time, voltage, np.column_stack(moved) @ coupling.T + noise)
+    return dehyst.Record(time, voltage, np.column_stack(moved) @ coupling.T + noise)
 
 
 # %%
@@ -31,14 +31,14 @@ play(np.arange(41.0), 200 * np.sin(np.linspace(0, np.pi, 41))[:, None] ** 2 * np
 record = play(tops.time, tops.voltage)
 
 # %%
-# The matrix, and three actuators of the paper's class, which is fitted fast.
-fit = dehyst.identify_stage(record, structure="paper")
+# The matrix, and three Maxwell-slip actuators, which are fitted fast.
+fit = dehyst.identify_stage(record, structure="maxwell_slip")
 print(np.round(fit.coupling, 4))
 print(f"largest error of an entry: {np.abs(fit.coupling - coupling).max():.4f}; {fit.verdict}")
 
 # %%
 # What the voltage of y leaves on x: of a model of x alone, and of the stage.
-alone = dehyst.identify(record.axis(0), structure="paper", throw=False).traces[0]
+alone = dehyst.identify(record.axis(0), structure="maxwell_slip", throw=False).traces[0]
 whole = fit.fits[0].traces[0]
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), sharey=True)
 for axes, trace, title in (left, alone, "x as a single axis"), (right, whole, "x in the stage"):

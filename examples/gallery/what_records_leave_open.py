@@ -31,7 +31,7 @@ for name, excitation in (
     ("descending tops", descending_tops(200, drive=sampling)),
 ):
     record = recorded(name, excitation)
-    fit = dehyst.identify(record, structure="paper", elements=10)
+    fit = dehyst.identify(record, structure="maxwell_slip", elements=10)
     answers[name] = dehyst.insight(fit.actuator, record, trajectory=path, repeats=20)
     print(f"{name}: {fit.outcome.name}, {fit.errors[0].rms_percent:.3f} % RMS")
 
