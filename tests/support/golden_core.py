@@ -3,6 +3,7 @@
 The C tests of the core then need no Python.
 """
 
+import re
 import warnings
 
 import compiled_exports
@@ -21,6 +22,12 @@ def _bytes(name, block):
 def _numbers(name, values):
     rows = [", ".join(float(x).hex() for x in values[i : i + 4]) for i in range(0, len(values), 4)]
     return f"static const dehyst_real {name}[{len(values)}] = {{\n    " + ",\n    ".join(rows) + "};\n"
+
+
+def numbers(name, header):
+    """Return an array of numbers of a header's text."""
+    found = re.search(rf"{name}\[\d+\] = {{(.*?)}};", header, re.DOTALL)[1]
+    return [float.fromhex(one) for one in found.replace(",", " ").split()]
 
 
 def text():

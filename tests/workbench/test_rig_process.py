@@ -124,6 +124,7 @@ def test_a_request_with_an_id_is_answered_once(tmp_path):
         holder.send(do="stop", id=1)
         holder.connect(controller.address)
         holder.send(do="plan", frequency=0, id=2)
+        holder.until(lambda: 2 in outcomes(holder))
         holder.arm()
         holder.play()
         holder.send(do="arm", id=3)
