@@ -211,7 +211,7 @@ def _led(
     way = _Way.found(
         compensator, when, wanted.size, present, lambda begun: actuator.voltage(first_state(begun)), start=start
     )
-    rates = {
+    rates: dict[str, Any] = {
         name: None if path[name] is None else compensator.in_metres(path[name], name, per)
         for name, per in (("velocity", "/s"), ("acceleration", "/s**2"))
     }
