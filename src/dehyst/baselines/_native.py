@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dehyst import _rivals
+import dehyst._rivals as compiled
 from dehyst._errors import ModelError
 from dehyst._rivals import bouc_wen, coleman_hodgdon, preisach, preisach_weights
 from dehyst._types import Array
@@ -36,7 +36,7 @@ class PlayCore:
     __slots__ = ("_core",)
 
     def __init__(self, *tables: Any) -> None:
-        self._core = _rivals.Plays(*tables)
+        self._core = compiled.Plays(*tables)
 
     def simulate(self, v: Array, steps: Array, start: float, plays: Array, passed: Array) -> tuple[Array, Array, Array]:
         """Return displacements [m] for voltages [V], `steps` [s] apart, and the plays and low-passes at the end."""
@@ -61,4 +61,4 @@ class PlayCore:
 
 def play_outputs(thresholds: Array, start: Array, v: Array) -> Array:
     """Return the outputs (n, N) of plays of `thresholds` driven by v (n,), from `start` (N,); all [V]."""
-    return _rivals.play_outputs(thresholds, start, v)
+    return compiled.play_outputs(thresholds, start, v)
