@@ -65,7 +65,7 @@ FACES = {
             Change CheckHistory Insight Judgement Recheck Standing check insight judge
         """,
         "virtual": """
-            BoucWenActuator ModelledActuator PlayActuator PreisachActuator StageBench VirtualActuator VirtualBench
+            BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
             VirtualStage
         """,
         "virtual.emulator": """
