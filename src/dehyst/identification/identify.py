@@ -367,9 +367,7 @@ def _chosen_again(
 ) -> Structure | None:
     """Return the structure that the records support without a part, from a structure nearby; None without time."""
     again = run.deadline.attempt(
-        lambda: frame.chosen(start, run.report, fixed, run.deadline),
-        None,
-        f"the search for a structure without {part}",
+        lambda: frame.chosen(start, run.report, fixed, run.deadline), None, f"the search for a structure without {part}"
     )
     if again is None:
         return None

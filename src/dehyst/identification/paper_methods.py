@@ -22,12 +22,8 @@ from dehyst.records import Record
 class BreakPointLoop:
     """A closed loop between two turning points, its cycles averaged.
 
-    Attributes
-    ----------
-    bottom, top : float
-        Turning points [m].
-    descending, ascending : (m, 2) array
-        Break points (displacement [m], voltage [V]) of the branch, its two ends among them, in the order of motion.
+    `bottom`, `top`: turning points [m]. `descending`, `ascending` (m, 2): break points (displacement [m], voltage [V])
+    of the branch, its two ends among them, in the order of motion.
     """
 
     record: str
@@ -59,10 +55,7 @@ def loops_of(records: list[Record], elements: int) -> list[BreakPointLoop]:
     A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
     breakaway elongation; the others are springs with an unknown constant force (Remark 4).
 
-    Raises
-    ------
-    IdentifyError
-        If no record holds a closed loop.
+    Raise `IdentifyError` if no record holds a closed loop.
     """
     groups = [family for record in records for family in families(record)]
     if not groups:

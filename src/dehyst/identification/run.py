@@ -255,15 +255,7 @@ class IdentificationRun:
     def failed(self, status: str) -> Fit:
         """Return the result of a program without an optimum."""
         return Fit(
-            None,
-            Outcome.FAILED,
-            (),
-            tuple(self.repairs),
-            tuple(self.remarks),
-            (),
-            status,
-            float("nan"),
-            self.options(),
+            None, Outcome.FAILED, (), tuple(self.repairs), tuple(self.remarks), (), status, float("nan"), self.options()
         )
 
     def simulated(

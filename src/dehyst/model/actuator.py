@@ -128,10 +128,7 @@ class Actuator(AbstractModel):
         return "\n".join(lines(self))
 
     def plot(
-        self,
-        kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop",
-        *,
-        ax: Axes | None = None,
+        self, kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop", *, ax: Axes | None = None
     ) -> Axes:
         """Draw the actuator.
 

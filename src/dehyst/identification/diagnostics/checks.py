@@ -39,18 +39,9 @@ def model_checks(
     records. A model with more parts follows loops without them: its residuals must show no pattern, no difference
     between rising and falling branches, between the ends of the stroke, or between early and late.
 
-    Parameters
-    ----------
-    actuator : Actuator
-        As identified.
-    records : sequence of Prepared
-        Training records, then those held out.
-    traces, errors : sequence of Trace and of RecordErrors
-        Those of a `Fit`, one for each record.
-    floor : float, optional
-        Least allowed slope [V/m] of the spring; of Maxwell-slip only.
-    imposed : bool, optional
-        Whether the spring would fall somewhere without the floor; of Maxwell-slip only.
+    `actuator`: as identified. `records`: training records, then those held out. `traces`, `errors`: those of a `Fit`,
+    one for each record. `floor`: least allowed slope [V/m] of the spring; of Maxwell-slip only. `imposed`: whether the
+    spring would fall somewhere without the floor; of Maxwell-slip only.
 
     Returns
     -------
@@ -301,16 +292,8 @@ _FEWEST = 3
 class _Means:
     """Mean residual of each leg at each place.
 
-    Attributes
-    ----------
-    place, residual : (m,) array
-        Number of the place, and residual in % of the range.
-    up : (m,) bool array
-        Whether the leg rises.
-    edges : (_PLACES + 1,) array
-        Edges of the places [m].
-    noise : float
-        Standard deviation of a residual [% of the range].
+    `place`, `residual` (m,): number of the place, and residual in % of the range. `up` (m,) bool: whether the leg
+    rises. `edges` (_PLACES + 1,): edges of the places [m]. `noise`: standard deviation of a residual [% of the range].
     """
 
     place: NDArray[np.intp]

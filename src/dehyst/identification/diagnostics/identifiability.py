@@ -32,17 +32,10 @@ _SMALL = 0.02
 class Identifiability:
     """Combinations of the stiffnesses that records determine, with the spring and each record's constant free.
 
-    Attributes
-    ----------
-    breakaway : (N,) array
-        rho [m].
-    movable : (N,) bool array
-        Elements that slide in some record; the others act as part of the spring.
-    values : (m,) array
-        Singular values of the movable elements' columns, all else projected out, largest first [V/V]: the RMS voltage
-        of a change of 1 V of breakaway voltages in this direction, for any spring.
-    vectors : (m, m) array
-        Unit vectors of those changes, one in each row.
+    `breakaway` (N,): rho [m]. `movable` (N,) bool: elements that slide in some record; the others act as part of the
+    spring. `values` (m,): singular values of the movable elements' columns, all else projected out, largest first
+    [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring. `vectors` (m, m):
+    unit vectors of those changes, one in each row.
     """
 
     breakaway: Array
@@ -115,14 +108,8 @@ def identifiability(records: list[Record], regression: Regression, *, relaxed: C
     Noise makes all samples of a record differ, which would raise the numerical rank of measured rows. So the rank is
     that of the outlines of the paths.
 
-    Parameters
-    ----------
-    records : list of Record
-        Pieces without gaps, on a common displacement axis.
-    regression : Regression
-        Its thresholds, knots and movable elements are used.
-    relaxed : collection of int, optional
-        Numbers of the records that start with no element strained.
+    `records`: pieces without gaps, on a common displacement axis. `regression`: its thresholds, knots and movable
+    elements are used. `relaxed`: numbers of the records that start with no element strained.
     """
     breakaway = regression.grid.breakaway
     spacing = float(np.diff(breakaway, prepend=0.0).min())
@@ -150,14 +137,8 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
     A wider structure has more coefficients than records determine; smoothing settles the rest. But if ten plain
     elements stay open, smoothing cannot predict loops that turn elsewhere.
 
-    Parameters
-    ----------
-    records : list of Record
-        Pieces without gaps, on a common displacement axis.
-    rows : Rows
-        Rows of these records; their values have no effect.
-    span : (float, float)
-        Ends of the stroke [m].
+    `records`: pieces without gaps, on a common displacement axis. `rows`: rows of these records; their values have no
+    effect. `span`: ends of the stroke [m].
     """
     stroke = span[1] - span[0]
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
