@@ -153,9 +153,10 @@ def _solve(
     lower = np.concatenate([lower, np.zeros(2 * count)])
     upper = np.concatenate([np.full(unknowns, np.inf), np.where(np.tile(fixed, 2), 0.0, np.inf)])
     goal = target / size
-    x, objective, optimal, status, dual = highs.linear_program(cost, (lower, upper), matrix, (goal, goal))
-    gap = abs(objective - dual) / max(float(np.abs(goal).sum()), 1e-300)
-    return x[:unknowns] / scale * size, objective * size, optimal, status, gap
+    program = cost, (lower, upper), matrix, (goal, goal)
+    found = highs.minimum(*program)
+    gap = abs(found.objective - highs.dual_objective(found, *program)) / max(float(np.abs(goal).sum()), 1e-300)
+    return found.value[:unknowns] / scale * size, found.objective * size, found.optimal, found.status, gap
 
 
 def closed_form(loops: list[BreakPointLoop], elements: int, branch: Direction) -> Identified:

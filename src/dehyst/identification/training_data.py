@@ -28,7 +28,7 @@ from dehyst.model import Actuator, Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import energy_share, resolution, turning_points
 
-# Inertia must reduce the RMS residual to this share, or it is left out.
+# Of the error, in the search for inertia.
 _EVALUATIONS = 90
 
 

@@ -14,7 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
-from dehyst.identification.solvers.highs import linear_program
+from dehyst.identification.solvers.highs import minimum
 from dehyst.identification.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
@@ -96,7 +96,7 @@ class Identifiability:
         # Changes of breakaway voltages are changes of stiffness times rho; combinations transform inversely.
         space = basis * scale if friction else basis / scale
         kept: list[Array] = []
-        for candidate in sorted(_sparsest(space), key=_support_size):
+        for candidate in sorted(_sparsest(space), key=lambda one: int(np.count_nonzero(np.abs(one) > _SMALL))):
             if len(kept) < len(basis) and np.linalg.matrix_rank(np.array([*kept, candidate]), tol=1e-3) > len(kept):
                 kept.append(candidate)
         return tuple(_spread(vector, where, self.movable.size) for vector in sorted(kept, key=_first))
@@ -194,15 +194,11 @@ def _sparsest(space: Array) -> list[Array]:
     for i in np.flatnonzero(np.linalg.norm(basis, axis=0) > _SMALL):
         equations = np.vstack([rows, np.concatenate([basis[:, i], np.zeros(2 * size)])])
         goal = np.append(np.zeros(size), 1.0)
-        x, _, optimal, _, _ = linear_program(cost, (lower, upper), equations, (goal, goal))
-        if optimal:
-            z = x[:rank] @ basis
+        found = minimum(cost, (lower, upper), equations, (goal, goal))
+        if found.optimal:
+            z = found.value[:rank] @ basis
             vectors.append(z / z[np.argmax(np.abs(z))])
     return vectors
-
-
-def _support_size(vector: Array) -> int:
-    return int(np.count_nonzero(np.abs(vector) > _SMALL))
 
 
 def _first(vector: Array) -> int:

@@ -273,7 +273,7 @@ def _by_highs(problem: Problem, pull: Array, pair: PrimalDual) -> PrimalDual:
     both, cost = np.vstack([problem.rows, problem.matrix]).T, -np.append(problem.goal, problem.lower)
     solution = highs.minimum(cost, box, both, limits, solver="ipm")
     if not solution.optimal:
-        solution = highs.minimum(cost, box, both, limits, solver="simplex")
+        solution = highs.minimum(cost, box, both, limits)
     if not solution.optimal:
         return replace(pair, status=solution.status, optimal=False)
     x = -solution.row_dual

@@ -340,7 +340,7 @@ def _impossible(problem: Problem) -> bool:
         return False
     bounds = np.where(np.arange(q) < p, -np.inf, 0.0), np.full(q, np.inf)
     above = np.full(problem.lower.size, np.inf)
-    return not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above), solver="simplex").optimal
+    return not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above)).optimal
 
 
 def _l2(blocks: Blocks, frame: Problem) -> Answer:
@@ -360,7 +360,7 @@ def _linf(blocks: Blocks, frame: Problem) -> Answer:
         rows, goal, ones = selection.rows, selection.goal, np.ones((selection.goal.size, 1))
         both = np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones]), -kept])
         upper = np.concatenate([goal, -goal, -frame.lower])
-        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper), solver="simplex")
+        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper))
         if not solution.optimal:
             return failed(frame, solution.status)
         x = solution.value[:q]
