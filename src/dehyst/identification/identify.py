@@ -214,7 +214,7 @@ def _identify_structure(
     data = run.data(run.delay)
     if structure == "maxwell_slip":
         return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
-    plain = run.with_datums(run.stream(run.thresholds(), data).regression)
+    plain = run.with_datums(run.regression(run.thresholds(), data))
     run.publish_first_model(plain)
     frame = replace(data, inertia=run.lagging, datum=plain.datum, denoised=True)
     if isinstance(structure, str):
@@ -274,13 +274,10 @@ class _MaxwellSlipProgram:
     def solve(self, reach: float = 1.0) -> StructuredFit:
         """Solve it with thresholds up to so many half strokes."""
         run, rho = self._run, reach * self._rho
-        stream = run.stream(rho, self._data)
-        regression = _with_drifts(run, run.with_datums(stream.regression))
-        run.report(f"solving the {run.settings.norm} program for {len(stream.source)} samples")
+        regression = _with_drifts(run, run.with_datums(run.regression(rho, self._data)))
+        run.report(f"solving the {run.settings.norm} program for {len(regression)} samples")
         run.publish_first_model(regression)
-        found = run.solve_with_fallback(
-            replace(stream, regression=regression).fit_weighted, lambda: least_squares_of_sums(regression)
-        )
+        found = run.solve_with_fallback(regression.fit_weighted, lambda: least_squares_of_sums(regression))
         structure = Structure(elements=rho.size, knots=regression.knots.size, smoothing=0.0, reach=reach)
         frame = replace(self._data, datum=regression.datum)
         return StructuredFit(frame, structure, run.settings.norm, regression, found)
@@ -421,7 +418,7 @@ def _identify_at_breakpoints(run: IdentificationRun) -> Fit:
         return run.failed(found.status)
     run.remarks.extend(found.remarks)
     actuator = replace(found.actuator, delay=run.delay, **run.recorded())
-    regression = _with_drifts(run, run.stream(actuator.slip.breakaway, run.data(run.delay)).regression)
+    regression = _with_drifts(run, run.regression(actuator.slip.breakaway, run.data(run.delay)))
     return run.finish(actuator, regression, found.outcome, found.status, found.gap)
 
 

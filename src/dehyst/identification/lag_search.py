@@ -114,7 +114,7 @@ class _LagSearch:
         return replace(self.frame, inertia=self.split(total, share))
 
     def _regression(self, frame: TrainingData) -> Regression:
-        made = frame.on_grid(self._grid, _ROWS, smoothing=_STRUCTURE.smoothing, drifts=False).regression
+        made = frame.on_grid(self._grid, _ROWS, smoothing=_STRUCTURE.smoothing, drifts=False)
         return made if frame.creepless else replace(made, strained=tuple(range(len(frame.training))))
 
 

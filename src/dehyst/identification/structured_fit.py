@@ -27,7 +27,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.program import Norm, solve
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.training_data import SensedDynamics, TrainingData
-from dehyst.identification.validation import ComparisonOptions, compare, without_offset
+from dehyst.identification.validation import compare, without_offset
 from dehyst.model import Actuator, Dynamics, State
 from dehyst.records import Record
 from dehyst.records.signals import rms
@@ -98,9 +98,7 @@ class SimulationError:
         """Find states and offsets by comparison with an actuator; `datum` [m] of each record."""
         finals = []
         for record, shift in zip(records, datum, strict=True):
-            comparison = compare(
-                actuator, record, ComparisonOptions("training", actuator.delay, float(shift), False, stroke)
-            )
+            comparison = compare(actuator, record, stroke, datum=float(shift))
             for number, (of_piece, offset) in enumerate(zip(comparison.epochs, comparison.last_offsets(), strict=True)):
                 if of_piece:
                     state = comparison.state_before(actuator, number, of_piece[-1]).shifted(comparison.datum)

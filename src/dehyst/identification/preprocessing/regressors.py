@@ -6,10 +6,10 @@ other cart stands still: it adds kappa y and a constant. Such an interval is an 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,37 +27,6 @@ _SHORTEST_EPOCH = 16
 _BLOCK = 8_192
 # Samples whose voltages are compared at a time.
 _AT_A_TIME = 1 << 19
-
-
-class Moving(Protocol):
-    """Columns of the internal states besides carts along a piece, computed on demand."""
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        ...
-
-    def blocks(self, size: int) -> Iterator[Array]:
-        """Yield rows of all samples in order, (size, width) at a time except the last."""
-        ...
-
-
-Moved = Callable[[int, Record], "Array | Moving"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Rows in memory."""
-
-    rows: Array
-
-    @property
-    def width(self) -> int:
-        return int(self.rows.shape[1])
-
-    def blocks(self, size: int) -> Iterator[Array]:
-        for begin in range(0, len(self.rows), size):
-            yield self.rows[begin : begin + size]
 
 
 @dataclass(frozen=True)
@@ -200,10 +169,6 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
     return grown
 
 
-def _nothing(_: int, record: Record) -> Array:
-    return np.zeros((len(record), 0))
-
-
 @dataclass(frozen=True, eq=False)
 class RowSource:
     """The samples that count, in blocks: they need not be in memory all at once.
@@ -215,34 +180,34 @@ class RowSource:
         rho [m].
     epochs : list of list of Epoch
         Epochs of each piece.
-    moved : list of Moving
+    moved : list of InternalStates
         Internal states besides carts along each piece, at all its samples.
     """
 
     pieces: list[tuple[int, Record, Array]]
     breakaway: Array
     epochs: list[list[Epoch]]
-    moved: list[Moving]
+    moved: list[InternalStates]
 
     @classmethod
     def of(
         cls,
         pieces: list[tuple[int, Record, Array]],
-        breakaway: Array,
+        grid: Grid,
         noise: list[float],
         *,
         relaxed: Collection[int] = (),
-        moved: Moved = _nothing,
+        leads: Sequence[Record | None] = (),
     ) -> RowSource:
-        """Find the epochs; parameters as those of `collect`."""
+        """Find the epochs; `leads` are those of the records, see `InternalStates`, the others as for `collect`."""
         spans: list[list[Epoch]] = []
         rested = set(relaxed)
         for (number, piece, _), sigma in zip(pieces, noise, strict=True):
             first = float(piece.displacement[0])
             spans.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
             rested.discard(number)
-        others = [moved(number, piece) for number, piece, _ in pieces]
-        return cls(pieces, breakaway, spans, [_Known(x) if isinstance(x, np.ndarray) else x for x in others])
+        moved = [InternalStates(grid, piece, leads[number] if leads else None) for number, piece, _ in pieces]
+        return cls(pieces, grid.breakaway, spans, moved)
 
     def __len__(self) -> int:
         return sum(epoch.stop - epoch.start for spans in self.epochs for epoch in spans)
@@ -326,7 +291,6 @@ def collect(
     noise: list[float],
     *,
     relaxed: Collection[int] = (),
-    moved: Moved = _nothing,
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
@@ -339,15 +303,13 @@ def collect(
         Sensor noise [m] of each piece.
     relaxed : collection of int, optional
         Records that start with no element strained: all their samples count up to the first gap.
-    moved : callable, optional
-        Record number and piece -> (n, E) array or Moving: internal states along its path.
 
     Returns
     -------
     Rows, list of list of Epoch
         The epochs of each piece.
     """
-    source = RowSource.of(pieces, breakaway, noise, relaxed=relaxed, moved=moved)
+    source = RowSource.of(pieces, Grid.plain(breakaway, np.zeros(2)), noise, relaxed=relaxed)
     return source.thinned(max(1, len(source))), source.epochs
 
 
