@@ -17,7 +17,7 @@ from strangers import truths
 
 from dehyst.calibration import calibrate
 from dehyst.instruments import open_rig
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualBench, VirtualStage
 from dehyst.virtual.emulator import Controller, Server
 from dehyst.virtual.stage import spread_coupling
 
@@ -74,10 +74,10 @@ def measure(name):
         seed=seed,
     )
     began = time.monotonic()
-    with Server(Controller(StageBench(stage, speed=SPEED)), port=0, lock=threading.Lock()) as server:
+    with Server(Controller(VirtualBench(stage, speed=SPEED)), port=0, lock=threading.Lock()) as server:
         with open_rig(f"pi://{server.host}:{server.port}/1,2,3") as rig, tempfile.TemporaryDirectory() as folder:
             result = calibrate(rig, folder)
-        ends = [bench.voltage for bench in server.controller.instrument.benches]
+        ends = [bench.voltage for bench in server.controller.instrument.axes]
     row = {
         "truths": name,
         "largest_percent": list(result.compensated.largest_percent),

@@ -48,7 +48,7 @@ class ObservedController:
         self._rehearsal = Rehearsal(map(Fault.parse, faults), report=lambda _: self._struck())
         self._server = Server(self._controller, port=0, lock=self._lock, rehearsal=self._rehearsal)
         self.struck_at: float | None = None
-        amplifier = self._bench._amplifier
+        amplifier = self._bench.axis._amplifier
         put_out = amplifier.play
 
         def logged(voltage: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -103,12 +103,12 @@ class ObservedController:
     def voltage(self) -> float:
         """The present output [V]."""
         with self._lock:
-            return self._bench.voltage
+            return self._bench.axis.voltage
 
     @property
     def steepest(self) -> float:
         """Largest change of the voltage over the time between the two voltages [V/s]."""
-        return self._bench.log.steepest
+        return self._bench.axis.log.steepest
 
     def put_out(self) -> tuple[np.ndarray, np.ndarray]:
         """Return times (n,) [s of time.monotonic] and voltages (n,) [V] until now."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst import _core
+import dehyst._core as compiled
 from dehyst._errors import ModelError
 from dehyst._types import Array
 
@@ -68,8 +68,8 @@ class Core:
         grading, tau = (grade_knots, grades), (voltages, drives)
         self._made_from = rho, kappa, knots, values, *grading, *tau, creep, inertia, lengths, closings, smooth
         try:
-            self._core = _core.Core(*self._made_from)
-        except _core.CoreError as error:
+            self._core = compiled.Core(*self._made_from)
+        except compiled.CoreError as error:
             raise ModelError(f"impossible actuator: {error}") from error
 
     def __reduce__(self) -> tuple[type, tuple[Array, ...]]:
@@ -106,7 +106,7 @@ class Core:
     @property
     def in_lanes(self) -> bool:
         """Whether a bank computes it in lanes: it has neither graded nor smooth elements, nor a mass."""
-        return bool(_core.in_lanes(self._core))
+        return bool(compiled.in_lanes(self._core))
 
     def loop(
         self,
@@ -115,7 +115,7 @@ class Core:
         numbers: Array,
         on_clamp: Callable[[bool, float, float], None],
         start: CoreState,
-    ) -> _core.Loop:
+    ) -> compiled.Loop:
         """Return a loop with the coefficients of one step, from a state; see `dehyst_model`.
 
         Parameters
@@ -130,7 +130,7 @@ class Core:
         start : CoreState
         """
         decay, gain, transition = (table[0] for table in pace[1:])
-        loop: _core.Loop = checked(_core.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)
+        loop: compiled.Loop = checked(compiled.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)
         checked(loop.begin, *start)
         return loop
 
@@ -157,7 +157,7 @@ class BankCore:
     __slots__ = ("_bank", "rows")
 
     def __init__(self, cores: Sequence[Core], decay: Array, gain: Array, limits: Array) -> None:
-        self._bank = checked(_core.Bank, [one._core for one in cores], decay, gain, limits)
+        self._bank = checked(compiled.Bank, [one._core for one in cores], decay, gain, limits)
         # The largest numbers of elements and of creep branches.
         self.rows: tuple[int, int] = self._bank.rows()
 
@@ -205,29 +205,29 @@ class StepCoefficients(NamedTuple):
     transition: Array
 
 
-CoreError = _core.CoreError
-has_avx2 = _core.has_avx2
-Loop = _core.Loop
+CoreError = compiled.CoreError
+has_avx2 = compiled.has_avx2
+Loop = compiled.Loop
 
 
 def checked(function: Callable[..., Any], *arguments: object) -> Any:
     """Call the core; its refusal becomes a `ModelError`."""
     try:
         return function(*arguments)
-    except _core.CoreError as error:
+    except compiled.CoreError as error:
         raise ModelError(f"impossible state: {error}") from error
 
 
 def slip_elongations(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
     """Return the elongations (n, N) of elements with breakaway `rho` along y (n,), and the carts at its end."""
-    matrix, moved = checked(_core.slip_elongations, rho, np.array(carts, dtype=np.float64), y)
+    matrix, moved = checked(compiled.slip_elongations, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
 
 
 def smooth_elongations(length: Array, closing: Array, y: Array, start: Array | None = None) -> Array:
     """Return the elongations (n, L) of smooth elements along y (n,); at its first sample they are `start` (L,) or 0."""
     begin = np.zeros(length.size) if start is None else start
-    matrix: Array = checked(_core.smooth_elongations, length, closing, y, begin)
+    matrix: Array = checked(compiled.smooth_elongations, length, closing, y, begin)
     return matrix
 
 
@@ -236,11 +236,11 @@ def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
 
     The first sample, which has no step before it, is a run without duration. A step that is not positive is a run.
     """
-    bounds, durations = _core.steps(time)
+    bounds, durations = compiled.steps(time)
     return bounds, durations
 
 
 def strains(path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array) -> Array:
     """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,)."""
-    matrix, _ = checked(_core.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
+    matrix, _ = checked(compiled.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
     return np.asarray(matrix)

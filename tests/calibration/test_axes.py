@@ -47,7 +47,7 @@ def calibrated(tmp_path_factory):
     folder, listener = tmp_path_factory.mktemp("calibration"), Listener()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         result = calibrate(rig, folder, plan=PLAN, watcher=listener)
-        ends = [one.voltage for one in bench.benches], [one.log.highest for one in bench.benches]
+        ends = [one.voltage for one in bench.axes], [one.log.highest for one in bench.axes]
     return result, folder, listener, ends
 
 
@@ -95,7 +95,7 @@ def test_the_same_folder_is_used_again_with_its_records_moved_aside(calibrated, 
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         with pytest.raises(KeyboardInterrupt) as caught:
             calibrate(rig, folder, plan=PLAN, watcher=Listener("axes"))
-        assert [one.voltage for one in bench.benches] == [0.0] * 3
+        assert [one.voltage for one in bench.axes] == [0.0] * 3
     assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
     cut = read(folder / "records" / "axes-3.h5")
     assert cut.meta["complete"] is False
@@ -112,14 +112,14 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
         pytest.raises(FileFormatError, match=r"holds a calibration of .*axis 1,2,3, and this is"),
     ):
         calibrate(rig, folder, plan=PLAN)
-    assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+    assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
 
 
 def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
     with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
         with pytest.raises(DeviceError):
             calibrate(rig, tmp_path, plan=PLAN)
-        assert [one.voltage for one in bench.benches] == [0.0] * 3
+        assert [one.voltage for one in bench.axes] == [0.0] * 3
     records = [read(tmp_path / "records" / f"axes-{axis}.h5") for axis in "123"]
     assert len({len(record) for record in records}) == 1
     assert len(records[0]) > 100
@@ -132,7 +132,7 @@ class TestPlan:
     def test_axes_move_one_after_the_other_then_together(self):
         with served() as (server, bench), rig_of(server) as rig:
             steps = {step.name: step.excitation.voltage for step in planned_steps(rig, PLAN)}
-            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
         moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
         alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
         assert min(alone) > 1000
@@ -170,7 +170,7 @@ class TestCommand:
         with served() as (server, bench):
             words = address.format(f"pi://127.0.0.1:{server.port}").split()
             said = self.run("calibrate", *words, "--dry-run", "-o", tmp_path / "none")
-            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
         assert "nothing was sent" in said
         assert "axis 2: 0 to 120 V" in said
         assert "each axis alone, then all together" in said
@@ -190,7 +190,7 @@ class TestCommand:
             base = ("calibrate", f"pi://127.0.0.1:{server.port}", "-o", tmp_path)
             words = options if "--axes" in options else ("--axes", "1,2", *options)
             self.run(*base, *words, status=2)
-            assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
 
     def test_an_emulated_controller_of_several_axes_is_served(self):
         said = self.run("rig", "serve", "--axes", 2, "--actuator", "play,preisach", "--port", 0, "--seconds", 0)

@@ -218,9 +218,9 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
     with pytest.raises(RecordError, match="looks like another actuator") as caught:
         calibrate(rig, folder)
     assert "The voltage was brought to 0 V." in caught.value.__notes__
-    assert rig.instrument.voltage == 0
-    assert rig.instrument.log.highest <= 200
-    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
+    assert rig.instrument.axis.voltage == 0
+    assert rig.instrument.axis.log.highest <= 200
+    assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
     after = contents(folder)
     assert {name: after[name] for name in before} == before
     assert not (folder / "model.json").exists()

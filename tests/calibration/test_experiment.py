@@ -43,9 +43,9 @@ def test_the_model_takes_the_hysteresis_out(finished):
 
 def test_what_was_put_out_kept_the_limits(finished):
     _, _, rig, _ = finished
-    assert rig.instrument.log.lowest >= 0
-    assert rig.instrument.log.highest <= 200
-    assert rig.instrument.log.refused == 0
+    assert rig.instrument.axis.log.lowest >= 0
+    assert rig.instrument.axis.log.highest <= 200
+    assert rig.instrument.axis.log.refused == 0
 
 
 def test_everything_is_on_disk(finished, tmp_path):
@@ -96,7 +96,7 @@ def test_a_second_call_plays_one_loop_only(finished):
     assert set(heard.samples_of) == {"comparison"}
     assert again.agreement.good
     assert again.as_dict()["comparison"]["difference_percent"] < 0.1
-    assert rig.instrument.voltage == 0
+    assert rig.instrument.axis.voltage == 0
     assert found.agreement is None
 
 
@@ -105,7 +105,7 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     first, rig = Heard("others", after=500), SimulatedRig(truth)
     with pytest.raises(KeyboardInterrupt) as caught:
         calibrate(rig, tmp_path, watcher=first)
-    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
+    assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
     assert "brought to 0 V" in caught.value.__notes__[0]
     cut = read(tmp_path / "records" / "others.h5")
     assert cut.meta["complete"] is False
@@ -163,7 +163,7 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
-    assert rig.instrument.log.highest == 0
+    assert rig.instrument.axis.log.highest == 0
     assert not (tmp_path / "records").exists()
 
 
@@ -177,13 +177,13 @@ def test_it_retreats_from_what_stops_it_between_records(tmp_path):
         def step(self, name, seconds=0.0):
             super().step(name, seconds)
             if name == "others":
-                assert rig.instrument.voltage == 100
+                assert rig.instrument.axis.voltage == 100
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Impatient())
     assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
-    assert rig.instrument.voltage == 0
+    assert rig.instrument.axis.voltage == 0
 
 
 def test_a_rig_that_cannot_begin_leaves_the_records_where_they_are(tmp_path):
@@ -241,7 +241,7 @@ def test_steps_send_nothing_and_fit_the_limits():
             assert (low, high) == (10, 120)
             steepest = np.abs(np.diff(step.excitation.voltage)).max() * step.excitation.sample_rate
             assert steepest <= 300 * (1 + 1e-6)
-    assert rig.instrument.log.highest == 0
+    assert rig.instrument.axis.log.highest == 0
 
 
 def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):

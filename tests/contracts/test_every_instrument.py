@@ -47,7 +47,7 @@ def simulated(longest=65536, **options):
     """Open a rig in a time of its own."""
     truth = PlayActuator(highest=HIGH, noise=1e-10)
     with SimulatedRig(truth, device_limits=(LOW, HIGH), wave_points=longest, **options) as rig:
-        yield rig, rig.instrument
+        yield rig, rig.instrument.axis
 
 
 @contextmanager

@@ -12,23 +12,26 @@ import dehyst
 from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
 from dehyst.identification import Structure
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.validation import ComparisonOptions, errors_of, initial_state, state_after, without_offset
+from dehyst.identification.validation import compare, errors_of, initial_state, state_after, without_offset
 
-PROTOCOL = ComparisonOptions("validation", 0.0, 0.0, False, plain_records.STROKE)
 EXACT = 1e-9
+
+
+def compared(actuator, record, datum=0.0):
+    """Errors and trace of a record that is simulated whole."""
+    prepared = record if hasattr(record, "pieces") else prepare(record)
+    return errors_of(actuator, compare(actuator, prepared, plain_records.STROKE, datum=datum), "validation")
 
 
 def missed(actuator, record, **changes):
     """Largest error [% of the stroke]."""
-    return errors_of(actuator, record if hasattr(record, "pieces") else prepare(record), replace(PROTOCOL, **changes))[
-        0
-    ].largest_percent
+    return compared(actuator, record, **changes)[0].largest_percent
 
 
 @pytest.mark.parametrize("name", wide.STRUCTURES)
 def test_an_actuator_meets_its_own_record(name):
     plant = wide.plant(wide.STRUCTURES[name])
-    error, trace = errors_of(plant.actuator, prepare(plant.record()), PROTOCOL)
+    error, trace = compared(plant.actuator, plant.record())
     # The carts and creep with which the record begins are fitted, smooth elements forget; afterwards all is known.
     assert error.largest_percent < 0.2
     assert 100 * np.abs(trace.residual[trace.residual.size // 2 :]).max() / error.stroke < EXACT
@@ -65,7 +68,7 @@ def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
     prepared = prepare(record.slice(20, len(record)))
     assert prepared.lead is None
     led = replace(prepared, lead=record.slice(0, 20))
-    (_, with_lead), (_, alone) = (errors_of(plant.actuator, one, PROTOCOL) for one in (led, prepared))
+    (_, with_lead), (_, alone) = (compared(plant.actuator, one) for one in (led, prepared))
     half = with_lead.residual.size // 2
     assert 100 * np.abs(with_lead.residual[half:]).max() / plain_records.STROKE < EXACT
     # Alone, the smooth elements are taken to begin at none.
@@ -87,11 +90,12 @@ def swung(resonance=300.0, delay=0):
 def test_an_actuator_with_inertia_meets_its_own_record(delay):
     """Its motion at the first sample is read from the record: good to what derivatives at an end cost, for a while."""
     actuator, record = swung(delay=delay)
-    got = missed(actuator, record, delay=1e-4 * delay)
+    actuator = replace(actuator, delay=1e-4 * delay)
+    got = missed(actuator, record)
     assert got < 0.05
-    _, trace = errors_of(actuator, prepare(record), replace(PROTOCOL, delay=1e-4 * delay))
+    _, trace = compared(actuator, record)
     assert 100 * np.abs(trace.residual[trace.residual.size // 2 :]).max() / plain_records.STROKE < 0.02
-    assert missed(replace(actuator, dynamics=None), record, delay=1e-4 * delay) > 100 * got
+    assert missed(replace(actuator, dynamics=None), record) > 100 * got
 
 
 @pytest.mark.parametrize("norm", ["l1", "l2"])
@@ -182,7 +186,7 @@ def test_without_inner_loops_the_papers_class_is_kept():
     assert found.trials == ()
     assert not found.actuator.wide
     assert any(
-        remark.startswith("Wider structures were not tried: the turning points determine 5 of 9")
+        remark.startswith("Structures with more parts were not tried: the turning points determine 5 of 9")
         for remark in found.remarks
     )
     assert (

@@ -64,9 +64,9 @@ def act(rig, rng):
 
 def refuse_excess(bench, lines=()):
     """Both sides: what the bench has put out, and what it was sent."""
-    assert ALLOWED[0] <= bench.log.lowest
-    assert bench.log.highest <= ALLOWED[1]
-    assert bench.log.refused == 0
+    assert ALLOWED[0] <= bench.axis.log.lowest
+    assert bench.axis.log.highest <= ALLOWED[1]
+    assert bench.axis.log.refused == 0
     for line in lines:
         if line.endswith("*spoiled*"):
             # Cut off in the middle, and made unreadable for that reason.
@@ -128,7 +128,7 @@ def test_random_calls_keep_limits_and_slew_rate(sequences):
         done += sum(act(rig, rng) for _ in range(rng.randint(1, 8)))
         rig.close()
         refuse_excess(controller.bench, controller.lines)
-        assert controller.bench.log.largest_step <= 0.01 * slew_rate + ROUNDED
+        assert controller.bench.axis.log.largest_step <= 0.01 * slew_rate + ROUNDED
     assert done > sequences
 
 
@@ -159,7 +159,7 @@ def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
         while True:
             rig.play(wave)
     assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
-    assert controller.bench.voltage == 0.0
+    assert controller.bench.axis.voltage == 0.0
     refuse_excess(controller.bench, controller.lines)
     assert rig.set_voltage(12.5) == 12.5
 
@@ -193,12 +193,12 @@ def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
         note = caught.value.__notes__[0]
         assert note.startswith("The voltage was brought to 0 V" if back else "The voltage could not be brought to 0 V")
         with server.lock:
-            assert bench.voltage == 0.0 or not back
+            assert bench.axis.voltage == 0.0 or not back
     came = sum(lot.time.size for lot in lots)
     # It comes at 5000; a tenth of a second, which is 1000 samples here, may not have been asked for.
     assert 2000 < came < 10000
     assert np.abs(np.concatenate([lot.voltage for lot in lots]) - wave.voltage[:came]).max() < 1e-6
-    assert bench.log.refused == 0
+    assert bench.axis.log.refused == 0
 
 
 def connected(port, attempts=20):
@@ -227,8 +227,8 @@ def test_fuzzed_replies_over_real_sockets(cases):
             for _ in range(8):
                 act(rig, rng)
             rig.close()
-        assert ALLOWED[0] <= bench.log.lowest
-        assert bench.log.highest <= ALLOWED[1]
+        assert ALLOWED[0] <= bench.axis.log.lowest
+        assert bench.axis.log.highest <= ALLOWED[1]
         changed += meddle.count
     # A life may end at its first false reply.
     assert changed > cases
@@ -247,7 +247,7 @@ def test_limits_narrower_than_told_over_a_socket():
             ) as caught:
                 act_()
             assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
-    assert bench.log.highest <= 40.0
+    assert bench.axis.log.highest <= 40.0
 
 
 def test_a_second_client_is_told_so_and_the_first_is_undisturbed():

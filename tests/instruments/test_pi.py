@@ -44,7 +44,7 @@ def test_a_voltage_is_ramped_and_read_back():
     rig = quick(controller, slew_rate=1000.0)
     assert rig.set_voltage(55.5) == 55.5
     assert rig.read().voltage == 55.5
-    assert controller.bench.log.largest_step <= 10.0 + 1e-6
+    assert controller.bench.axis.log.largest_step <= 10.0 + 1e-6
     with pytest.warns(ClampWarning):
         assert rig.set_voltage(1e9) == 120.0
     for bad in (math.nan, math.inf):
@@ -108,13 +108,13 @@ def test_the_rate_is_the_nearest_that_divides_the_servos(rate):
 @pytest.mark.parametrize("send", [lambda rig: rig.set_voltage(1.0), lambda rig: rig.play(triangle())])
 def test_a_servo_that_is_on_is_switched_off_by_the_first_voltage_and_that_is_said(send):
     controller = FakeController()
-    controller.bench.servo = True
+    controller.bench.axis.servo = True
     rig = quick(controller)
     rig.read()
-    assert controller.bench.servo
+    assert controller.bench.axis.servo
     with pytest.warns(UserWarning, match="servo was on and is switched off"):
         send(rig)
-    assert not controller.bench.servo
+    assert not controller.bench.axis.servo
 
 
 def test_a_servo_that_stays_on_is_told():
@@ -133,7 +133,7 @@ def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
     record = rig.play(triangle(high=20.0, count=41, rate=200.0))
     assert (np.diff(record.time) > 0).all()
     assert record.voltage.size == 41
-    assert controller.bench.log.largest_step <= 40.0
+    assert controller.bench.axis.log.largest_step <= 40.0
 
 
 @pytest.mark.parametrize(
@@ -210,11 +210,11 @@ def test_narrower_limits_than_told_are_an_error_of_the_device():
     with pytest.raises(DeviceError, match=r"error 7: .*narrower than it reported.*SVA 1") as caught:
         rig.set_voltage(100.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
-    assert controller.bench.voltage == 0.0
+    assert controller.bench.axis.voltage == 0.0
     assert rig.set_voltage(10.0) == 10.0
     with pytest.raises(DeviceError, match="error"):
         rig.play(triangle(high=100.0))
-    assert controller.bench.log.highest <= 60.0
+    assert controller.bench.axis.log.highest <= 60.0
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_a_recorder_that_stands_still_is_found_out(playing, error, why):
     with pytest.raises(error, match=why):
         rig.play(triangle(), lots.append)
     assert sum(lot.time.size for lot in lots) == 3
-    assert controller.bench.voltage == 0.0
+    assert controller.bench.axis.voltage == 0.0
 
 
 def test_another_rate_than_asked_for_is_an_error_of_the_device():
@@ -284,7 +284,7 @@ def test_a_device_that_only_sends_and_reads_serves_too():
 
     controller = FakeController()
     rig = QuickRig.of_device(Plain(FakeDevice(controller)))
-    assert rig.set_voltage(4.0) == 4.0 == controller.bench.voltage
+    assert rig.set_voltage(4.0) == 4.0 == controller.bench.axis.voltage
 
 
 def test_a_devices_own_exceptions_become_ours():

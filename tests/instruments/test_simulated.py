@@ -25,8 +25,8 @@ def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     assert len(lots) > 300
     np.testing.assert_allclose(np.diff(record.time), 1 / 200, rtol=1e-6)
     np.testing.assert_array_equal(record.voltage, protocol.voltage[rig.rows(len(protocol))])
-    assert (rig.instrument.log.lowest, rig.instrument.log.highest) == (0, 150)
-    assert rig.instrument.log.steepest <= rig.slew_rate * (1 + 1e-6)
+    assert (rig.instrument.axis.log.lowest, rig.instrument.axis.log.highest) == (0, 150)
+    assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
 
 
 def test_the_displacement_is_the_truths_own():
@@ -46,4 +46,4 @@ def test_an_identified_actuators_limits_are_the_devices():
     assert (rig.limits.low, rig.limits.high, rig.name) == (-10, 80, "simulated actuator")
     with pytest.warns(ClampWarning):
         assert rig.set_voltage(100) == 80
-    assert rig.instrument.log.highest == 80
+    assert rig.instrument.axis.log.highest == 80

@@ -37,7 +37,7 @@ def ex(voltage, rate=RATE):
 
 
 def voltages(bench):
-    return [one.voltage for one in bench.benches]
+    return [one.voltage for one in bench.axes]
 
 
 def test_it_says_what_it_is():
@@ -55,7 +55,7 @@ def test_nothing_is_put_out_by_connecting_reading_and_closing():
         with rig_of(server) as rig:
             readings = [one.read() for one in rig.rigs]
         assert [reading.voltage for reading in readings] == [0.0] * 3
-        assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+        assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
 
 
 def test_a_record_is_what_the_stage_does_with_the_voltages():
@@ -63,7 +63,7 @@ def test_a_record_is_what_the_stage_does_with_the_voltages():
     with served(stage=virtual_stage(noise=0)) as (server, bench), rig_of(server) as rig:
         played = rig.play(ex(v), batches.append)
         assert rig.check(ex(v)) == RATE
-        columns = [bench.samples(j) for j in range(3)]
+        columns = [bench.samples(axis=j) for j in range(3)]
         after = rig.rigs[0].read()
     assert isinstance(played, Record)
     assert np.abs(played.voltage - v).max() <= 0.6e-6
@@ -82,7 +82,7 @@ def test_long_records_are_cut_into_pieces_that_join():
         played, rows = rig.play(ex(v)), rig.rows(len(v))
         # Six recorder tables share the memory.
         assert rig.longest == 150
-        assert [one.log.largest_step for one in bench.benches] == pytest.approx(np.abs(np.diff(v, axis=0)).max(0), 1e-5)
+        assert [one.log.largest_step for one in bench.axes] == pytest.approx(np.abs(np.diff(v, axis=0)).max(0), 1e-5)
     assert len(played.time) == len(rows) == 700 + 4
     assert np.abs(played.voltage - v[rows]).max() <= 0.6e-6
     assert np.all(np.diff(played.time) > 0)
@@ -101,7 +101,7 @@ def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, w
     with served() as (server, bench), rig_of(server) as rig:
         with pytest.raises((RecordError, ModelError), match=words):
             rig.play(ex(change(waves())))
-        assert [one.log.largest_step for one in bench.benches] == [0.0] * 3
+        assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
 
 
 @pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt, SystemExit])
@@ -151,7 +151,7 @@ def test_after_a_fault_all_axes_are_brought_back(fault, error):
         assert error is not SensorError or "the sensor of axis " in str(caught.value)
         (note,) = [one for one in caught.value.__notes__ if one.startswith("The voltage")]
         assert note == "The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."
-        assert all(one.log.highest <= high for one, high in zip(bench.benches, HIGHEST, strict=True))
+        assert all(one.log.highest <= high for one, high in zip(bench.axes, HIGHEST, strict=True))
 
 
 @pytest.mark.parametrize("fault", ["silence", "refuse"])
@@ -175,20 +175,20 @@ def test_retreat_ramps_all_axes_at_once():
         assert voltages(bench) == [0.0] * 3
         # The range of an axis takes a second; one after the other they would take 1.2 s and their answers more.
         assert seconds < 1.1
-        assert all(one.log.largest_step <= 0.011 * high for one, high in zip(bench.benches, HIGHEST, strict=True))
+        assert all(one.log.largest_step <= 0.011 * high for one, high in zip(bench.axes, HIGHEST, strict=True))
 
 
 def test_a_servo_that_is_on_is_switched_off_on_each_axis():
     with served() as (server, bench), rig_of(server) as rig:
-        bench.benches[1].servo = True
+        bench.axes[1].servo = True
         with pytest.warns(UserWarning, match="servo was on and is switched off"):
             rig.play(ex(waves(200)))
-        assert not bench.benches[1].servo
+        assert not bench.axes[1].servo
 
 
 def test_two_of_three_axes_leave_the_third_alone():
     with served() as (server, bench), rig_of(server, "1,3") as rig:
-        bench.benches[1].set_voltage(20.0)
+        bench.axes[1].set_voltage(20.0)
         played = rig.play(ex(waves()[:, [0, 2]]))
         assert played.voltage.shape == (1000, 2)
         rig.retreat()

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from dehyst.instruments import open_rig
-from dehyst.virtual import PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual import PlayActuator, PreisachActuator, VirtualBench, VirtualStage
 from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 from dehyst.virtual.emulator.faults import actual_limits
 from dehyst.virtual.stage import spread_coupling
@@ -32,7 +32,7 @@ def served(*faults, speed=20.0, stage=None, **options):
     """A server of three axes, and the bench behind it."""
     kinds = [Fault.parse(text) for text in faults]
     limits = [actual_limits(one, kinds) for one in LIMITS]
-    bench = StageBench(stage or virtual_stage(), speed=speed, limits=limits, **options)
+    bench = VirtualBench(stage or virtual_stage(), speed=speed, limits=limits, **options)
     controller = Controller(bench, reported_limits=LIMITS)
     with Server(controller, port=0, rehearsal=Rehearsal(kinds)) as server:
         yield server, bench

@@ -18,8 +18,8 @@ class RemoteInstrument:
 
     def __init__(self, ioc):
         self.__dict__["ioc"] = ioc
-        ioc.do("instrument.unplugged = False; instrument.stop(); instrument.set_voltage(0.0)")
-        ioc.do("vars(instrument.log).update(lowest=0.0, highest=0.0, largest_step=0.0, steepest=0.0, refused=0)")
+        ioc.do("instrument.axis.unplugged = False; instrument.stop(); instrument.axis.set_voltage(0.0)")
+        ioc.do("vars(instrument.axis.log).update(lowest=0.0, highest=0.0, largest_step=0.0, steepest=0.0, refused=0)")
         # Until the IOC has looked at it again.
         time.sleep(0.1)
 
@@ -28,10 +28,10 @@ class RemoteInstrument:
         return Extremes(**self.ioc.log())
 
     def __getattr__(self, name):
-        return self.ioc.do(f"answer = instrument.{name}")[0]
+        return self.ioc.do(f"answer = instrument.axis.{name}")[0]
 
     def __setattr__(self, name, value):
-        self.ioc.do(f"instrument.{name} = {value!r}")
+        self.ioc.do(f"instrument.axis.{name} = {value!r}")
 
 
 @contextmanager

@@ -60,25 +60,25 @@ class FakeController:
         return ["1"]
 
     def on_svo(self, axis, on):
-        self.bench.servo = on == "1"
+        self.bench.axis.servo = on == "1"
 
     def on_svo_asked(self, axis):
-        return [f"{axis}={int(self.bench.servo)}"]
+        return [f"{axis}={int(self.bench.axis.servo)}"]
 
     def on_vmi_asked(self, channel):
-        return [f"{channel}={self.bench.limits[0]!r}"]
+        return [f"{channel}={self.bench.axis.limits[0]!r}"]
 
     def on_vma_asked(self, channel):
-        return [f"{channel}={self.bench.limits[1]!r}"]
+        return [f"{channel}={self.bench.axis.limits[1]!r}"]
 
     def on_pos_asked(self, axis):
-        return [f"{axis}={1e6 * self.bench.displacement()!r}"]
+        return [f"{axis}={1e6 * self.bench.axis.displacement()!r}"]
 
     def on_vol_asked(self, channel="1"):
-        return [f"{channel}={self.bench.voltage!r}"]
+        return [f"{channel}={self.bench.axis.voltage!r}"]
 
     def on_sva(self, axis, voltage):
-        if not self.bench.set_voltage(float(voltage)):
+        if not self.bench.axis.set_voltage(float(voltage)):
             self.error = 7
 
     def on_err_asked(self):

@@ -38,7 +38,7 @@ for line in sys.stdin:
     with lock:
         answer = None
         exec(line)
-        print(json.dumps({"answer": answer, "log": vars(instrument.log)}), flush=True)
+        print(json.dumps({"answer": answer, "log": vars(instrument.axis.log)}), flush=True)
 """
 
 

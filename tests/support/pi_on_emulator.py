@@ -20,11 +20,11 @@ class Locked:
 
     def __getattr__(self, name):
         with self.lock:
-            return getattr(self.instrument, name)
+            return getattr(self.instrument.axis, name)
 
     def __setattr__(self, name, value):
         with self.lock:
-            setattr(self.instrument, name, value)
+            setattr(self.instrument.axis, name, value)
 
 
 def _instrument(longest, **options):
@@ -46,7 +46,7 @@ def by_pipe(longest=65536, **options):
     controller = Controller(instrument)
     controller.clock = clock
     with QuickRig(PipeLink(controller), **options) as rig:
-        yield rig, instrument
+        yield rig, instrument.axis
 
 
 @contextmanager

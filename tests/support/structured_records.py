@@ -12,7 +12,7 @@ import plain_records
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
 from dehyst.identification import Structure
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
@@ -130,10 +130,8 @@ def regression(grid, records, *, leads=(), **options):
     """The rows of records as they are: no smoothing, no search for anything."""
     leads = leads or [None] * len(records)
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
-    rows, _ = collect(
-        pieces, grid.breakaway, [0.0] * len(pieces), moved=lambda q, piece: moved_along(grid, piece, leads[q])
-    )
-    return Regression(rows, grid, FLOOR, np.zeros(len(pieces)), **options)
+    source = RowSource.of(pieces, grid, [0.0] * len(pieces), leads=leads)
+    return Regression(source.thinned(len(source)), grid, FLOOR, np.zeros(len(pieces)), **options)
 
 
 def _rough(**parts):

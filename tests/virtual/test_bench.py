@@ -88,52 +88,52 @@ def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
     for what, value in steps:
         try:
             if what == "set":
-                bench.set_voltage(value)
+                bench.axis.set_voltage(value)
             elif what == "wave":
                 bench.start(value, 3)
             elif what == "servo":
-                bench.servo = value
+                bench.axis.servo = value
             elif what == "move":
-                bench.move(value)
+                bench.axis.move(value)
             elif what == "stop":
                 bench.stop()
             else:
                 hand.wait(value)
         except DehystError:
             pass
-        assert -10 <= bench.voltage <= 130
-        assert math.isfinite(bench.displacement())
+        assert -10 <= bench.axis.voltage <= 130
+        assert math.isfinite(bench.axis.displacement())
     hand.wait(10)
     bench.advance()
-    assert -10 <= bench.log.lowest <= bench.log.highest <= 130
+    assert -10 <= bench.axis.log.lowest <= bench.axis.log.highest <= 130
     if slew is not None:
-        assert bench.log.steepest <= slew * (1 + 1e-6)
+        assert bench.axis.log.steepest <= slew * (1 + 1e-6)
 
 
 def test_what_lies_outside_is_refused_counted_and_not_put_out(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand, limits=(0, 100))
-    assert bench.set_voltage(40)
+    assert bench.axis.set_voltage(40)
     for outside in (-1e-9, 100.0001, math.nan, math.inf, -math.inf):
-        assert not bench.set_voltage(outside)
+        assert not bench.axis.set_voltage(outside)
     with pytest.raises(DeviceError, match=r"got 1 to 101 V, need 0 to 100 V"):
         bench.start([1, 101])
-    assert (bench.voltage, bench.log.refused) == (40, 6)
-    assert (bench.log.lowest, bench.log.highest, bench.log.largest_step) == (0, 40, 40)
+    assert (bench.axis.voltage, bench.axis.log.refused) == (40, 6)
+    assert (bench.axis.log.lowest, bench.axis.log.highest, bench.axis.log.largest_step) == (0, 40, 40)
 
 
 def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand, slew_rate=100.0)
-    bench.set_voltage(50)
+    bench.axis.set_voltage(50)
     for passed in (0.1, 0.2, 0.3):
         hand.time = passed
-        assert bench.voltage == pytest.approx(100 * passed)
-        assert bench.moving
+        assert bench.axis.voltage == pytest.approx(100 * passed)
+        assert bench.axis.moving
     hand.time = 0.5001
-    assert (bench.voltage, bench.moving) == (50, False)
+    assert (bench.axis.voltage, bench.axis.moving) == (50, False)
     bench.start([50, 100, 100, 100], divider=round(0.2 / PERIOD))
     hand.wait(1.0)
     np.testing.assert_allclose(bench.samples()[1], [50, 70, 90, 100])
-    assert bench.log.steepest <= 100 * (1 + 1e-6)
+    assert bench.axis.log.steepest <= 100 * (1 + 1e-6)
 
 
 def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
@@ -143,7 +143,7 @@ def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
     assert (bench.recorded, bench.planned, bench.playing) == (1, 11, True)
     hand.wait(0.035)
     assert bench.recorded == 4
-    assert bench.voltage == pytest.approx(30)
+    assert bench.axis.voltage == pytest.approx(30)
     hand.wait(1)
     at, voltage, _ = bench.samples(2, 3)
     np.testing.assert_allclose(at, 3.0 + 0.01 * np.arange(2, 5))
@@ -172,57 +172,57 @@ def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
     bench.stop()
     hand.wait(1)
     assert (bench.playing, bench.recorded) == (False, 31)
-    assert bench.voltage == pytest.approx(30)
+    assert bench.axis.voltage == pytest.approx(30)
 
 
 def test_open_loop_and_closed_loop_do_not_mix(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     with pytest.raises(DeviceError, match=r"move: .* servo off"):
-        bench.move(1e-6)
-    bench.servo = True
-    for asked in (lambda: bench.set_voltage(1), lambda: bench.start([0, 1])):
+        bench.axis.move(1e-6)
+    bench.axis.servo = True
+    for asked in (lambda: bench.axis.set_voltage(1), lambda: bench.start([0, 1])):
         with pytest.raises(DeviceError, match="the servo is on, need it off"):
             asked()
-    bench.servo = False
+    bench.axis.servo = False
     bench.start(np.zeros(100))
     with pytest.raises(DeviceError, match="a wave is being played"):
-        bench.set_voltage(1)
+        bench.axis.set_voltage(1)
     with pytest.raises(DeviceError, match="servo: a wave is being played"):
-        bench.servo = True
+        bench.axis.servo = True
 
 
 @pytest.mark.parametrize("kind", TRUTHS)
 def test_the_servo_reaches_its_target_and_holds_it_against_creep(kind, hand):
     bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=1e-10)
-    bench.servo = True
+    bench.axis.servo = True
     for share in (0.3, 0.7, 0.45):
-        target = share * bench.stroke
-        bench.move(target)
-        assert bench.moving
+        target = share * bench.axis.stroke
+        bench.axis.move(target)
+        assert bench.axis.moving
         hand.wait(1.0)
-        assert bench.displacement() == pytest.approx(target, abs=2e-3 * bench.stroke)
-        assert bench.arrived
+        assert bench.axis.displacement() == pytest.approx(target, abs=2e-3 * bench.axis.stroke)
+        assert bench.axis.arrived
         hand.wait(600)
-        assert bench.displacement() == pytest.approx(target, abs=2e-3 * bench.stroke)
+        assert bench.axis.displacement() == pytest.approx(target, abs=2e-3 * bench.axis.stroke)
 
 
 def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand, sensor_range=(0.0, 4e-6))
-    bench.set_voltage(150)
-    assert bench.displacement() == 4e-6
-    bench.unplugged = True
-    assert {bench.displacement() for _ in range(5)} == {0.0}
+    bench.axis.set_voltage(150)
+    assert bench.axis.displacement() == 4e-6
+    bench.axis.unplugged = True
+    assert {bench.axis.displacement() for _ in range(5)} == {0.0}
 
 
 def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
     def at_the_end(looks):
         hand = Hand()
         bench = VirtualBench(PlayActuator(plays=40, creep=0.01, noise=0), clock=hand)
-        bench.set_voltage(100)
-        early = bench.displacement()
+        bench.axis.set_voltage(100)
+        early = bench.axis.displacement()
         for _ in range(looks):
             hand.wait(3600 / looks)
-            last = bench.displacement()
+            last = bench.axis.displacement()
         return early, last
 
     began = time.process_time()
@@ -245,7 +245,7 @@ def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
     bench.start(np.linspace(0, 100, 11), divider=20)
     hand.wait(0.0035)
     assert bench.recorded == 4
-    bench.stalled = True
+    bench.axis.stalled = True
     hand.wait(100)
     assert (bench.recorded, bench.playing) == (4, True)
     bench.stop()

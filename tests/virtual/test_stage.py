@@ -6,7 +6,7 @@ from hand_clock import Hand
 
 from dehyst import ModelError
 from dehyst.instruments import DeviceError
-from dehyst.virtual import PlayActuator, PreisachActuator, StageBench, VirtualStage
+from dehyst.virtual import PlayActuator, PreisachActuator, VirtualBench, VirtualStage
 from dehyst.virtual.stage import spread_coupling
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
@@ -96,7 +96,7 @@ def test_equal_stages_have_equal_serial_numbers():
 
 
 def bench(hand, **options):
-    return StageBench(VirtualStage(pair(), COUPLING, noise=0), clock=hand, **options)
+    return VirtualBench(VirtualStage(pair(), COUPLING, noise=0), clock=hand, **options)
 
 
 @pytest.mark.parametrize("pause", [0.0131, 0.003, 10.0])
@@ -109,25 +109,25 @@ def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
         stage.advance()
     expected = VirtualStage(pair(), COUPLING, noise=0).play(v, measured=False)
     for j in range(2):
-        time, voltage, displacement = stage.samples(j)
+        time, voltage, displacement = stage.samples(axis=j)
         np.testing.assert_allclose(time, 7 * PERIOD * np.arange(len(v)), rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(voltage, v[:, j])
         # The sums of an actuator's own relays depend on the number of samples in their last digits.
         np.testing.assert_allclose(displacement, expected[:, j], rtol=1e-14, atol=1e-19)
     # What is read afterwards is the last sample.
-    assert [one.displacement() for one in stage.benches] == [stage.samples(j)[2][-1] for j in range(2)]
+    assert [one.displacement() for one in stage.axes] == [stage.samples(axis=j)[2][-1] for j in range(2)]
 
 
 def test_an_axis_that_stands_is_recorded_too():
     hand, v = Hand(), waves()
     stage = bench(hand)
-    stage.benches[1].set_voltage(30.0)
+    stage.axes[1].set_voltage(30.0)
     stage.start({0: v[:, 0]})
     hand.wait(1.0)
     stage.advance()
-    _, voltage, displacement = stage.samples(1)
+    _, voltage, displacement = stage.samples(axis=1)
     assert set(voltage) == {30.0}
-    assert np.ptp(displacement) == pytest.approx(0.03 * np.ptp(stage.samples(0)[2]), rel=1e-3)
+    assert np.ptp(displacement) == pytest.approx(0.03 * np.ptp(stage.samples(axis=0)[2]), rel=1e-3)
 
 
 def test_of_waves_one_of_which_is_refused_none_is_played():
@@ -136,8 +136,8 @@ def test_of_waves_one_of_which_is_refused_none_is_played():
     with pytest.raises(DeviceError, match="start: got"):
         stage.start({0: v[:, 0], 1: v[:, 1]})
     assert not stage.playing
-    assert [one.log.highest for one in stage.benches] == [0.0, 0.0]
-    assert stage.benches[1].log.refused == 1
+    assert [one.log.highest for one in stage.axes] == [0.0, 0.0]
+    assert stage.axes[1].log.refused == 1
 
 
 def test_a_second_wave_needs_the_first_to_end():
@@ -155,7 +155,7 @@ def test_a_second_wave_needs_the_first_to_end():
 def test_a_sensor_follows_the_other_axis():
     hand = Hand()
     stage = bench(hand)
-    before = stage.benches[1].displacement()
-    stage.benches[0].set_voltage(100.0)
-    moved = stage.benches[1].displacement() - before
+    before = stage.axes[1].displacement()
+    stage.axes[0].set_voltage(100.0)
+    moved = stage.axes[1].displacement() - before
     assert moved == pytest.approx(-0.03 * PlayActuator().stroke, rel=0.25)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dehyst import _rivals
+import dehyst._rivals as compiled
 from dehyst._errors import ModelError
 from dehyst._rivals import bouc_wen, coleman_hodgdon, preisach, preisach_weights
 from dehyst._types import Array
@@ -17,26 +17,15 @@ class PlayCore:
 
     `tables` are, in this order:
 
-    Parameters
-    ----------
-    thresholds : (N,) array
-        r_i [V].
-    first : (N + 1,) intc array
-        Where the knots of curve i begin.
-    knots, values : (first[N],) array
-        Of the curves, one after another: [V], [m].
-    slopes : (first[N] + N,) array
-        Of the curves [m/V]: below the first knot, between knots, beyond the last.
-    times, shares : (K,) array
-        Of the low-passes: [s], [m/V].
-    offset : float
-        [m].
+    `thresholds` (N,): r_i [V]. `first` (N + 1,): where the knots of curve i begin. `knots`, `values` (first[N],): of
+    the curves, one after another: [V], [m]. `slopes` (first[N] + N,): of the curves [m/V]: below the first knot,
+    between knots, beyond the last. `times`, `shares` (K,): of the low-passes: [s], [m/V]. `offset`: [m].
     """
 
     __slots__ = ("_core",)
 
     def __init__(self, *tables: Any) -> None:
-        self._core = _rivals.Plays(*tables)
+        self._core = compiled.Plays(*tables)
 
     def simulate(self, v: Array, steps: Array, start: float, plays: Array, passed: Array) -> tuple[Array, Array, Array]:
         """Return displacements [m] for voltages [V], `steps` [s] apart, and the plays and low-passes at the end."""
@@ -61,4 +50,4 @@ class PlayCore:
 
 def play_outputs(thresholds: Array, start: Array, v: Array) -> Array:
     """Return the outputs (n, N) of plays of `thresholds` driven by v (n,), from `start` (N,); all [V]."""
-    return _rivals.play_outputs(thresholds, start, v)
+    return compiled.play_outputs(thresholds, start, v)

@@ -219,7 +219,7 @@ def neighbour_remarks(fit: Fit, records: tuple[Path, ...], columns: dict[str, An
         if path.is_fifo() or columns["sample_rate"] is not None:
             continue
         table = table_of(path, columns)
-        chosen = table.find("voltage", columns["voltage"])[0].name
+        chosen = table.select("voltage", columns["voltage"]).column.name
         others = {c.name: c.data for c in table.columns if c.name != chosen and not c.fault and c.parts[1] in _VOLTS}
         if others:
             time = time_of_table(table, table.columns[0].data.size, columns).get("time_s")

@@ -151,7 +151,7 @@ def column_of(table: Table, quantity: str, options: dict[str, Any]) -> Any:
     from dehyst.records.tables import Choice, chosen
 
     selected = {quantity: options[quantity], f"{quantity}_scale": options[f"{quantity}_scale"]}
-    return chosen(table, Choice(**selected), (quantity,))[quantity]
+    return chosen(table, Choice(**selected), (quantity,))[quantity].values
 
 
 def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str, Any]:

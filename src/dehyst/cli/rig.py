@@ -16,7 +16,8 @@ from dehyst.cli.common import refuse_given
 from dehyst.cli.output.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.virtual import StageBench, VirtualActuator, VirtualBench
+    from dehyst.virtual import VirtualActuator, VirtualBench
+    from dehyst.virtual.bench import BenchAxis
     from dehyst.virtual.emulator import Fault, Server
 
 
@@ -122,23 +123,18 @@ def serve(
     At the end it prints the voltages that it has put out.
     """
     from dehyst._errors import RigError
-    from dehyst.virtual import VirtualBench
     from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 
     rehearsed = [Fault.parse(text) for text in faults]
-    instrument: VirtualBench | StageBench
     if axes == 1:
         refuse_given("with one axis", "coupling", "hysteretic")
-        instrument, reported = _instrument(actuator, rehearsed, **options)
-        ranges = [reported]
-    else:
-        instrument, ranges = _stage(_names(actuator, axes), rehearsed, coupling, hysteretic, **options)
+    elif epics is not None:
+        raise RigError("--epics: serves one axis; leave out --epics or --axes")
+    instrument, ranges = _instrument(_names(actuator, axes), rehearsed, coupling, hysteretic, **options)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
     controller = Controller(instrument, reported_limits=ranges)
     server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
     if epics is not None:
-        if not isinstance(instrument, VirtualBench):
-            raise RigError("--epics: serves one axis; leave out --epics or --axes")
         _serve_epics(instrument, epics, lock)
     with _stop_by_signal(server):
         words = ", ".join(dict.fromkeys(f"{low:g} to {high:g} V" for low, high in ranges))
@@ -155,18 +151,6 @@ def serve(
 
 
 def _instrument(
-    actuator: str, faults: list[Fault], *, limits: tuple[float, float] | None, **options: Any
-) -> tuple[VirtualBench, tuple[float, float]]:
-    """Return the virtual bench, and the limits [V] that it reports."""
-    from dehyst.virtual import VirtualBench
-    from dehyst.virtual.emulator.faults import actual_limits
-
-    driven, own = _driven(actuator)
-    reported = limits or own
-    return VirtualBench(driven, limits=actual_limits(reported, faults), **_bench_options(**options)), reported
-
-
-def _stage(
     actuators: list[str],
     faults: list[Fault],
     coupling: float,
@@ -174,24 +158,22 @@ def _stage(
     *,
     limits: tuple[float, float] | None,
     **options: Any,
-) -> tuple[StageBench, list[tuple[float, float]]]:
-    """Return the virtual bench of several axes, and the limits [V] that it reports of each."""
+) -> tuple[VirtualBench, list[tuple[float, float]]]:
+    """Return the virtual bench, and the limits [V] that it reports of each axis."""
     import numpy as np
 
-    from dehyst.virtual import StageBench, VirtualStage
+    from dehyst.virtual import VirtualBench, VirtualStage
     from dehyst.virtual.emulator.faults import actual_limits
     from dehyst.virtual.stage import spread_coupling
 
-    driven = [_driven(name) for name in actuators]
-    reported = [limits or own for _, own in driven]
-    count = len(driven)
-    stage = VirtualStage(
-        [one for one, _ in driven],
-        np.eye(count) + spread_coupling(count, coupling / 100),
-        hysteretic=spread_coupling(count, hysteretic / 100),
-    )
+    driven, own = zip(*map(_driven, actuators), strict=True)
+    reported = [limits or one for one in own]
+    device, count = driven[0], len(driven)
+    if count > 1:
+        table, second = (spread_coupling(count, share / 100) for share in (coupling, hysteretic))
+        device = VirtualStage(driven, np.eye(count) + table, hysteretic=second)
     actual = [actual_limits(one, faults) for one in reported]
-    return StageBench(stage, limits=actual, **_bench_options(**options)), reported
+    return VirtualBench(device, limits=actual, **_bench_options(**options)), reported
 
 
 def _names(actuator: str, axes: int) -> list[str]:
@@ -250,8 +232,8 @@ def _stop_by_signal(server: Server) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _tally(instrument: VirtualBench) -> str:
-    log, present = instrument.log, instrument.voltage
+def _tally(axis: BenchAxis) -> str:
+    log, present = axis.log, axis.voltage
     refused = f", {log.refused} requests refused" if log.refused else ""
     return (
         f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "

@@ -171,7 +171,7 @@ def _ends(record: Record, table: Table, options: dict[str, Any]) -> list[dict[st
     ends = []
     timed = ("time",) if options["sample_rate"] is None else ()
     for quantity in (*timed, "voltage", "displacement"):
-        column, _ = table.find(quantity, options[quantity])
+        column = table.select(quantity, options[quantity]).column
         # Joining cuts and interpolates rows.
         cells = ("", "") if options["join"] else column.ends
         written = [cell or f"{value:.9g}" for cell, value in zip(cells, column.data[[0, -1]], strict=True)]

@@ -17,7 +17,7 @@ from dehyst.fleet.reader import FleetOptions
 from dehyst.identification import Fit, Outcome, RecordErrors, identify
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.rules import RULES
-from dehyst.identification.validation import ComparisonOptions, errors_of
+from dehyst.identification.validation import compare, errors_of
 from dehyst.model import Actuator, Identification, MaxwellSlip, Spring
 from dehyst.records import Record
 from dehyst.records.signals import rms
@@ -192,7 +192,7 @@ def _own_actuator(record: Record, options: FleetOptions) -> Actuator:
 
 
 def _errors(actuator: Actuator, record: Record, stroke: float, role: str) -> RecordErrors:
-    return errors_of(actuator, prepare(record), ComparisonOptions(role, actuator.delay, None, False, stroke))[0]
+    return errors_of(actuator, compare(actuator, prepare(record), stroke), role)[0]
 
 
 def _fit(record: Record, shape: Shape) -> Fit | None:

@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
-from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.regression.fold_sums import FoldSums, blocks, first_weights, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
-from dehyst.identification.validation import ComparisonOptions, compare, counted_of, errors_beside
+from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
 from dehyst.model import Actuator
 from dehyst.records.signals import rms
 
@@ -44,12 +43,8 @@ _BRANCHES = 4
 class Dropped:
     """A part that the records do not support.
 
-    Attributes
-    ----------
-    part : str
-        "inertia", "creep" or "delay".
-    without, within : float
-        Error [m] of time that was not trained on, without the part and with it.
+    `part`: "inertia", "creep" or "delay". `without`, `within`: error [m] of time that was not trained on, without the
+    part and with it.
     """
 
     part: str
@@ -127,25 +122,22 @@ class _Parts:
             actuator = self.frame.actuator_of(self.regression, fitted)
             known = self.regression.axis[~out]
             for q, item in enumerate(self.frame.training):
-                datum = float(self.regression.datum[q])
-                protocol = ComparisonOptions(
-                    "training", actuator.delay, datum, q in self.regression.drifting, self.frame.stroke
-                )
-                time, measured, simulated = _played(actuator, item, protocol)
+                datum, drifting = float(self.regression.datum[q]), q in self.regression.drifting
+                compared = compare(actuator, item, self.frame.stroke, datum=datum, drifting=drifting)
+                time, measured, simulated = _played(actuator, compared)
                 inside = (measured >= known.min()) & (measured <= known.max())
                 yield (time, measured - simulated), np.isin(self._part(q, time), group) & inside
 
 
-def _played(actuator: Actuator, item: Prepared, protocol: ComparisonOptions) -> tuple[Array, Array, Array]:
+def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Array, Array]:
     """Return time, measured and simulated displacement: from where all elements are known, if that is soon enough."""
-    beside = compare(actuator, item, protocol)
-    last = [one for one in beside.played(actuator) if one[1] is beside.epochs[one[0]][-1]]
-    if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, beside.measured)):
-        _, trace = errors_beside(actuator, item, beside, protocol)
+    last = [one for one in compared.played(actuator) if one[1] is compared.epochs[one[0]][-1]]
+    if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, compared.measured)):
+        _, trace = errors_of(actuator, compared, "training")
         return trace.time, trace.measured, trace.simulated
     time, _, measured, simulated, _ = (
         np.concatenate(column)
-        for column in zip(*(counted_of(one[2], beside.record.record) for one in last), strict=True)
+        for column in zip(*(counted_of(one[2], compared.record.record) for one in last), strict=True)
     )
     return time, measured, simulated
 
@@ -159,14 +151,8 @@ def _detrended(time: Array, residual: Array) -> Array:
 def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, report: Progress) -> Dropped | None:
     """Return the first part that moves in time and does not predict time that was not trained on; None if all do.
 
-    Parameters
-    ----------
-    frame, structure : TrainingData, Structure
-        As they were found.
-    still : TrainingData
-        The same records without inertia.
-    report : callable
-        Called with a few words at each step.
+    `frame`, `structure`: as they were found. `still`: the same records without inertia. `report`: called with a few
+    words at each step.
     """
     simpler = []
     if frame.inertia.mass:
@@ -218,14 +204,8 @@ def disagreement(
 ) -> float:
     """Return the median RMS distance [m] on a random path from other structures that explain the records about as well.
 
-    Parameters
-    ----------
-    frame : TrainingData
-    actuator : Actuator
-    voltages : (float, float)
-        Lowest and highest voltage of the path [V].
-    trials : sequence of StructureTrial
-        All that were tried; 0 if no other one explains the records as well.
+    `voltages`: lowest and highest voltage of the path [V]. `trials`: all that were tried; 0 if no other one explains
+    the records as well.
     """
     voltage, known = _random_path(*voltages)
     time = np.arange(voltage.size) * frame.times[0]

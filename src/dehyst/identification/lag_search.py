@@ -34,14 +34,8 @@ _POINTS, _SHARES = 7, (0.0, 0.5, 1.0)
 def find_lag(frame: TrainingData, longest: float, cycle: float) -> SensedDynamics:
     """Return delay and lag of the records; both 0 unless they predict time that was not trained on.
 
-    Parameters
-    ----------
-    frame : TrainingData
-        Without delay and lag.
-    longest : float
-        Largest delay looked for [s]; a displacement that leads has another cause.
-    cycle : float
-        Least duration of a cycle [s].
+    `frame`: without delay and lag. `longest`: largest delay looked for [s]; a displacement that leads has another
+    cause. `cycle`: least duration of a cycle [s].
     """
     search, step = _LagSearch(frame, cycle), frame.times[0]
     total = searched_delay(search.residual, longest, step, search.voltage, frame.stroke, _POINTS)
@@ -114,7 +108,7 @@ class _LagSearch:
         return replace(self.frame, inertia=self.split(total, share))
 
     def _regression(self, frame: TrainingData) -> Regression:
-        made = frame.on_grid(self._grid, _ROWS, smoothing=_STRUCTURE.smoothing, drifts=False).regression
+        made = frame.on_grid(self._grid, _ROWS, smoothing=_STRUCTURE.smoothing, drifts=False)
         return made if frame.creepless else replace(made, strained=tuple(range(len(frame.training))))
 
 

@@ -23,7 +23,7 @@ from dehyst.identification.preprocessing.denoising import disturbs
 from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import Stream, TrainingErrors, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import TrainingErrors, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
@@ -32,7 +32,7 @@ from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import SensedDynamics, TrainingData
-from dehyst.identification.validation import MOST_ROWS, ComparisonOptions, errors_of
+from dehyst.identification.validation import MOST_ROWS, compare, errors_of
 from dehyst.model import Actuator, Identification
 from dehyst.model.identification import Outcome
 from dehyst.records import Record
@@ -153,10 +153,10 @@ class IdentificationRun:
         floor = data.floor / self.settings.slope_floor * _LEAST_FLOOR
         return find_lag(replace(data, training=few, floor=floor, denoised=True), RULES.longest_lag * cycle, cycle)
 
-    def plain_error(self) -> float:
-        """RMS residual of a plain actuator in few rows of the training records [m]."""
+    def maxwell_slip_error(self) -> float:
+        """RMS residual of Maxwell-slip elements in few rows of the training records [m]."""
         rho = self.stroke / 60 * np.arange(1.0, 31.0)
-        return TrainingErrors()(self.stream(rho, self._data_of(0.0), knots=31).regression.thinned(_FIRST_ROWS))
+        return TrainingErrors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
 
     def can_drift(self) -> list[int]:
         """Return the training records that may drift."""
@@ -185,23 +185,27 @@ class IdentificationRun:
             denoised=any(disturbs(item.reduced.noise, self.stroke) for item in self.training),
         )
 
-    def stream(self, rho: Array, data: TrainingData, knots: int | None = None) -> Stream:
-        """All rows of plain elements with these thresholds."""
+    def regression(self, rho: Array, data: TrainingData, knots: int | None = None) -> Regression:
+        """Return the regression of Maxwell-slip elements with these thresholds."""
         places = np.linspace(*self.span, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
         beyond = bool(rho[-1] > 0.5 * self.stroke * (1 + 1e-9)) and self.settings.breakaway is None
         sliding = np.ones(rho.size, dtype=bool) if beyond else None
-        stream = data.on_grid(Grid.plain(rho, places, sliding), MOST_ROWS)
-        if len(stream.source) < 2 * rho.size:
+        regression = data.on_grid(Grid.plain(rho, places, sliding), MOST_ROWS)
+        if len(regression) < 2 * rho.size:
             raise IdentifyError(
-                f"{len(stream.source)} samples count for {rho.size} elements: only those after the range of a record "
+                f"{len(regression)} samples count for {rho.size} elements: only those after the range of a record "
                 "has been seen once count. Record two cycles at least, or use fewer elements"
             )
-        return stream
+        return regression
 
     def with_datums(self, regression: Regression) -> Regression:
         """Return a regression with the datum of each record that was zeroed anew."""
         others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
         return nuisances.with_datums(regression, others, self.stroke)
+
+    def with_drifts(self, regression: Regression) -> Regression:
+        """Return a regression with a drift of each record in which it is significant."""
+        return replace(regression, drifting=nuisances.find_drifts(regression, self.can_drift()))
 
     def actuator(self, regression: Regression, found: Coefficients) -> Actuator:
         """Return the actuator of coefficients, named."""
@@ -255,15 +259,7 @@ class IdentificationRun:
     def failed(self, status: str) -> Fit:
         """Return the result of a program without an optimum."""
         return Fit(
-            None,
-            Outcome.FAILED,
-            (),
-            tuple(self.repairs),
-            tuple(self.remarks),
-            (),
-            status,
-            float("nan"),
-            self.options(),
+            None, Outcome.FAILED, (), tuple(self.repairs), tuple(self.remarks), (), status, float("nan"), self.options()
         )
 
     def simulated(
@@ -277,10 +273,8 @@ class IdentificationRun:
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = q in regression.drifting if trained else drifts and item.can_drift
-            protocol = ComparisonOptions(
-                "training" if trained else "validation", actuator.delay, datum, drifting, self.stroke
-            )
-            error, trace = errors_of(actuator, item, protocol)
+            compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
+            error, trace = errors_of(actuator, compared, "training" if trained else "validation")
             errors.append(error)
             traces.append(trace)
         return errors, traces

@@ -27,7 +27,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.program import Norm, solve
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.training_data import SensedDynamics, TrainingData
-from dehyst.identification.validation import ComparisonOptions, compare, without_offset
+from dehyst.identification.validation import compare, without_offset
 from dehyst.model import Actuator, Dynamics, State
 from dehyst.records import Record
 from dehyst.records.signals import rms
@@ -37,18 +37,8 @@ from dehyst.records.signals import rms
 class FinalEpoch:
     """The last epoch of one piece of a record.
 
-    Attributes
-    ----------
-    record : Prepared
-    number : int
-        Number of the piece.
-    epoch : Epoch
-    state : State
-        At its first sample, on the model's axis.
-    offset : float
-        Offset of its voltages [V].
-    datum : float
-        Datum of its displacements [m].
+    `number`: number of the piece. `state`: at its first sample, on the model's axis. `offset`: offset of its voltages
+    [V]. `datum`: datum of its displacements [m].
     """
 
     record: Prepared
@@ -84,12 +74,7 @@ class FinalEpoch:
 
 @dataclass(frozen=True, eq=False)
 class SimulationError:
-    """The last epochs of records, from whose start states models of the same structure are simulated.
-
-    Attributes
-    ----------
-    epochs : tuple of FinalEpoch
-    """
+    """The last epochs of records, from whose start states models of the same structure are simulated."""
 
     epochs: tuple[FinalEpoch, ...]
 
@@ -98,9 +83,7 @@ class SimulationError:
         """Find states and offsets by comparison with an actuator; `datum` [m] of each record."""
         finals = []
         for record, shift in zip(records, datum, strict=True):
-            comparison = compare(
-                actuator, record, ComparisonOptions("training", actuator.delay, float(shift), False, stroke)
-            )
+            comparison = compare(actuator, record, stroke, datum=float(shift))
             for number, (of_piece, offset) in enumerate(zip(comparison.epochs, comparison.last_offsets(), strict=True)):
                 if of_piece:
                     state = comparison.state_before(actuator, number, of_piece[-1]).shifted(comparison.datum)
@@ -129,12 +112,7 @@ _STEP = 1e-3
 def tune_resonance(actuator: Actuator, simulation: SimulationError) -> Actuator:
     """Return the actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
 
-    Parameters
-    ----------
-    actuator : Actuator
-        With dynamics.
-    simulation : SimulationError
-        Of records in which the actuator rings.
+    `actuator`: with dynamics. `simulation`: of records in which the actuator rings.
     """
     if actuator.dynamics is None:
         return actuator
@@ -190,14 +168,7 @@ _ROUNDS = 3
 class StructuredFit:
     """What the records and a structure make.
 
-    Attributes
-    ----------
-    frame : TrainingData
-    structure : Structure
-    norm : str
-    regression : Regression
-    found : Coefficients
-        Of an actuator only if its solution is optimal.
+    `found`: of an actuator only if its solution is optimal.
     """
 
     frame: TrainingData
@@ -262,14 +233,8 @@ _MOVING, _CLOSEST = 0.1, 0.4
 class Refinement:
     """The result of a refinement.
 
-    Attributes
-    ----------
-    actuator : Actuator
-        The refined actuator, or the original.
-    kept : bool
-    before, after : float
-        RMS error of simulation [m] on held-out cycles, of the original, which was fitted to them, and of a refined
-        model that was not.
+    `actuator`: the refined actuator, or the original. `before`, `after`: RMS error of simulation [m] on held-out
+    cycles, of the original, which was fitted to them, and of a refined model that was not.
     """
 
     actuator: Actuator
@@ -315,16 +280,8 @@ def _after_steps(point: _Iterate, used: NDArray[np.bool_]) -> _Iterate:
 class _Iterate:
     """Coefficients and thresholds, and their actuator.
 
-    Attributes
-    ----------
-    given : Actuator
-        Its parts lie on the grid of `regression`.
-    regression : Regression
-        Its rows are not used.
-    x : (q,) array
-        Unknowns of the program that are not negative.
-    breakaway : (N,) array
-        [m].
+    `given`: its parts lie on the grid of `regression`. `regression`: its rows are not used. `x` (q,): unknowns of the
+    program that are not negative. `breakaway` (N,): [m].
     """
 
     given: Actuator

@@ -14,15 +14,9 @@ from dehyst.identification.diagnostics import messages
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import left_of, remove_dynamics, remove_jitter, significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.preprocessing.regressors import InternalStates, RowSource
+from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import (
-    FoldSums,
-    Stream,
-    TrainingErrors,
-    first_weights,
-    nearly_least_absolute,
-)
+from dehyst.identification.regression.fold_sums import FoldSums, TrainingErrors, first_weights, nearly_least_absolute
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
@@ -34,7 +28,7 @@ from dehyst.model import Actuator, Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import energy_share, resolution, turning_points
 
-# Inertia must reduce the RMS residual to this share, or it is left out.
+# Of the error, in the search for inertia.
 _EVALUATIONS = 90
 
 
@@ -42,16 +36,7 @@ _EVALUATIONS = 90
 class SensedDynamics:
     """Dynamics between w, the output of the hysteresis, and y: w(t - delay) = y + damping y' + mass y''.
 
-    Attributes
-    ----------
-    delay : float
-        [s].
-    damping : float
-        2 zeta / omega [s].
-    mass : float
-        1 / omega^2 [s2].
-    lag : float
-        Time constant of the amplifier [s].
+    `delay`: [s]. `damping`: 2 zeta / omega [s]. `mass`: 1 / omega^2 [s2]. `lag`: time constant of the amplifier [s].
     """
 
     delay: float
@@ -82,16 +67,8 @@ def find_dynamics(
 ) -> SensedDynamics:
     """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 
-    Parameters
-    ----------
-    error : callable
-        Dynamics -> RMS residual [m] of a fit of few rows.
-    delay : float
-        Delay without inertia [s]: the start of the search.
-    sample_time : float
-        [s].
-    fastest : float
-        Least duration of a cycle of the excitation [s].
+    `error`: dynamics -> RMS residual [m] of a fit of few rows. `delay`: delay without inertia [s]: the start of the
+    search. `sample_time`: [s]. `fastest`: least duration of a cycle of the excitation [s].
     """
     from scipy.optimize import minimize
 
@@ -184,35 +161,34 @@ class TrainingData:
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
     def regression(self, structure: Structure, most: int = _MOST_ROWS) -> Regression:
-        """Return the rows of all records under a structure, thinned to about `most`."""
-        return self.stream(structure, most).regression
-
-    def stream(self, structure: Structure, most: int = _MOST_ROWS) -> Stream:
-        """All rows of all records under a structure, about `most` of them in memory."""
-        found = self._stream_of(structure, most)
+        """Return the regression of all records under a structure, about `most` rows in memory."""
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
-        return replace(found, regression=replace(found.regression, strained=strained, drifting=drifting))
+        return replace(self._rows_of(structure, most), strained=strained, drifting=drifting)
 
     def fit(self, structure: Structure, norm: Norm) -> tuple[Regression, Coefficients]:
         """Solve the program of all rows; return the regression of those in memory beside its answer."""
-        stream = self.stream(structure)
-        regression = stream.regression
-        if not stream.whole:
-            return regression, stream.fit_weighted(norm)
+        regression = self.regression(structure)
+        if not regression.whole:
+            return regression, regression.fit_weighted(norm)
         weights = FoldSums(regression, first_weights(regression), folds=1).inverse_slopes
         return regression, regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
 
     def _rows_of(self, structure: Structure, most: int) -> Regression:
-        return self._stream_of(structure, most).regression
-
-    def _stream_of(self, structure: Structure, most: int) -> Stream:
         grid = structure.grid(self.span, self.voltages, (self.fastest_creep, self.times[1]))
         # No drift where creep branches are there for that: its curves take room.
         drifts = bool(self.can_drift) and not self.supports_creep()
         return self.on_grid(grid, most, smoothing=structure.smoothing, drifts=drifts)
 
-    def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Stream:
-        """Return all rows of all records on a grid, about `most` of them in memory: the only maker of rows."""
+    def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Regression:
+        """Return the regression of all records on a grid, about `most` rows in memory."""
+        source = self._source(grid, drifts)
+        ranges = source.ranges() if grid.reaches_beyond else ()
+        return Regression(
+            source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges, source=source
+        )
+
+    def _source(self, grid: Grid, drifts: bool = True) -> RowSource:
+        """Return all rows of all records on a grid."""
         pieces = [
             (q, path, self.training[q].drift_curve(path) if drifts else np.broadcast_to(0.0, len(path)))
             for q, path in self._paths
@@ -220,15 +196,7 @@ class TrainingData:
         noise = [self.training[q].noise for q, _, _ in pieces]
         if self.denoised:
             noise = [left_of(one, self.stroke) for one in noise]
-
-        def internal(number: int, piece: Record) -> InternalStates:
-            return InternalStates(grid, piece, self.training[number].lead)
-
-        source = RowSource.of(pieces, grid.breakaway, noise, moved=internal)
-        rows = source.thinned(most)
-        ranges = source.ranges() if grid.reaches_beyond else ()
-        regression = Regression(rows, grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges)
-        return Stream(source, regression)
+        return RowSource.of(pieces, grid, noise, leads=[item.lead for item in self.training])
 
     @cached_property
     def _paths(self) -> list[tuple[int, Record]]:
@@ -244,7 +212,7 @@ class TrainingData:
 
     def grows(self) -> bool:
         """Whether most samples of a record come before its range is at its widest."""
-        source = self.on_grid(Grid.plain(np.array([self.stroke]), np.array(self.span)), 1).source
+        source = self._source(Grid.plain(np.array([self.stroke]), np.array(self.span)))
         last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
         return last < RULES.growing * sum(len(piece) for _, piece, _ in source.pieces)
 
@@ -292,7 +260,7 @@ class TrainingData:
         lines = replace(self, training=[replace(item, steady=True) for item in self.training])
         error, grid = TrainingErrors(), _DRIFTING.grid(self.span, self.voltages, self.times)
         by_logarithm, by_time = (
-            error(replace(one.on_grid(grid, _FEW_ROWS).regression, drifting=self.can_drift)) for one in (self, lines)
+            error(replace(one.on_grid(grid, _FEW_ROWS), drifting=self.can_drift)) for one in (self, lines)
         )
         return by_time < RULES.steady_drift_gain * by_logarithm
 

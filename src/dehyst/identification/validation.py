@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.preprocessing.denoising import derivatives, disturbs, left_of, remove_dynamics, remove_jitter
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Epoch, InternalStates, Moving, RowSource
+from dehyst.identification.preprocessing.regressors import Epoch, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
@@ -41,39 +40,17 @@ _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
 _LEAST = 0.05
 
 
-@dataclass(frozen=True)
-class ComparisonOptions:
-    """How a record is compared with a model.
-
-    Attributes
-    ----------
-    role : str
-        "training" or "validation".
-    delay : float
-        Seconds by which voltages are delayed.
-    datum : float or None
-        Shift [m] to the model's axis; None: find it.
-    drifting : bool
-        Whether a drift is set aside.
-    stroke : float
-        Reference of the percentages [m].
-    """
-
-    role: str
-    delay: float
-    datum: float | None
-    drifting: bool
-    stroke: float
-
-
 @dataclass(frozen=True, eq=False)
 class RecordComparison:
-    """A record beside a model: its samples that count, and the constants that it needs.
+    """A record compared with a model: its samples that count, and the constants that it needs.
 
     Attributes
     ----------
+    given : Prepared
     record : Prepared
         Reduced.
+    stroke : float
+        Reference of the percentages [m].
     source : RowSource
         Its pieces, voltages delayed; with dynamics the displacements are those that hysteresis makes, before the
         resonance.
@@ -87,18 +64,17 @@ class RecordComparison:
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
     whole : list of (number, Record, drift curve (n,))
         The pieces with all their samples, measured, voltages delayed: those that are played.
-    block : int
-        Of how many of these samples a sample of the reduced record is the mean.
     """
 
+    given: Prepared
     record: Prepared
+    stroke: float
     source: RowSource
     measured: list[Record]
     regression: Regression
     found: Coefficients
     base: float
     whole: list[tuple[int, Record, Array]]
-    block: int = 1
 
     @property
     def pieces(self) -> list[tuple[int, Record, Array]]:
@@ -139,7 +115,7 @@ class RecordComparison:
             for epoch in own:
                 state, size = self.state_before(actuator, number, epoch), epoch.stop - epoch.start
                 runs = self.play(
-                    actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), self.block * size
+                    actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), self.given.block * size
                 )
                 parts.append((number, epoch, tuple(map(np.concatenate, zip(*runs, strict=True)))))
         return parts
@@ -158,8 +134,9 @@ class RecordComparison:
         [V]. Through what is set aside the displacement leads the model.
         """
         (_, piece, curve), (state, offset) = self.whole[number], begin
-        last = len(piece) if span.stop == len(self.measured[number]) else span.stop * self.block
-        span = slice(span.start * self.block + self.block // 2, last)
+        block = self.given.block
+        last = len(piece) if span.stop == len(self.measured[number]) else span.stop * block
+        span = slice(span.start * block + block // 2, last)
         y, drift = piece.displacement, self.drift * curve
         level = float(drift[span].mean())
         steady = drifting = state.shifted(self.datum)
@@ -190,7 +167,10 @@ class RecordComparison:
         places = first + _places(piece.displacement[first:stop])
         y = piece.displacement[places] + self.datum
         moved = self.source.moved[number]
-        rows = [block[places[(places >= k) & (places < k + len(block))] - k] for k, block in _blocks(moved)]
+        rows = [
+            block[places[(places >= k) & (places < k + len(block))] - k]
+            for k, block in zip(count(0, _STOPS_AT_A_TIME), moved.blocks(_STOPS_AT_A_TIME))
+        ]
         states = np.concatenate(rows)
         tau, spring = actuator.transformer, actuator.spring(y)
         force = piece.voltage[places] if tau is None else tau(piece.voltage[places])
@@ -234,21 +214,31 @@ class RecordComparison:
         return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
 
 
-def compare(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> RecordComparison:
-    """Put a record beside a model: its constants, datum and drift by least squares, the model held fixed."""
-    few, whole = record.reduced, record.delayed(0, protocol.delay, actuator.lag)
-    measured = whole if record.block == 1 else few.delayed(0, protocol.delay, actuator.lag)
-    pieces = [(q, _path(actuator, piece, few.noise, protocol.stroke), drift) for q, piece, drift in measured]
-    noise = left_of(few.noise, protocol.stroke)
-    source, regression, model = _beside(actuator, few, pieces, (0,) if protocol.drifting else (), noise)
-    datum = protocol.datum
+def compare(
+    actuator: Actuator, record: Prepared, stroke: float, *, datum: float | None = None, drifting: bool = False
+) -> RecordComparison:
+    """Compare a record with a model: fit constants, datum and drift by least squares, the model held fixed.
+
+    `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
+    whether a drift is set aside.
+    """
+    delay, few, whole = actuator.delay, record.reduced, record.delayed(0, actuator.delay, actuator.lag)
+    measured = whole if record.block == 1 else few.delayed(0, delay, actuator.lag)
+    pieces = [(q, _path(actuator, piece, few.noise, stroke), drift) for q, piece, drift in measured]
+    grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
+    noise = [left_of(few.noise, stroke)] * len(pieces)
+    source = RowSource.of(pieces, grid, noise, leads=[few.lead])
+    regression, model = (
+        _regression(actuator, source, grid, (0,) if drifting else ()),
+        Coefficients.from_actuator(actuator),
+    )
     if datum is None:
-        datum = find_datum(regression, 0, protocol.stroke, given=model)
-    regression = replace(regression, datum=np.array([datum]))
-    found = (regression if actuator.wide else Stream(source, regression)).fit_nuisances(model)
+        datum = find_datum(regression, 0, stroke, given=model)
+    regression = replace(regression, datum=np.array([datum]), source=None if regression.strained else source)
+    found = regression.fit_nuisances(model)
     base = float(actuator.spring.voltage[0])
     samples = [piece for _, piece, _ in measured]
-    return RecordComparison(few, source, samples, regression, found, base, whole, record.block)
+    return RecordComparison(record, few, stroke, source, samples, regression, found, base, whole)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
@@ -276,10 +266,7 @@ def compare_all(
     drift = known.drift and actuator.creep is None
     with one_thread():
         compared = tuple(
-            compare(
-                actuator, item, ComparisonOptions("training", actuator.delay, datum, drift and item.can_drift, stroke)
-            )
-            for item in prepared
+            compare(actuator, item, stroke, datum=datum, drifting=drift and item.can_drift) for item in prepared
         )
     return compared, stroke, float(np.ptp(widest.voltage)) / stroke * known.slope_floor
 
@@ -297,7 +284,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
         record = prepare_for(actuator, lead)
-        beside = compare(actuator, record, ComparisonOptions("validation", actuator.delay, None, False, stroke))
+        beside = compare(actuator, record, stroke)
         number, own = len(beside.pieces) - 1, beside.epochs[-1]
     except ValueError:
         own = []
@@ -324,9 +311,7 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
     that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
-    beside = compare(
-        actuator, prepare_for(actuator, record), ComparisonOptions("validation", actuator.delay, None, False, stroke)
-    )
+    beside = compare(actuator, prepare_for(actuator, record), stroke)
     state, offset = beside.start_of(actuator, 0, _first_sample(beside.pieces[0][1], actuator.delay))
     return state.shifted(beside.datum), offset
 
@@ -337,29 +322,13 @@ def _first_sample(piece: Record, delay: float) -> int:
     return first if piece.counted is None else max(first, int(np.argmax(piece.counted)))
 
 
-def _beside(
-    actuator: Actuator,
-    record: Prepared,
-    pieces: list[tuple[int, Record, Array]],
-    drifting: tuple[int, ...],
-    noise: float,
-) -> tuple[RowSource, Regression, Coefficients]:
-    """Return the samples of a record, their regression on some of them, and an actuator's coefficients in it."""
-    grid = Grid.of_actuator(actuator)
-    source = RowSource.of(
-        pieces,
-        grid.breakaway,
-        [noise] * len(pieces),
-        moved=lambda _, piece: InternalStates(grid, piece, record.lead),
-    )
-    most, floor = _FEW_ROWS, _LEAST * float(np.ptp(actuator.spring.voltage)) / float(np.ptp(grid.knots))
-    if not actuator.wide:
-        # Few columns: more rows fit into memory, and a row's weight needs no bound, for no slope is below the spring's.
-        grid = replace(grid, sliding=np.ones(len(actuator.slip), dtype=bool))
-        most, floor = MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS, 0.0
+def _regression(actuator: Actuator, source: RowSource, grid: Grid, drifting: tuple[int, ...]) -> Regression:
+    """Return the regression of a record for an actuator, on some of its samples if there are many."""
+    most = MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS
+    spring = actuator.spring
+    floor = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
     strained = (0,) if grid.time_constants.size else ()
-    regression = Regression(source.thinned(most), grid, floor, np.zeros(1), drifting, strained)
-    return source, regression, Coefficients.from_actuator(actuator)
+    return Regression(source.thinned(most), grid, floor, np.zeros(1), drifting, strained, source=source)
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
@@ -369,41 +338,34 @@ def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Rec
     return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
 
 
-def errors_of(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> tuple[RecordErrors, Trace]:
+def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
     """Simulate each piece of a record whole, from the state at its first sample that suits it best, and compare.
 
-    The constant, datum and drift of a record are fitted by least squares with the model held fixed.
+    `role`: "training" or "validation".
     """
-    return errors_beside(actuator, record, compare(actuator, record, protocol), protocol)
-
-
-def errors_beside(
-    actuator: Actuator, record: Prepared, compared: RecordComparison, protocol: ComparisonOptions
-) -> tuple[RecordErrors, Trace]:
-    """Do the same for a record that is put beside the model already."""
-    found, regression = compared.found, compared.regression
+    found, regression, record = compared.found, compared.regression, compared.given
     sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
     starts = []
     for number, (_, piece, _) in enumerate(compared.pieces):
-        first = _first_sample(piece, protocol.delay)
+        first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
         starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
             sums.add(counted_of(played, piece))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*sums.drawn, strict=True))
-    trace = Trace(record.name, protocol.role, time, voltage, measured, simulated, record.start)
+    trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
     slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
         record=record.name,
-        role=protocol.role,
+        role=role,
         samples=sums.samples,
         left_out=record.samples - sums.samples,
         largest=sums.largest[0],
         rms=sums.rms[0],
         largest_with_drift=sums.largest[1],
         rms_with_drift=sums.rms[1],
-        stroke=protocol.stroke,
+        stroke=compared.stroke,
         offset=offset,
         datum=compared.datum,
         drift=-compared.drift / slope,
@@ -481,14 +443,6 @@ def _places(y: Array) -> NDArray[np.intp]:
         return np.arange(y.size)
     some = np.linspace(0, y.size - 1, _START_SAMPLES).astype(np.intp)
     return np.union1d(some, turning_points(y, 1e-3 * float(np.ptp(y))))
-
-
-def _blocks(moved: Moving) -> Iterator[tuple[int, Array]]:
-    """Yield first sample and rows of blocks."""
-    first = 0
-    for block in moved.blocks(_STOPS_AT_A_TIME):
-        yield first, block
-        first += len(block)
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:

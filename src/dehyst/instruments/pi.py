@@ -21,9 +21,8 @@ from dehyst.instruments.base import (
     limits_of_axes,
     slew_rates_of_axes,
 )
-from dehyst.instruments.gcs_client import GcsClient
-from dehyst.instruments.gcs_errors import STOPPED
-from dehyst.instruments.gcs_link import AbstractGcsLink, DeviceLink, TcpLink
+from dehyst.instruments.gcs_client import AbstractGcsLink, DeviceLink, GcsClient, TcpLink
+from dehyst.instruments.gcs_syntax import STOPPED
 from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis, WaveTraits, discover
 from dehyst.instruments.samples import Reading, Samples
 

@@ -11,7 +11,7 @@ from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.samples import Reading, Samples
 from dehyst.model import Actuator
-from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench
+from dehyst.virtual import VirtualActuator, VirtualBench
 
 # Batches of samples in one wave, so that progress can be shown.
 _BATCHES = 100
@@ -36,7 +36,7 @@ class SimulatedRig(AbstractRig):
     Attributes
     ----------
     instrument : VirtualBench
-        The bench itself; its `log` records the output.
+        The bench itself; the `log` of its axis records the output.
     """
 
     def __init__(
@@ -51,15 +51,12 @@ class SimulatedRig(AbstractRig):
         name = f"simulated {truth.name if isinstance(truth, Actuator) else type(truth).__name__}"
         if device_limits is None and isinstance(truth, Actuator):
             device_limits = truth.limits
-        driven: VirtualActuator = ModelledActuator(truth) if isinstance(truth, Actuator) else truth
         self._time = 0.0
-        self.instrument = VirtualBench(
-            driven, limits=device_limits or (0.0, driven.highest), clock=lambda: self._time, **options
-        )
+        self.instrument = VirtualBench(truth, limits=device_limits, clock=lambda: self._time, **options)
         longest = min(self.instrument.wave_points, self.instrument.record_points)
         super().__init__(
             name,
-            VoltageLimits(*self.instrument.limits),
+            VoltageLimits(*self.instrument.axis.limits),
             limits=limits,
             slew_rate=slew_rate,
             longest=longest,
@@ -75,11 +72,11 @@ class SimulatedRig(AbstractRig):
 
     def _read(self) -> Reading:
         bench = self.instrument
-        return Reading(bench.now, bench.voltage, bench.displacement())
+        return Reading(bench.now, bench.axis.voltage, bench.axis.displacement())
 
     def _put(self, voltage: float) -> None:
-        if not self.instrument.set_voltage(voltage):
-            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {self.instrument.limits} V")
+        if not self.instrument.axis.set_voltage(voltage):
+            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {self.instrument.axis.limits} V")
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         bench, divider = self.instrument, self._divider(rate)

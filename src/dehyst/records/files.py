@@ -18,7 +18,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import demand
 from dehyst.records import hdf5
-from dehyst.records.formats.columns import TEXT, UNITS, Column, Table, listed, scale_of
+from dehyst.records.formats.columns import TEXT, UNITS, Selected, Table, listed
 from dehyst.records.formats.containers import MEMBER, line_of, stated
 from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
 from dehyst.records.formats.reader_process import LOADERS, load
@@ -126,11 +126,10 @@ def record_of(
     if axes:
         return _record_of_axes(table, choice, sample_rate, name, axes)
     timed = ("time",) if sample_rate is None else ()
-    found = chosen(table, choice, (*timed, "voltage", "displacement"))
-    if sample_rate is not None:
-        found["time"] = time_of(table, len(found["voltage"]), choice.time, sample_rate)
-    meta = _meta(table, choice, sample_rate)
-    return Record(found["time"], found["voltage"], found["displacement"], name, meta)
+    found = chosen(table, choice, (*timed, *_MEASURED))
+    voltage, displacement = (found[quantity].values for quantity in _MEASURED)
+    time = found["time"].values if timed else time_of(table, len(voltage), choice.time, sample_rate)
+    return Record(time, voltage, displacement, name, _meta(table, found, sample_rate))
 
 
 def _record_of_axes(
@@ -192,50 +191,44 @@ def named_and_joined(
     return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), time, sample_rate, displacement)
 
 
-def _meta(table: Table, choice: Choice, sample_rate: float | None) -> dict[str, Any]:
+def _meta(table: Table, found: Mapping[str, Selected], sample_rate: float | None) -> dict[str, Any]:
     """Return the origin of a record: file, hash, columns, and the scales and guesses if there are any."""
-    names = {quantity: table.find(quantity, getattr(choice, quantity))[0].name for quantity in _MEASURED}
-    clock = table.find("time", choice.time)[0].name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
-    scales = {q: scale_of(q, text).words for q in _MEASURED if (text := choice.scale(q)) is not None}
+    scales = {quantity: one.scale.words for quantity, one in found.items() if one.scale is not None}
     words = "".join(f", {quantity} {scale}" for quantity, scale in scales.items())
-    meta: dict[str, Any] = {"source": f"{table.source}{words}", "sha256": table.sha256}
-    meta["columns"] = {**names, "time": clock}
-    timed = ("time",) if sample_rate is None else ()
-    guesses = table.guesses({quantity: getattr(choice, quantity) for quantity in (*timed, *_MEASURED)})
+    columns = {quantity: found[quantity].column.name for quantity in _MEASURED}
+    columns["time"] = found["time"].column.name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
+    guesses = {quantity: one.guess for quantity, one in found.items() if one.guess}
     added = {"scales": scales, "guesses": guesses, "remarks": list(table.remarks)}
-    return meta | {name: value for name, value in added.items() if value}
+    origin = {"source": f"{table.source}{words}", "sha256": table.sha256, "columns": columns}
+    return origin | {name: value for name, value in added.items() if value}
 
 
 def _in_units(table: Table, wanted: str | None, units: str) -> str:
     """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
     per_metre(units, error=FileFormatError)
-    column, stated = table.find("displacement", wanted)
-    known = UNITS["displacement"]
-    if stated in known and known[stated] != known[units]:
+    found, known = table.select("displacement", wanted), UNITS["displacement"]
+    if found.unit in known and known[found.unit] != known[units]:
         raise FileFormatError(
-            f"{table.source}: got the unit '{units}', but the column '{column.name}' is in {stated}; leave units out"
+            f"{table.source}: got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave "
+            "units out"
         )
-    return f"{column.name}:{units}"
+    return f"{found.column.name}:{units}"
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
     """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
     if sample_rate is None:
         return table.column("time", wanted)
-    if wanted is not None or (table.has("time") and _is_usable(*table.find("time"))):
-        column = wanted or table.find("time")[0].name
+    known = table.select("time") if wanted is None and table.has("time") else None
+    if wanted is not None or (known and known.usable):
         raise FileFormatError(
-            f"{table.source}: got a sample rate and the time column '{column}'",
+            f"{table.source}: got a sample rate and the time column '{known.column.name if known else wanted}'",
             hint="leave one of them out",
             change=("sample_rate",),
         )
     if not 0 < sample_rate < float("inf"):
         raise FileFormatError(f"{table.source}: sample_rate is {sample_rate} Hz; give a number above 0")
     return np.arange(samples) / sample_rate
-
-
-def _is_usable(time: Column, unit: str) -> bool:
-    return unit in UNITS["time"] and not time.fault
 
 
 def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:

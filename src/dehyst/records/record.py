@@ -250,10 +250,14 @@ class Record:
         """
         columns = (Column(one.name, one.data, one.unit, foreign=one.foreign) for one in tables.columns_of(frame))
         found = Table("DataFrame", "", tuple(map(without_groups, columns)))
-        chosen = {"time": time, "voltage": voltage, "displacement": displacement}
-        scales = {"voltage": voltage_scale, "displacement": displacement_scale}
-        when, volts, moved = (found.column(quantity, one, scales.get(quantity)) for quantity, one in chosen.items())
-        meta = {"guesses": guesses} if (guesses := found.guesses(chosen)) else {}
+        chosen = (
+            found.select("time", time),
+            found.select("voltage", voltage, voltage_scale),
+            found.select("displacement", displacement, displacement_scale),
+        )
+        guesses = {one.quantity: one.guess for one in chosen if one.guess}
+        meta = {"guesses": guesses} if guesses else {}
+        when, volts, moved = (one.values for one in chosen)
         return cls(when, volts, moved, name or str(frame.attrs.get("name", "record")), meta)
 
     @classmethod

@@ -21,6 +21,7 @@ from dehyst.records.formats.columns import (
     UNITS,
     Column,
     ColumnError,
+    Selected,
     Table,
     is_plug,
     is_small,
@@ -185,36 +186,36 @@ def _axis_entry(text: str) -> AxisColumns:
     return AxisColumns(name or (word.rsplit("_", 1)[0] if "_" in word else word), *parts)
 
 
-def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Array]:
-    """Return the columns of quantities in SI units.
+def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Selected]:
+    """Return the columns of quantities, whose `values` are known to be numbers in SI units.
 
     Raises
     ------
     ColumnsError
         Some of them cannot be read: all problems, and options that would solve them.
     """
-    found: dict[str, Array] = {}
+    found: dict[str, Selected] = {}
     problems: list[ColumnError] = []
     for quantity in quantities:
         try:
-            found[quantity] = table.column(quantity, getattr(choice, quantity), choice.scale(quantity))
+            one = table.select(quantity, getattr(choice, quantity), choice.scale(quantity))
+            _, found[quantity] = one.values, one
         except ColumnError as error:
             problems.append(error)
     if problems:
-        proposal = _proposal(table, choice, [*found], problems)
+        taken = {one.column.name for one in found.values()}
+        proposal = _proposal([column for column in table.columns if column.name not in taken], problems)
         reason, join = _reason(table, problems, proposal), _may_be_joined(table, problems, proposal)
         change = [name for error in problems for name in error.change] + ["join"] * join
         raise ColumnsError(reason, _options(table, choice, problems, proposal), change)
     return found
 
 
-def _proposal(table: Table, choice: Choice, found: list[str], problems: list[ColumnError]) -> dict[str, Column]:
-    """Return the column for each quantity with a problem: that of the problem, else the most likely one."""
-    wanted = [error.quantity for error in problems]
-    taken = {table.find(quantity, getattr(choice, quantity))[0].name for quantity in found}
-    free = [column for column in table.columns if not column.fault and column.name not in taken]
+def _proposal(free: list[Column], problems: list[ColumnError]) -> dict[str, Column]:
+    """Return the column for each quantity with a problem: that of the problem, else the most likely of free ones."""
     used = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
-    return used | _assigned([c for c in free if c not in used.values()], [q for q in wanted if q not in used])
+    left = [column for column in free if not column.fault and column not in used.values()]
+    return used | _assigned(left, [error.quantity for error in problems if error.quantity not in used])
 
 
 def _may_be_joined(table: Table, problems: list[ColumnError], proposal: Mapping[str, Column]) -> bool:
@@ -408,8 +409,8 @@ def _timed(table: Table, wanted: str | None) -> _Timed | None:
     """Return a table with its time; None if it has no time column."""
     for name in (wanted, None):
         if table.fitting("time", name):
-            column, unit = table.find("time", name)
-            return _Timed(table, column, unit, table.column("time", name))
+            one = table.select("time", name)
+            return _Timed(table, one.column, one.unit, one.values)
     return None
 
 

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.identification import Structure
 from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probe_identifiability
 from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
-from dehyst.identification.preprocessing.regressors import InternalStates, Rows, RowSource
+from dehyst.identification.preprocessing.regressors import Rows, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
@@ -182,11 +182,7 @@ def _rows(
                 path = remove_jitter(remove_dynamics(piece, actuator.dynamics), item.record.noise, stroke)
             stacked.append((q, path, curve))
             noise.append(item.record.noise)
-
-    def internal(number: int, piece: Record) -> InternalStates:
-        return InternalStates(grid, piece, compared[number].record.lead)
-
-    source = RowSource.of(stacked, grid.breakaway, noise, moved=internal)
+    source = RowSource.of(stacked, grid, noise, leads=[item.record.lead for item in compared])
     return source.thinned(_FEWER_ROWS if wide else MOST_ROWS)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -18,7 +18,7 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.validation import ComparisonOptions, compare, errors_of, prepare_for
+from dehyst.identification.validation import compare, errors_of, prepare_for
 from dehyst.model import Actuator, Identification
 from dehyst.model.serialization import DESCRIPTION
 from dehyst.records import Record
@@ -257,9 +257,8 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         prepared = prepare_for(actuator, record)
         prepared.span()
         stroke = float(np.ptp(actuator.reach))
-        protocol = ComparisonOptions("validation", actuator.delay, 0.0, False, stroke)
-        protocol = replace(protocol, datum=_zero(actuator, prepared, protocol))
-        errors, trace = errors_of(actuator, prepared, protocol)
+        compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
+        errors, trace = errors_of(actuator, compared, "validation")
     slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
     before = judge(actuator).parts.get("training") or None
@@ -295,17 +294,17 @@ def _model_id(actuator: Actuator) -> str:
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:_DIGITS]
 
 
-def _zero(actuator: Actuator, record: Prepared, protocol: ComparisonOptions) -> float:
+def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis with which the voltages need no offset."""
     (low, high), measured = actuator.voltage_range, record.record.displacement_range
     expected = actuator.major_loop(record.record.voltage_range)
     # The middle of the loop first: a sensor may have its zero far away.
     datum = 0.5 * (sum(expected) - sum(measured))
     for _ in range(_STEPS):
-        offset = compare(actuator, record, replace(protocol, datum=datum)).last_offsets()[-1]
-        step = offset * protocol.stroke / (high - low)
+        offset = compare(actuator, record, stroke, datum=datum).last_offsets()[-1]
+        step = offset * stroke / (high - low)
         datum += step
-        if abs(step) < _CLOSE * protocol.stroke:
+        if abs(step) < _CLOSE * stroke:
             break
     return datum
 

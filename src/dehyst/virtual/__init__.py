@@ -15,14 +15,12 @@ from dehyst.virtual.modelled import ModelledActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 from dehyst.virtual.stage import VirtualStage
-from dehyst.virtual.stage_bench import StageBench
 
 __all__ = [
     "BoucWenActuator",
     "ModelledActuator",
     "PlayActuator",
     "PreisachActuator",
-    "StageBench",
     "VirtualActuator",
     "VirtualBench",
     "VirtualStage",

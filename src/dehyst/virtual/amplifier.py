@@ -10,9 +10,7 @@ import numpy as np
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
-from dehyst.model import Actuator
 from dehyst.virtual.base import VirtualActuator
-from dehyst.virtual.modelled import ModelledActuator
 
 # Share of a servo period that a jump of the voltage takes.
 _JUMP = 1e-3
@@ -49,7 +47,7 @@ class Amplifier:
 
     Parameters
     ----------
-    actuator : VirtualActuator or Actuator
+    actuator : VirtualActuator
         The connected actuator, at rest at 0 V.
     limits : VoltageLimits
         Limits of the output; a target is reached at the slew rate, or at once if there is none.
@@ -68,10 +66,9 @@ class Amplifier:
         Stroke by highest voltage [m/V].
     """
 
-    def __init__(self, actuator: VirtualActuator | Actuator, limits: VoltageLimits, period: float) -> None:
+    def __init__(self, actuator: VirtualActuator, limits: VoltageLimits, period: float) -> None:
         self.limits, self.period = limits, period
-        self._actuator: VirtualActuator = ModelledActuator(actuator) if isinstance(actuator, Actuator) else actuator
-        self.stroke, self.gain = self._actuator.stroke, self._actuator.stroke / self._actuator.highest
+        self._actuator, self.stroke, self.gain = actuator, actuator.stroke, actuator.stroke / actuator.highest
         self.voltage = self.target = limits.nearest(0.0)
         self.log = Extremes(self.voltage, self.voltage)
         self.at = self._put_at = -period

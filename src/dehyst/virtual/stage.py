@@ -129,6 +129,12 @@ class VirtualStage:
         parts = [*map(fingerprint, driven), self.coupling.tobytes().hex(), self.hysteretic.tobytes().hex()]
         self.serial = f"stage-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:12]}"
 
+    @classmethod
+    def of_one(cls, actuator: VirtualActuator | Actuator) -> VirtualStage:
+        """Return a body that one `actuator` moves, with its noise."""
+        noise, seed = getattr(actuator, "noise", 0.0), getattr(actuator, "seed", 0)
+        return cls([actuator], np.eye(1), noise=float(noise), seed=int(seed))
+
     def __len__(self) -> int:
         return len(self.ports)
 

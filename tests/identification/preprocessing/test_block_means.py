@@ -5,7 +5,7 @@ import pytest
 
 from dehyst import Actuator, Record, identify
 from dehyst.identification.preprocessing.preparation import block_means, block_of, prepare
-from dehyst.identification.validation import ComparisonOptions, errors_of
+from dehyst.identification.validation import compare, errors_of
 from dehyst.model import MaxwellSlip, Spring
 from dehyst.records.signals import bandwidth
 
@@ -68,8 +68,7 @@ def test_a_fast_recording_gives_the_model_of_a_slow_one():
     found = {}
     for rate in (200, 10_000):
         fit = identify(recorded(20, rate, 3, 0.003))
-        protocol = ComparisonOptions("validation", fit.actuator.delay, None, False, STROKE)
-        found[rate] = errors_of(fit.actuator, prepare(unseen), protocol)[0]
+        found[rate] = errors_of(fit.actuator, compare(fit.actuator, prepare(unseen), STROKE), "validation")[0]
         assert fit.actuator.delay == pytest.approx(DELAY, abs=1e-3)
         assert fit.errors[0].samples > 0.99 * 20 * rate
     assert found[10_000].rms < 0.0015 * STROKE

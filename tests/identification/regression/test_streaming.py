@@ -15,7 +15,6 @@ from dehyst.identification import validation
 from dehyst.identification.preprocessing import denoising, regressors
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect
-from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.program import NORMS
 from dehyst.identification.structure import Grid
@@ -37,37 +36,45 @@ def pieces(noise=2e-9):
 
 def stream(most, drifting=(1,)):
     """All rows of these records, `most` of them in memory."""
-    source = RowSource.of(pieces(), RHO, [2e-9, 2e-9])
-    regression = Regression(
-        source.thinned(most),
-        Grid.plain(RHO, np.linspace(0, plain_records.STROKE, 13), 2 * RHO < plain_records.STROKE * 0.999),
-        1e5,
-        np.zeros(2),
-        drifting,
-    )
-    return Stream(source, regression)
+    grid = Grid.plain(RHO, np.linspace(0, plain_records.STROKE, 13), 2 * RHO < plain_records.STROKE * 0.999)
+    source = RowSource.of(pieces(), grid, [2e-9, 2e-9])
+    return Regression(source.thinned(most), grid, 1e5, np.zeros(2), drifting, source=source)
 
 
-def twice(number, piece):
+class Twice:
     """Something that moves along a piece, told apart from that of another."""
-    return np.column_stack([piece.displacement, number + piece.time])
+
+    def __init__(self, number, piece):
+        self.rows = np.column_stack([piece.displacement, number + piece.time])
+
+    def blocks(self, size):
+        return (self.rows[begin : begin + size] for begin in range(0, len(self.rows), size))
+
+
+def source(moving):
+    """All rows of these records, with something that moves."""
+    made = RowSource.of(pieces(), Grid.plain(RHO, np.zeros(2)), [2e-9, 2e-9])
+    return replace(made, moved=[Twice(number, piece) for number, piece, _ in made.pieces]) if moving else made
 
 
 @pytest.mark.parametrize("size", [1, 97, 1000])
-@pytest.mark.parametrize("options", [{}, {"moved": twice}])
-def test_blocks_of_any_size_are_the_rows(monkeypatch, size, options):
-    whole, _ = collect(pieces(), RHO, [2e-9, 2e-9], **options)
-    assert whole.moved.shape == (len(whole), 2 if options else 0)
-    if options:
+@pytest.mark.parametrize("moving", [False, True])
+def test_blocks_of_any_size_are_the_rows(monkeypatch, size, moving):
+    whole = source(moving).thinned(10**9)
+    assert whole.moved.shape == (len(whole), 2 if moving else 0)
+    if moving:
         np.testing.assert_array_equal(whole.moved[:, 0], whole.displacement)
+    else:
+        found, _ = collect(pieces(), RHO, [2e-9, 2e-9])
+        np.testing.assert_array_equal(found.elongation, whole.elongation)
     monkeypatch.setattr(regressors, "_BLOCK", size)
-    source = RowSource.of(pieces(), RHO, [2e-9, 2e-9], **options)
-    assert len(source) == len(whole)
-    assert source.count == np.unique(whole.epoch).size
+    made = source(moving)
+    assert len(made) == len(whole)
+    assert made.count == np.unique(whole.epoch).size
     for name in Rows.__dataclass_fields__:
-        got = np.concatenate([getattr(block, name) for block in source.blocks()])
+        got = np.concatenate([getattr(block, name) for block in made.blocks()])
         np.testing.assert_array_equal(got, getattr(whole, name))
-        np.testing.assert_array_equal(getattr(source.thinned(100), name), getattr(whole.thinned(100), name))
+        np.testing.assert_array_equal(getattr(made.thinned(100), name), getattr(whole.thinned(100), name))
 
 
 @pytest.mark.parametrize("norm", NORMS)
@@ -81,12 +88,12 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, norm):
     other = streamed.fit_weighted(norm)
     assert other.solution.optimal
     assert abs(other.solution.gap) < 1e-6
-    weights = 1 / memory.regression.slope(memory.regression.fit("l2"))
-    epochs = np.unique(memory.regression.rows.epoch)
-    free, bounded, target = memory.regression.table(epochs)
+    weights = 1 / memory.slope(memory.fit("l2"))
+    epochs = np.unique(memory.rows.epoch)
+    free, bounded, target = memory.table(epochs)
 
     def residual(found):
-        x = np.concatenate([found.stiffness[memory.regression.movable, 0], found.slopes - memory.regression.floor])
+        x = np.concatenate([found.stiffness[memory.movable, 0], found.slopes - memory.floor])
         a = np.array([*found.offsets.values(), *found.drifts.values()])
         return np.abs(free @ a + bounded @ x - target) * weights
 
@@ -151,9 +158,7 @@ def test_a_wider_actuator_played_in_stretches_carries_its_state_on(parts, size):
     plain = plain_records.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, **parts)
     record = wide_record(actuator, 0.9 * plain_records.VOLTS)
-    compared = validation.compare(
-        actuator, record, validation.ComparisonOptions("training", 0.0, 0.0, True, plain_records.STROKE)
-    )
+    compared = validation.compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
     ((number, epoch, whole),) = compared.played(actuator)[-1:]
     begin = compared.state_before(actuator, number, epoch), compared.offsets[-1]
     stretches = list(compared.play(actuator, number, slice(epoch.start, epoch.stop), begin, size))
@@ -167,8 +172,7 @@ def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
     plain = plain_records.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, creep=WIDE["creep"]["creep"])
     record = wide_record(actuator, 0.9 * plain_records.VOLTS)
-    protocol = validation.ComparisonOptions("training", 0.0, 0.0, True, plain_records.STROKE)
-    compared = validation.compare(actuator, record, protocol)
+    compared = validation.compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
     assert compared.source.count > 1
     last = compared.source.count - 1
     few = replace(compared, found=replace(compared.found, offsets={last: compared.found.offsets[last]}))

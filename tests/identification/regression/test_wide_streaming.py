@@ -12,7 +12,6 @@ import structured_records as wide
 
 from dehyst.identification.preprocessing import regressors
 from dehyst.identification.preprocessing.regressors import InternalStates, RowSource
-from dehyst.identification.regression.fold_sums import Stream
 from dehyst.identification.solvers.program import NORMS
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
@@ -41,11 +40,9 @@ def streams(name, most, strained=()):
     plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(24))
     records = [plant.record(noise=2e-9, seed=seed) for seed in (0, 1)]
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
-    source = RowSource.of(
-        pieces, plant.grid.breakaway, [0.0, 0.0], moved=lambda _, piece: InternalStates(plant.grid, piece, None)
-    )
+    source = RowSource.of(pieces, plant.grid, [0.0, 0.0])
     whole = wide.regression(plant.grid, records, strained=strained)
-    return plant, Stream(source, replace(whole, rows=source.thinned(most)))
+    return plant, replace(whole, rows=source.thinned(most), source=source)
 
 
 @pytest.mark.parametrize("norm", NORMS)
@@ -61,10 +58,10 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, name, norm)
     assert other.solution.optimal
     assert abs(other.solution.gap) < 1e-6
     assert other.offsets.keys() == one.offsets.keys()
-    weights = 1 / memory.regression.slope(memory.regression.fit("l2"))
+    weights = 1 / memory.slope(memory.fit("l2"))
 
     def cost(found):
-        return np.linalg.norm(memory.regression.residual(found) * weights, ORDER[norm])
+        return np.linalg.norm(memory.residual(found) * weights, ORDER[norm])
 
     assert cost(other) == pytest.approx(cost(one), rel=1e-5)
 
@@ -76,15 +73,13 @@ def test_starts_that_some_blocks_have_forgotten_are_columns_of_all(monkeypatch):
     _, memory = streams("creep", 10**9, (0, 1))
     one, other = memory.fit_weighted("l2"), streamed.fit_weighted("l2")
     for q in (0, 1):
-        np.testing.assert_allclose(
-            other.starts[q], one.starts[q], rtol=1e-4, atol=1e-6 * np.ptp(memory.regression.knots)
-        )
+        np.testing.assert_allclose(other.starts[q], one.starts[q], rtol=1e-4, atol=1e-6 * np.ptp(memory.knots))
 
 
 def test_an_epoch_of_which_no_row_is_in_memory_has_its_constant():
     _, memory = streams("transformer", 10**9)
     _, streamed = streams("transformer", 3)
-    assert len(streamed.regression.rows) < streamed.source.count + 4
+    assert len(streamed.rows) < streamed.source.count + 4
     assert streamed.fit_weighted("l2").offsets.keys() == memory.fit_weighted("l2").offsets.keys()
 
 

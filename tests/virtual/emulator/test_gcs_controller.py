@@ -6,7 +6,7 @@ from hand_clock import Hand
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.virtual import PlayActuator, StageBench, VirtualBench, VirtualStage
+from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 from dehyst.virtual.emulator import Controller
 from dehyst.virtual.emulator.gcs_controller import _DESCRIPTIONS
 from dehyst.virtual.stage import spread_coupling
@@ -107,7 +107,7 @@ def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(cont
 )
 def test_what_cannot_be_done_is_refused_by_number_and_nothing_put_out(controller, line, error):
     assert error_after(controller, line) == error
-    assert controller.instrument.log.highest == controller.instrument.log.lowest == 0
+    assert controller.instrument.axis.log.highest == controller.instrument.axis.log.lowest == 0
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_voltages_are_set_and_read(controller, hand):
     assert controller.answer("SVA?") == "1=10\n"
     assert controller.answer("VOL? 1") == "1=10\n"
     position = float(controller.answer("POS? 1").split("=")[1])
-    assert position == pytest.approx(1e6 * controller.instrument.displacement(), rel=1e-11)
+    assert position == pytest.approx(1e6 * controller.instrument.axis.displacement(), rel=1e-11)
     hand.wait(2)
     assert controller.answer("TIM?") == "2000\n"
 
@@ -282,8 +282,8 @@ def test_no_line_breaks_it_nor_leaves_the_limits(lines):
         hand.wait(0.01)
     controller.answer("ERR?")
     assert controller.answer("ERR?") == "0\n"
-    assert controller.instrument.log.lowest >= -20
-    assert controller.instrument.log.highest <= 120
+    assert controller.instrument.axis.log.lowest >= -20
+    assert controller.instrument.axis.log.highest <= 120
 
 
 class TestSeveralAxes:
@@ -292,7 +292,7 @@ class TestSeveralAxes:
     @pytest.fixture
     def stage(self, hand):
         actuators = [PlayActuator(plays=20, highest=high, noise=0) for high in (100.0, 120.0, 150.0)]
-        return StageBench(VirtualStage(actuators, np.eye(3) + spread_coupling(3, 0.04), noise=0), clock=hand)
+        return VirtualBench(VirtualStage(actuators, np.eye(3) + spread_coupling(3, 0.04), noise=0), clock=hand)
 
     @pytest.fixture
     def controller(self, stage):

@@ -92,7 +92,7 @@ def test_it_sets_a_voltage_and_reads_it_and_the_position():
         line.send("SVA 1 50")
         assert line.ask("VOL? 1") == "1=50\n"
         assert 1 < float(line.ask("POS? 1").split("=")[1]) < 8
-        assert server.controller.instrument.log.highest == 50
+        assert server.controller.instrument.axis.log.highest == 50
 
 
 def test_lines_come_in_pieces_together_with_any_end_and_with_single_bytes_between():
@@ -139,7 +139,7 @@ def test_1000_malformed_commands_leave_it_serving():
         line.link.sendall(b"VOL? 1\n")
         while (answer := line.file.readline()) != b"1=20\n":
             assert answer
-        log = server.controller.instrument.log
+        log = server.controller.instrument.axis.log
         assert 0 <= log.lowest <= log.highest <= 120
 
 
@@ -254,7 +254,7 @@ def test_narrow_tells_wider_limits_than_it_has():
         assert line.ask("VMA?") == "1=120\n"
         line.send("SVA 1 100")
         assert line.ask("ERR?") == "302\n"
-        assert server.controller.instrument.log.highest == 0
+        assert server.controller.instrument.axis.log.highest == 0
 
 
 def test_the_sensor_saturates_or_is_unplugged():

@@ -6,10 +6,10 @@ other cart stands still: it adds kappa y and a constant. Such an interval is an 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,51 +29,13 @@ _BLOCK = 8_192
 _AT_A_TIME = 1 << 19
 
 
-class Moving(Protocol):
-    """Columns of the internal states besides carts along a piece, computed on demand."""
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        ...
-
-    def blocks(self, size: int) -> Iterator[Array]:
-        """Yield rows of all samples in order, (size, width) at a time except the last."""
-        ...
-
-
-Moved = Callable[[int, Record], "Array | Moving"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Rows in memory."""
-
-    rows: Array
-
-    @property
-    def width(self) -> int:
-        return int(self.rows.shape[1])
-
-    def blocks(self, size: int) -> Iterator[Array]:
-        for begin in range(0, len(self.rows), size):
-            yield self.rows[begin : begin + size]
-
-
 @dataclass(frozen=True)
 class Epoch:
     """Samples start..stop-1 of a piece, over which the range of the excitation did not grow.
 
-    Attributes
-    ----------
-    turn : int
-        The sample before `start` at which the range grew last.
-    reach : float
-        Range of displacement [m] so far: elements with 2 rho <= reach are in a known state.
-    middle : float
-        Displacement [m] to which the constant of the carts that stand still refers.
-    width : float
-        Range of displacement [m], noise included.
+    `turn`: the sample before `start` at which the range grew last. `reach`: range of displacement [m] so far: elements
+    with 2 rho <= reach are in a known state. `middle`: displacement [m] to which the constant of the carts that stand
+    still refers. `width`: range of displacement [m], noise included.
     """
 
     turn: int
@@ -88,14 +50,9 @@ class Epoch:
 class EpochRange:
     """Range of displacement over an epoch.
 
-    Attributes
-    ----------
-    number, record, piece : int
-        Numbers of the epoch, of its record and of its piece of the record.
-    low, high : float
-        [m], on the axis of the record.
-    reach : float
-        high - low less the noise [m]: elements with 2 rho <= reach are in a known state.
+    `number`, `record`, `piece`: numbers of the epoch, of its record and of its piece of the record. `low`, `high`: [m],
+    on the axis of the record. `reach`: high - low less the noise [m]: elements with 2 rho <= reach are in a known
+    state.
     """
 
     number: int
@@ -119,19 +76,10 @@ class EpochRange:
 class Rows:
     """Samples that count, of all records, stacked.
 
-    Attributes
-    ----------
-    elongation : (n, N) array
-        s_i [m], or for a cart that stands still y minus the middle of its epoch.
-    stuck : (n, N) bool array
-        Whether cart i stands still at this sample.
-    displacement, voltage, drift : (n,) array
-        y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
-    record, epoch : (n,) int array
-    time : (n,) array
-        [s].
-    moved : (n, E) array
-        Internal states besides carts, such as creep strains [m]; E is 0 without such parts.
+    `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
+    whether cart i stands still at this sample. `displacement`, `voltage`, `drift` (n,): y [m], v [V] and the record's
+    creep curve (log of time since its start, mean zero). `time` (n,): [s]. `moved` (n, E): internal states besides
+    carts, such as creep strains [m]; E is 0 without such parts.
     """
 
     elongation: Array
@@ -164,12 +112,8 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
 
     A growth below 0.2 % of the voltage's range, or below its noise, is ignored.
 
-    Parameters
-    ----------
-    record : Record
-        Without gaps, its delay removed.
-    noise : float, optional
-        Standard deviation of the sensor [m]: the reach is reduced by the part of a range that is noise.
+    `record`: without gaps, its delay removed. `noise`: standard deviation of the sensor [m]: the reach is reduced by
+    the part of a range that is noise.
     """
     v, y = record.voltage, record.displacement
     tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
@@ -200,49 +144,38 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
     return grown
 
 
-def _nothing(_: int, record: Record) -> Array:
-    return np.zeros((len(record), 0))
-
-
 @dataclass(frozen=True, eq=False)
 class RowSource:
     """The samples that count, in blocks: they need not be in memory all at once.
 
-    Attributes
-    ----------
-    pieces : list of (record number, Record, drift curve (n,))
-    breakaway : (N,) array
-        rho [m].
-    epochs : list of list of Epoch
-        Epochs of each piece.
-    moved : list of Moving
-        Internal states besides carts along each piece, at all its samples.
+    `breakaway` (N,): rho [m]. `epochs`: epochs of each piece. `moved`: internal states besides carts along each piece,
+    at all its samples.
     """
 
     pieces: list[tuple[int, Record, Array]]
     breakaway: Array
     epochs: list[list[Epoch]]
-    moved: list[Moving]
+    moved: list[InternalStates]
 
     @classmethod
     def of(
         cls,
         pieces: list[tuple[int, Record, Array]],
-        breakaway: Array,
+        grid: Grid,
         noise: list[float],
         *,
         relaxed: Collection[int] = (),
-        moved: Moved = _nothing,
+        leads: Sequence[Record | None] = (),
     ) -> RowSource:
-        """Find the epochs; parameters as those of `collect`."""
+        """Find the epochs; `leads` are those of the records, see `InternalStates`, the others as for `collect`."""
         spans: list[list[Epoch]] = []
         rested = set(relaxed)
         for (number, piece, _), sigma in zip(pieces, noise, strict=True):
             first = float(piece.displacement[0])
             spans.append([Epoch(0, 0, len(piece), np.inf, first)] if number in rested else epochs(piece, sigma))
             rested.discard(number)
-        others = [moved(number, piece) for number, piece, _ in pieces]
-        return cls(pieces, breakaway, spans, [_Known(x) if isinstance(x, np.ndarray) else x for x in others])
+        moved = [InternalStates(grid, piece, leads[number] if leads else None) for number, piece, _ in pieces]
+        return cls(pieces, grid.breakaway, spans, moved)
 
     def __len__(self) -> int:
         return sum(epoch.stop - epoch.start for spans in self.epochs for epoch in spans)
@@ -321,33 +254,19 @@ class RowSource:
 
 
 def collect(
-    pieces: list[tuple[int, Record, Array]],
-    breakaway: Array,
-    noise: list[float],
-    *,
-    relaxed: Collection[int] = (),
-    moved: Moved = _nothing,
+    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float], *, relaxed: Collection[int] = ()
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
-    Parameters
-    ----------
-    pieces : list of (record number, Record, drift curve (n,))
-    breakaway : (N,) array
-        rho [m].
-    noise : list of float
-        Sensor noise [m] of each piece.
-    relaxed : collection of int, optional
-        Records that start with no element strained: all their samples count up to the first gap.
-    moved : callable, optional
-        Record number and piece -> (n, E) array or Moving: internal states along its path.
+    `breakaway` (N,): rho [m]. `noise`: sensor noise [m] of each piece. `relaxed`: records that start with no element
+    strained: all their samples count up to the first gap.
 
     Returns
     -------
     Rows, list of list of Epoch
         The epochs of each piece.
     """
-    source = RowSource.of(pieces, breakaway, noise, relaxed=relaxed, moved=moved)
+    source = RowSource.of(pieces, Grid.plain(breakaway, np.zeros(2)), noise, relaxed=relaxed)
     return source.thinned(max(1, len(source))), source.epochs
 
 
@@ -361,12 +280,7 @@ class InternalStates:
 
     Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains at the start (n, J).
 
-    Attributes
-    ----------
-    grid : Grid
-    piece : Record
-    lead : Record or None
-        Samples left out before the piece; used only if the piece continues them.
+    `lead`: samples left out before the piece; used only if the piece continues them.
     """
 
     grid: Grid

@@ -14,11 +14,13 @@ With one segment, no tau, no creep and no smooth elements this is the plain Maxw
 
 With graded elements the right-hand side must increase by the floor at least on every outermost branch; those of these
 inequalities that would be violated go into the program.
+
+Of long records the rows are made again for each pass, block after block, and never exist all at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.regressors import EpochRange, Rows
+from dehyst.identification.preprocessing.regressors import EpochRange, Rows, RowSource
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
-from dehyst.identification.solvers.program import Norm, Solution, solve
+from dehyst.identification.solvers.program import Norm, Solution, solve, solve_blocks
 from dehyst.identification.solvers.quadratic import triangle_of
 from dehyst.identification.structure import Grid
 from dehyst.model.elements import parts_in_segments, segment_of
@@ -44,6 +46,8 @@ _FORGOTTEN = 0.01
 _SLACK = 1e-3
 
 Solver = Callable[[tuple[Array, Array] | None], Solution]
+# Free columns, columns that are not negative, target and weights.
+Table = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,8 @@ class Regression:
         Starts of creep that are not forgotten before the first sample that counts; default: read from the rows.
     ranges : tuple of EpochRange
         Of the epochs, on the axes of the records: they tie the constants of a record to one another.
+    source : RowSource, optional
+        All rows, of which `rows` are some, evenly; default: these are all.
     """
 
     rows: Rows
@@ -80,14 +86,23 @@ class Regression:
     smoothing: float = 0.0
     lasting: Mask | None = None
     ranges: tuple[EpochRange, ...] = ()
+    source: RowSource | None = None
+
+    def __len__(self) -> int:
+        return len(self.rows if self.source is None else self.source)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all rows are in memory."""
+        return len(self.rows) == len(self)
 
     def thinned(self, most: int) -> Regression:
         """Return the same on about `most` of the rows."""
-        return replace(self, rows=self.rows.thinned(most))
+        return replace(self, rows=self.rows.thinned(most), source=None)
 
     def chosen(self, which: Mask) -> Regression:
         """Return the same on some of the rows."""
-        return replace(self, rows=self.rows.chosen(which))
+        return replace(self, rows=self.rows.chosen(which), source=None)
 
     @property
     def knots(self) -> Array:
@@ -188,14 +203,8 @@ class Regression:
     ) -> Coefficients:
         """Solve the program, inequalities added round by round where they would be violated.
 
-        Parameters
-        ----------
-        norm : {"l1", "l2", "linf"}
-        weights : (n,) array, optional
-        equalities : (p, m) array and (p,) array, optional
-            Combinations of the movable elements' stiffnesses and their values [V], met besides; plain elements only.
-        like : Coefficients, optional
-            Another fit of this regression, whose inequalities the first round has.
+        `equalities` (p, m): combinations of the movable elements' stiffnesses and their values [V], met besides; plain
+        elements only. `like`: another fit of this regression, whose inequalities the first round has.
         """
         free, bounded, target = self.table()
         n = len(self.rows)
@@ -215,19 +224,33 @@ class Regression:
         answer = found.solved
         return replace(found, solution=replace(answer, residual=answer.residual[:n]))
 
-    def fit_weighted(self, norm: Norm, passes: int = 2) -> Coefficients:
-        """Fit with rows weighted by the inverse slope of the model that least-squares passes before it find."""
-        weights, like = None, None
-        for _ in range(passes - 1):
-            like = self.fit("l2", weights, like=like)
-            weights = 1 / self.slope(like)
-        return self.fit(norm, weights, like=like)
+    def fit_weighted(self, norm: Norm) -> Coefficients:
+        """Fit all rows, weighted by the inverse slope of a least-squares fit of equal weights."""
+        if self.source is not None and not self.whole:
+            return self._fit_in_blocks(self.source, norm, self._fit_in_blocks(self.source, "l2", None))
+        like = self.fit("l2")
+        return self.fit(norm, 1 / self.slope(like), like=like)
+
+    def _fit_in_blocks(self, source: RowSource, norm: Norm, before: Coefficients | None) -> Coefficients:
+        """Fit all rows, weighted by the inverse slope of a model that was found before."""
+        epochs = np.arange(source.count)
+        usual = 1.0 if before is None else float(before.slopes.min()) / self.mean_slope
+        alike = self.regularization(norm, len(source), source.count + len(self.drifting), usual)
+        blocks = _Blocks(self, source, lambda one: (*one.table(epochs), one.relative_weights(before)), alike)
+        like = self.table(epochs)
+        return self.solved_with(lambda limits: solve_blocks(blocks, like, norm=norm, constraints=limits), epochs)
+
+    def relative_weights(self, model: Coefficients | None) -> Array:
+        """Return inverse slopes of a model at the rows (n,), of the order of one; all one without a model."""
+        if model is None:
+            return np.ones(len(self.rows))
+        return np.asarray(float(model.slopes.min()) / self.slope(model))
 
     def _regularized(self, norm: Norm) -> bool:
         """Whether neighbours are held alike. The largest residual is no matter of neighbours."""
         return bool(self.smoothing) and norm != "linf"
 
-    def regularization(self, norm: Norm, count: int, free: int, weight: float) -> tuple[Array, Array, Array, Array]:
+    def regularization(self, norm: Norm, count: int, free: int, weight: float) -> Table:
         """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization`.
 
         `free` columns are not theirs, and `weight` is that of a row where the slope is the mean one. They weigh as much
@@ -374,7 +397,9 @@ class Regression:
         return dict(zip(self.strained, plus - minus, strict=True))
 
     def fit_nuisances(self, found: Coefficients) -> Coefficients:
-        """Fit only the constants, drifts and starts of these rows, for a model that is given."""
+        """Fit only the constants, drifts and starts of all rows, for a model that is given."""
+        if self.source is not None and not self.whole:
+            return self._fit_nuisances_in_blocks(self.source, found)
         fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))
@@ -388,6 +413,16 @@ class Regression:
             constraints=limits if stiffness.size else None,
         )
         return self.with_nuisances(found, answer)
+
+    def _fit_nuisances_in_blocks(self, source: RowSource, found: Coefficients) -> Coefficients:
+        """Fit the constants and drifts of all rows, for a model that is given; no record is strained."""
+        epochs = np.arange(source.count)
+
+        def columns(one: Regression) -> tuple[Array, Array, Array]:
+            return one.nuisances(epochs), np.zeros((len(one.rows), 0)), -one.model(found)
+
+        blocks = _Blocks(self, source, lambda one: (*columns(one), one.relative_weights(found)))
+        return self.with_nuisances(found, solve_blocks(blocks, columns(self), norm="l2"), epochs)
 
     def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> Coefficients:
         """Return an answer's coefficients; epochs as in `nuisances`."""
@@ -444,3 +479,23 @@ class Regression:
         slip = self.rows.elongation[:, self.movable] / self.grid.breakaway[self.movable]
         triangle = triangle_of(np.hstack([others, slip]))
         return np.asarray(triangle[others.shape[1] :, others.shape[1] :])
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Tables of all rows of a regression, block after block, and one more at the end."""
+
+    regression: Regression
+    source: RowSource
+    table: Callable[[Regression], Table]
+    last: Table | None = None
+
+    def __len__(self) -> int:
+        return len(self.source) + (0 if self.last is None else len(self.last[3]))
+
+    def __iter__(self) -> Iterator[Table]:
+        lasting = np.asarray(self.regression.start_columns.any(axis=0))
+        for rows in self.source.blocks():
+            yield self.table(replace(self.regression, rows=rows, lasting=lasting, source=None))
+        if self.last is not None and len(self.last[3]):
+            yield self.last

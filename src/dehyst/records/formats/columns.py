@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import NamedTuple
 
@@ -51,11 +52,6 @@ def is_small(volts: Array) -> bool:
 def is_plug(name: str) -> bool:
     """Return whether a column has the name of an output, a monitor or a channel."""
     return _PLUG.search(name.lower()) is not None
-
-
-def is_divided(name: str, volts: Array) -> bool:
-    """Return whether a column may hold the input or the monitor of an amplifier, not the voltage of an actuator."""
-    return is_plug(name) and is_small(volts)
 
 
 class Scale(NamedTuple):
@@ -274,6 +270,118 @@ def without_groups(column: Column) -> Column:
     return replace(column, divided=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The column that was decided on for a quantity.
+
+    `unit`: of the column, by the user or by the file. `scale`: that of an amplifier's monitor or of a sensor. `guess`:
+    what is guessed about the column; empty if it is known.
+    """
+
+    source: str
+    quantity: str
+    column: Column
+    unit: str
+    scale: Scale | None = None
+    guess: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether it has numbers in a known unit."""
+        return self.unit in UNITS[self.quantity] and not self.column.fault
+
+    @cached_property
+    def values(self) -> Array:
+        """The column (n,) in seconds, volts or metres.
+
+        Raise `ColumnError` if its cells are no numbers, its unit is unknown, the scale does not fit, or it is a voltage
+        that looks like a monitor's, without a scale.
+        """
+        column, scale = self.column, self.scale
+        if column.fault:
+            raise self._error(f": {column.fault}", change=("sample_rate",) * (self.quantity == "time"))
+        if scale is not None:
+            unit = self.unit or scale.per
+            if refusal := scale.refusal(unit):
+                raise self._error(
+                    f" has the unit '{shortened(unit)}', but {refusal}",
+                    "; give a scale for that unit, or leave it out",
+                    change=(f"{self.quantity}_scale",),
+                    usable=False,
+                )
+            factor = scale.apply(unit)
+        elif self.unit in UNITS[self.quantity]:
+            factor = UNITS[self.quantity][self.unit]
+        else:
+            raise self._unknown_unit()
+        # The record refuses overflow and NaN, with the row.
+        with np.errstate(all="ignore"):
+            # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
+            values = column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+        if self.quantity == "voltage" and scale is None and is_plug(column.name) and is_small(values):
+            given = _option("voltage_scale", f"{GAIN} V/V")
+            raise self._error(
+                f" has the name of an output or a monitor, and only {values.min():.4g} to {values.max():.4g} V",
+                f"; if an amplifier multiplies or divides it, give {given} with the gain for {GAIN}; if these are the "
+                f"volts of the actuator, give {_option('voltage_scale', '1 V/V')}",
+                f", give its scale, {given} with a number for {GAIN}",
+                change=("voltage_scale",),
+            )
+        return values
+
+    def _error(
+        self, problem: str, advice: str = "", short: str = "", *, change: Sequence[str] = (), usable: bool = True
+    ) -> ColumnError:
+        problem = f"column '{shortened(self.column.name)}'{problem}"
+        return ColumnError(self.source, self.quantity, problem, advice, self.column if usable else None, short, change)
+
+    def _unknown_unit(self) -> ColumnError:
+        quantity, unit, example = self.quantity, self.unit, EXAMPLES[self.quantity]
+        stated = f" has the unit '{shortened(unit)}', unknown for {quantity}" if unit else " has no unit"
+        advice, hint = f"; known are {', '.join(UNITS[quantity])}. ", ""
+        sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
+        if sensor:
+            hint = f", give its scale, {_option('displacement_scale', f'{GAIN} um/{unit}')} with a number for {GAIN}"
+            advice += f"If it is a sensor's voltage{hint}; or select another column with {_option(quantity, 'NAME')}"
+        elif quantity_of(unit):
+            advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
+        else:
+            guess = "" if unit else plausible_unit(quantity, self.column.data)
+            named = _option(quantity, f"{shortened(self.column.name)}:{guess + GUESS if guess else 'UNIT'}")
+            hint = f", try {named}"
+            advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
+        change = ("displacement_scale", quantity) if sensor else (quantity,)
+        return self._error(stated, advice, hint, change=change, usable=sensor or not unit)
+
+    def refuse_other_unit(self, given: str) -> None:
+        """Raise ColumnError if the name of the column, the file and the user state different units.
+
+        `given`: the unit that the user gives; without one, two units of the column contradict one another. With one,
+        nobody takes volts for micrometres, or for millivolts, without a scale.
+        """
+        quantity, known, stated = self.quantity, UNITS[self.quantity], self.column.parts[1]
+        scale = f"{quantity}_scale" if quantity != "time" else ""
+        if not given:
+            if named := self.column.contradiction:
+                units = [unit for unit in (named, stated) if unit in known]
+                options = " or ".join(_option(quantity, f"{shortened(self.column.name)}:{unit}") for unit in units)
+                hint = f", give {options}" if units else ""
+                problem = f" has the unit '{named}' in its name, but the file states '{stated}' for it"
+                raise self._error(problem, f"; correct one of them{hint}", hint, change=(quantity,))
+            return
+        problem = f" has the unit '{stated}' in the file, got '{given}'"
+        if quantity_of(stated) not in ("", quantity) and quantity_of(given) == quantity:
+            option = _option(scale, f"{GAIN} {given}/{stated}")
+            advice = f"; give the scale from one to the other, {option} with a number for {GAIN}"
+            advice = advice if scale else "; select another column"
+            raise self._error(problem, advice, change=(scale or quantity,), usable=False)
+        if given in known and stated in known and known[given] != known[stated]:
+            option = _option(scale, f"{known[given] / known[stated]:g} {stated}/{stated}")
+            right = f", give {option}" if scale else ", correct it there"
+            advice = f"; if the file is wrong{right}"
+            raise self._error(problem, advice, change=(scale,) if scale else (), usable=False)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
     """The columns of one file, still in the file's units.
@@ -296,162 +404,56 @@ class Table:
         return len(self._candidates(quantity)) == 1
 
     def fitting(self, quantity: str, wanted: str | None = None) -> int:
-        """Return the number of columns that `find` would choose from."""
+        """Return the number of columns that `select` would choose from."""
         return len(self._fits(quantity, wanted)[0])
 
     def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
-        """Return the column of a `quantity` ("time", "voltage" or "displacement") in SI units.
+        """Return the column (n,) of a quantity in seconds, volts or metres, see `select`."""
+        return self.select(quantity, wanted, scale).values
+
+    def select(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Selected:
+        """Decide on the column of a `quantity` ("time", "voltage" or "displacement").
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
         A "?" at its end marks it as a guess.
         `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
 
-        Returns
-        -------
-        (n,) float array
-            Seconds, volts or metres.
-
         Raises
         ------
         FileFormatError
-            No such column, several of them, an unknown unit, a scale that does not fit, cells that are no numbers, or a
-            voltage that looks like a monitor's, without a scale.
+            No such column, several of them, contradicting units, or an invalid scale.
         """
-        column, unit = self.find(quantity, wanted)
-        if column.fault:
-            problem = f"column '{shortened(column.name)}': {column.fault}"
-            change = ("sample_rate",) if quantity == "time" else ()
-            raise ColumnError(self.source, quantity, problem, "", column, change=change)
-        factor = self._scaled(quantity, column, unit, scale) if scale is not None else UNITS[quantity].get(unit)
-        if factor is None:
-            raise self._unknown_unit(quantity, column, unit)
-        # The record refuses overflow and NaN, with the row.
-        with np.errstate(all="ignore"):
-            # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            values = column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
-        if quantity == "voltage" and scale is None and is_divided(column.name, values):
-            raise self._divided(column, values)
-        return values
-
-    def guesses(self, wanted: Mapping[str, str | None]) -> dict[str, str]:
-        """Return what is guessed about the column of each quantity, selected as in `column`; nothing if it is known."""
-        words: dict[str, str] = {}
-        for quantity, name in wanted.items():
-            column, unit = self.find(quantity, name)
-            marked = name is not None and self._without_mark(name) != name
-            selected = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if marked else ""
-            words[quantity] = "; ".join(part for part in (selected, column.guessed) if part)
-        return {quantity: text for quantity, text in words.items() if text}
-
-    def _without_mark(self, wanted: str) -> str:
-        """Return a selection without the mark of a guess; a column may have a name that ends in the same way."""
-        return wanted.removesuffix(GUESS) if not self._named(wanted) else wanted
-
-    def _divided(self, column: Column, volts: Array) -> ColumnError:
-        scale = _option("voltage_scale", f"{GAIN} V/V")
-        return ColumnError(
-            self.source,
-            "voltage",
-            f"column '{shortened(column.name)}' has the name of an output or a monitor, and only {volts.min():.4g} to "
-            f"{volts.max():.4g} V",
-            f"; if an amplifier multiplies or divides it, give {scale} with the gain for {GAIN}; if these are the "
-            f"volts of the actuator, give {_option('voltage_scale', '1 V/V')}",
-            column,
-            f", give its scale, {scale} with a number for {GAIN}",
-            change=("voltage_scale",),
-        )
-
-    def _scaled(self, quantity: str, column: Column, unit: str, text: str) -> float:
-        scale = scale_of(quantity, text)
-        if refusal := scale.refusal(unit or scale.per):
-            raise ColumnError(
-                self.source,
-                quantity,
-                f"column '{shortened(column.name)}' has the unit '{shortened(unit)}', but {refusal}",
-                "; give a scale for that unit, or leave it out",
-                change=(f"{quantity}_scale",),
-            )
-        return scale.apply(unit or scale.per)
-
-    def _unknown_unit(self, quantity: str, column: Column, unit: str) -> ColumnError:
-        name, example = shortened(column.name), EXAMPLES[quantity]
-        stated = f"the unit '{shortened(unit)}', unknown for {quantity}" if unit else "no unit"
-        advice, hint = f"; known are {', '.join(UNITS[quantity])}. ", ""
-        sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
-        if sensor:
-            scale = _option("displacement_scale", f"{GAIN} um/{unit}")
-            hint = f", give its scale, {scale} with a number for {GAIN}"
-            advice += f"If it is a sensor's voltage{hint}; or select another column with {_option(quantity, 'NAME')}"
-        elif quantity_of(unit):
-            advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
-        else:
-            guess = "" if unit else plausible_unit(quantity, column.data)
-            named = _option(quantity, f"{name}:{guess + GUESS if guess else 'UNIT'}")
-            hint = f", try {named}"
-            advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
-        usable = None if unit and not sensor else column
-        change = ("displacement_scale", quantity) if sensor else (quantity,)
-        return ColumnError(self.source, quantity, f"column '{name}' has {stated}", advice, usable, hint, change)
-
-    def find(self, quantity: str, wanted: str | None = None) -> tuple[Column, str]:
-        """Return the column that `column` uses, and its unit."""
         if not isinstance(wanted, str | None):
-            raise FileFormatError(f"{quantity}: got {wanted!r}, need the name of a column, as '{EXAMPLES[quantity]}'")
+            need = f"the name of a column, as '{EXAMPLES[quantity]}'"
+            raise FileFormatError(argument=quantity, got=repr(wanted), need=need)
         if wanted is None and self.columns and self.columns[0].unnamed:
             raise ColumnError(self.source, quantity, self.columns[0].unnamed, "", change=("columns",))
-        fits, unit = self._fits(quantity, None if wanted is None else self._without_mark(wanted))
-        if len(fits) == 1:
-            stated = fits[0].parts[1]
-            given = symbol_of(unit) or unit
-            if not given or given not in (stated, fits[0].contradiction):
-                self._refuse_contradiction(quantity, fits[0], stated, given)
-                self._refuse_relabelled(quantity, fits[0], stated, given)
-            return fits[0], given or stated
+        # A column may have a name that ends as a guess does.
+        bare = wanted if wanted is None or self._named(wanted) else wanted.removesuffix(GUESS)
+        fits, unit = self._fits(quantity, bare)
+        if len(fits) != 1:
+            raise self._not_one(quantity, wanted, fits)
+        column, given = fits[0], symbol_of(unit) or unit
+        unit = given or column.parts[1]
+        guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if bare != wanted else ""
+        guess = "; ".join(part for part in (guess, column.guessed) if part)
+        found = Selected(self.source, quantity, column, unit, guess=guess)
+        if not given or given not in (column.parts[1], column.contradiction):
+            found.refuse_other_unit(given)
+        return found if scale is None else replace(found, scale=scale_of(quantity, scale))
+
+    def _not_one(self, quantity: str, wanted: str | None, fits: list[Column]) -> ColumnError:
         request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
         hint = f" A name like '{EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
         rate = " Without one, give the sample rate in Hz." if quantity == "time" else ""
-        raise ColumnError(
+        return ColumnError(
             self.source,
             quantity,
             f"{count}{f' as {request}' if fits else ''}",
             f"; the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
             change=(quantity, "sample_rate") if rate else (quantity,),
         )
-
-    def _refuse_contradiction(self, quantity: str, column: Column, stated: str, given: str) -> None:
-        """Refuse a column that has one unit in its name and another one in the file, unless the user selects one."""
-        if named := column.contradiction if not given else "":
-            name = shortened(column.name)
-            units = [unit for unit in (named, stated) if unit in UNITS[quantity]]
-            hint = ", give " + " or ".join(_option(quantity, f"{name}:{unit}") for unit in units) if units else ""
-            problem = f"column '{name}' has the unit '{named}' in its name, but the file states '{stated}' for it"
-            raise ColumnError(self.source, quantity, problem, f"; correct one of them{hint}", column, hint, (quantity,))
-
-    def _refuse_relabelled(self, quantity: str, column: Column, stated: str, given: str) -> None:
-        """Refuse to take volts for micrometres, or for millivolts, because a user gives another unit than the file."""
-        if given and quantity_of(stated) and quantity_of(given) == quantity and quantity_of(stated) != quantity:
-            raise ColumnError(
-                self.source,
-                quantity,
-                f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
-                f"; give the scale from one to the other, {_option(f'{quantity}_scale', f'{GAIN} {given}/{stated}')} "
-                f"with a number for {GAIN}"
-                if quantity != "time"
-                else "; select another column",
-                change=(f"{quantity}_scale",) if quantity != "time" else (quantity,),
-            )
-        known = UNITS[quantity]
-        if given in known and stated in known and known[given] != known[stated]:
-            factor = f"{known[given] / known[stated]:g} {stated}/{stated}"
-            right = f", give {_option(f'{quantity}_scale', factor)}" if quantity != "time" else ", correct it there"
-            raise ColumnError(
-                self.source,
-                quantity,
-                f"column '{shortened(column.name)}' has the unit '{stated}' in the file, got '{given}'",
-                f"; if the file is wrong{right}",
-                change=(f"{quantity}_scale",) if quantity != "time" else (),
-            )
 
     def _fits(self, quantity: str, wanted: str | None) -> tuple[list[Column], str]:
         """Return the columns of a quantity, or of a name, and the unit that the name states."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
 from datetime import date, datetime, time
@@ -20,6 +21,9 @@ from dehyst.records.formats.table_layout import SIGNS, WRITTEN, Cells, Layout, n
 from dehyst.records.formats.text_table import WIDEST, Text, columns_below, read_text, text_of
 from dehyst.records.formats.timestamps import clock_of, moment
 
+GCS_END = "# END_HEADER"
+# The separators of a GCS array by their number; None: blanks.
+GCS_SEPARATORS = {"9": "\t", "32": None, "44": ",", "59": ";"}
 _END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*$")
 _ENTRY = re.compile(r"#\s*([A-Z_]+\d*)\s*=\s*(.*)")
 # The header of an array is shorter [bytes].
@@ -29,6 +33,11 @@ _HEAD = 50_000
 def is_gcs(data: bytes) -> bool:
     """Return whether a text is a GCS array."""
     return _END.search(data, 0, _HEAD) is not None
+
+
+def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
+    """Return keys and values of the header of a GCS array."""
+    return [(match[1], match[2].strip()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))]
 
 
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
@@ -44,10 +53,10 @@ def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     text = text_of(data, allowance)
     end = _END.search(text.data)
     if end is None:
-        raise FileFormatError(f"{allowance.path}: got no line # END_HEADER, need one before the rows; record again")
+        raise FileFormatError(f"{allowance.path}: got no line {GCS_END}, need one before the rows; record again")
     lines = text.data[: end.start()].decode(text.encoding).split("\n")
-    header = {match[1]: match[2].strip() for line in lines if (match := _ENTRY.fullmatch(line.strip()))}
-    separator = {"9": "\t", "32": None, "44": ",", "59": ";"}.get(header.get("SEPARATOR", "32"), "")
+    header = dict(gcs_entries(lines))
+    separator = GCS_SEPARATORS.get(header.get("SEPARATOR", "32"), "")
     if separator == "":
         raise FileFormatError(
             f"{allowance.path}: got SEPARATOR = {shortened(header['SEPARATOR'])}, need 32 (space), 9, 44 or 59; record "

@@ -70,13 +70,14 @@ class Ioc:
             await asyncio.sleep(_TICK)
 
     def _settable(self, builder: Any) -> None:
-        bench, (low, high) = self._instrument, self._instrument.limits
+        bench, axis = self._instrument, self._instrument.axis
+        low, high = axis.limits
         # A command that is put twice is done twice, and its callback comes when it is done.
         command = {"always_update": True, "blocking": True}
         voltage, sent = {"EGU": "V", "PREC": 4}, {"on_update": self._handler(self._set_voltage)}
         period = {"initial_value": 100 * bench.servo_period, "on_update": self._handler(self._set_period)}
         self._records |= {
-            "VOLTAGE": builder.aOut("VOLTAGE", low, high, **voltage, initial_value=bench.voltage, **sent, **command),
+            "VOLTAGE": builder.aOut("VOLTAGE", low, high, **voltage, initial_value=axis.voltage, **sent, **command),
             "WAVE:VOLTAGE": builder.WaveformOut("WAVE:VOLTAGE", length=bench.wave_points, datatype=float, **voltage),
             "WAVE:PERIOD": builder.aOut("WAVE:PERIOD", EGU="s", PREC=6, **period, **command),
             "WAVE:START": builder.Action("WAVE:START", on_update=self._handler(self._start), blocking=True),
@@ -85,13 +86,13 @@ class Ioc:
 
     def _readable(self, builder: Any) -> None:
         """Create output records, which are set at once and not at the next scan; clients cannot write them."""
-        bench, fixed = self._instrument, {"DISP": 1}
+        bench, axis, fixed = self._instrument, self._instrument.axis, {"DISP": 1}
         for name, unit, digits, value in (
-            ("VOLTAGE:RBV", "V", 4, bench.voltage),
-            ("POSITION", "um", 5, _MICRO * bench.displacement()),
+            ("VOLTAGE:RBV", "V", 4, axis.voltage),
+            ("POSITION", "um", 5, _MICRO * axis.displacement()),
             ("TIME", "s", 4, 0.0),
-            ("LIMIT:LOW", "V", 4, bench.limits[0]),
-            ("LIMIT:HIGH", "V", 4, bench.limits[1]),
+            ("LIMIT:LOW", "V", 4, axis.limits[0]),
+            ("LIMIT:HIGH", "V", 4, axis.limits[1]),
             ("SLEW", "V/s", 4, bench.slew_rate or 0.0),
         ):
             self._records[name] = builder.aOut(name, EGU=unit, PREC=digits, initial_value=value, **fixed)
@@ -123,12 +124,12 @@ class Ioc:
 
     def _set_voltage(self, voltage: float) -> None:
         try:
-            accepted = self._instrument.set_voltage(voltage)
+            accepted = self._instrument.axis.set_voltage(voltage)
         except DehystError:
-            self._show("VOLTAGE", self._instrument.voltage)
+            self._show("VOLTAGE", self._instrument.axis.voltage)
             raise
         if not accepted:
-            self._show("VOLTAGE", self._instrument.voltage)
+            self._show("VOLTAGE", self._instrument.axis.voltage)
             raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is outside the amplifier's range; nothing was sent")
 
     def _set_period(self, period: float) -> None:
@@ -161,8 +162,8 @@ class Ioc:
         """Read the instrument into the records: samples before their count, the time last."""
         with self._lock:
             bench = self._instrument
-            bench.advance()
-            now, voltage, position = bench.now, bench.voltage, bench.displacement()
+            axis = bench.axis
+            now, voltage, position = bench.now, axis.voltage, axis.displacement()
             busy, recorded = bench.playing, bench.recorded
             rows = bench.samples(0, recorded) if recorded != self._shown else None
         if rows is not None:

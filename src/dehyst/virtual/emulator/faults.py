@@ -12,7 +12,6 @@ from dehyst._errors import ModelError
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.emulator.gcs_controller import Controller
 from dehyst.virtual.emulator.gcs_errors import GcsError
-from dehyst.virtual.stage_bench import StageBench
 
 FAULTS = {
     "drop": "the connection is lost",
@@ -66,7 +65,7 @@ class Fault:
         at = None if match["at"] is None else float(match["at"])
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
-    def due(self, instrument: VirtualBench | StageBench) -> bool:
+    def due(self, instrument: VirtualBench) -> bool:
         """Return whether its time has come. `instrument` has the clock and the wave."""
         if self.seconds is not None:
             return instrument.now >= self.seconds

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 
 from dehyst._errors import DeviceError
-from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.bench import BenchAxis, VirtualBench
 from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, demand, demand_count, lines, numeral, real, whole
-from dehyst.virtual.emulator.gcs_parameters import Parameters
-from dehyst.virtual.emulator.gcs_recorder import Recorder
-from dehyst.virtual.emulator.gcs_waves import WaveGenerators, groups
-from dehyst.virtual.stage_bench import StageBench
+from dehyst.virtual.emulator.gcs_waves import Recorder, WaveGenerators, groups
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
+# Numbers of the parameters that SPA? and HPA? answer.
+_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS, _SLEW_RATE = 0x0E000200, 0x13000004, 0x16000200, 0x07000201
 # The answer to HLP?: a description of each command.
 _DESCRIPTIONS = {
     "*IDN?": "Get device identification",
@@ -77,10 +75,41 @@ _Words = Sequence[str]
 Limits = tuple[float, float]
 
 
+class Parameters:
+    """The read-only parameters of an instrument, by number.
+
+    `instrument`: without a slew rate it has no such parameter. `axes`: share the recorder's memory.
+    """
+
+    def __init__(self, instrument: VirtualBench, axes: int) -> None:
+        self._table = {
+            _SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
+            _WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
+            _RECORD_POINTS: (str(instrument.record_points * axes), "INT", "Data Recorder Max Points"),
+        }
+        if instrument.slew_rate is not None:
+            self._table[_SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
+
+    def values(self, words: Sequence[str]) -> list[str]:
+        """Answer SPA? [item parameter ...]: their values."""
+        demand(len(words) % 2 == 0, GcsError.MISSING)
+        demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
+        numbers = [whole(word) for word in words[1::2]] or list(self._table)
+        demand(all(number in self._table for number in numbers), GcsError.UNKNOWN_PARAMETER)
+        return [f"1 0x{number:08X}={self._table[number][0]}" for number in numbers]
+
+    def help(self) -> list[str]:
+        """Answer HPA?: number, command level, items, type, group and name of each."""
+        return [
+            *(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in self._table.items()),
+            "end of help",
+        ]
+
+
 class ControllerAxis:
     """One axis of a controller: its name, its `bench`, the limits [V] it `reported`, and its `target` [m]."""
 
-    def __init__(self, name: str, bench: VirtualBench, reported: tuple[float, float]) -> None:
+    def __init__(self, name: str, bench: BenchAxis, reported: tuple[float, float]) -> None:
         self.name, self.bench, self.reported, self.target = name, bench, reported, 0.0
 
 
@@ -89,9 +118,9 @@ class Controller:
 
     Parameters
     ----------
-    instrument : VirtualBench or StageBench
+    instrument : VirtualBench
     axis : str, optional
-        Name of the only axis and of its channel; those of a stage are 1, 2, ...
+        Name of the only axis and of its channel; those of several are 1, 2, ...
     reported_limits : (float, float) or sequence of (float, float), optional
         Limits [V] that the controller reports, of its only axis or of each; default: its actual limits.
     serial : str, optional
@@ -106,18 +135,26 @@ class Controller:
 
     def __init__(
         self,
-        instrument: VirtualBench | StageBench,
+        instrument: VirtualBench,
         *,
         axis: str = "1",
         reported_limits: Limits | Sequence[Limits] | None = None,
         serial: str | None = None,
     ) -> None:
         self.instrument, self.error = instrument, GcsError.NONE
-        self.axes = tuple(_axes(instrument, axis, reported_limits))
+        names = [axis] if len(instrument.axes) == 1 else [str(number + 1) for number in range(len(instrument.axes))]
+        own = [one.limits for one in instrument.axes]
+        limits = np.array(own if reported_limits is None else reported_limits).reshape(len(own), 2).tolist()
+        self.axes = tuple(
+            ControllerAxis(name, bench, (low, high))
+            for name, bench, (low, high) in zip(names, instrument.axes, limits, strict=True)
+        )
         self.axis = self.axes[0].name
         self._named = {one.name: one for one in self.axes}
         self.waves = WaveGenerators(instrument, [one.bench for one in self.axes])
-        self.recorder = Recorder(instrument, _sources(instrument, self.axes))
+        self.recorder = Recorder(
+            instrument, {name: partial(instrument.samples, axis=j) for j, name in enumerate(names)}
+        )
         self._parameters = Parameters(instrument, len(self.axes))
         self._serial = (serial or instrument.serial).replace(",", " ")
         self._identity = ",".join((_IDENTITY, self._serial, __version__))
@@ -281,10 +318,7 @@ class Controller:
         demand(len(dividers) == 1, GcsError.PARAMETER_RANGE)
         (divider,) = dividers
         self.recorder.begin(divider)
-        if isinstance(self.instrument, StageBench):
-            self.instrument.start(waves, divider)
-        else:
-            self.instrument.start(waves[0], divider)
+        self.instrument.start(waves, divider)
 
     def _stop(self, words: _Words) -> None:
         demand(all(word in self._named for word in words), GcsError.AXIS)
@@ -292,29 +326,6 @@ class Controller:
             one.bench.stop()
             one.target = one.bench.displacement()
         self.error = GcsError.STOPPED
-
-
-def _axes(
-    instrument: VirtualBench | StageBench, axis: str, reported: Limits | Sequence[Limits] | None
-) -> list[ControllerAxis]:
-    """Return the axes of an instrument."""
-    single = isinstance(instrument, VirtualBench)
-    benches = [instrument] if isinstance(instrument, VirtualBench) else instrument.benches
-    names = [axis] if single else [str(number) for number in range(1, len(benches) + 1)]
-    table = np.array([bench.limits for bench in benches] if reported is None else reported).reshape(len(benches), 2)
-    return [
-        ControllerAxis(name, bench, (low, high))
-        for name, bench, (low, high) in zip(names, benches, table.tolist(), strict=True)
-    ]
-
-
-def _sources(
-    instrument: VirtualBench | StageBench, axes: Sequence[ControllerAxis]
-) -> Mapping[str, Callable[[], tuple[Array, Array, Array]]]:
-    """Return what the recorder records of each axis."""
-    if isinstance(instrument, VirtualBench):
-        return {axes[0].name: instrument.samples}
-    return {one.name: partial(instrument.samples, j) for j, one in enumerate(axes)}
 
 
 def _send(axis: ControllerAxis, voltage: float) -> None:
