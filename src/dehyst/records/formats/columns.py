@@ -78,10 +78,8 @@ class Scale(NamedTuple):
 def scale_of(quantity: str, text: str) -> Scale:
     """Parse a scale as "100 V/V" or "10 um/V".
 
-    Raises
-    ------
-    FileFormatError
-        It is no number with two units, its first unit is not of the quantity, or the number is 0 or not finite.
+    Raise `FileFormatError` if it is no number with two units, its first unit is not of the quantity, or the number is
+    0 or not finite.
     """
     got = f"'{text}'" if isinstance(text, str) else repr(text)
     what = f"{quantity}_scale: got {got}, need a number with two units, as in '{_EXAMPLES[quantity]}'"
@@ -418,10 +416,7 @@ class Table:
         A "?" at its end marks it as a guess.
         `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
 
-        Raises
-        ------
-        FileFormatError
-            No such column, several of them, contradicting units, or an invalid scale.
+        Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid scale.
         """
         if not isinstance(wanted, str | None):
             need = f"the name of a column, as '{EXAMPLES[quantity]}'"

@@ -126,10 +126,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
 def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Allowance) -> _Array:
     """Read the header of an array of `size` bytes.
 
-    Raises
-    ------
-    FileFormatError
-        It holds Python objects, or may hold series and declares more than it has or is allowed.
+    Raise `FileFormatError` if it holds Python objects, or may hold series and declares more than it has or is allowed.
     """
     what = f"array '{shortened(name)}'"
     with opened() as stream:

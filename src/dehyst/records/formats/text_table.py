@@ -220,10 +220,7 @@ def read_text(data: bytes, allowance: Allowance, decimal: str | None = None) -> 
 
     `decimal`: the decimal sign, by default that of the allowance, or the one that the file shows.
 
-    Raises
-    ------
-    FileFormatError
-        No text, no rows, rows that differ in length from the header, or more than allowed.
+    Raise `FileFormatError` for no text, no rows, rows that differ in length from the header, or more than allowed.
     """
     text = text_of(data, allowance)
     layout = layout_of(text.data, len(codecs.BOM_UTF8) * text.data.startswith(codecs.BOM_UTF8), text.encoding)
@@ -239,12 +236,8 @@ def read_text(data: bytes, allowance: Allowance, decimal: str | None = None) -> 
         return notation_of(cells, decimal or allowance.decimal)
 
     columns = with_clock_of_counts(columns, layout)
-    return with_clock_of_header(columns, _above(text, layout), layout.delimiter, notation)
-
-
-def _above(text: Text, layout: Layout) -> str:
-    """Return the end of the lines above a table."""
-    return text.data[max(layout.start - _CHUNK, 0) : layout.start].decode(text.encoding, errors="replace")
+    above = text.data[max(layout.start - _CHUNK, 0) : layout.start].decode(text.encoding, errors="replace")
+    return with_clock_of_header(columns, above, layout.delimiter, notation)
 
 
 def _ends(text: Text, layout: Layout, count: int) -> list[tuple[str, str]]:
@@ -308,7 +301,10 @@ def with_clock_of_counts(columns: list[Column], layout: Layout) -> list[Column]:
 def _layout_of_first_line(text: Text, allowance: Allowance) -> Layout:
     """Return the layout of a table whose header is the first line."""
     delimiter = next((d for d in ";\t," if d in re.sub(r'"[^"]*"', "", text.header)), None)
-    names = _names(text, delimiter, allowance)
+    names = cells_of(UNIT_BEHIND.sub("", text.header) if delimiter is None else text.header, delimiter)
+    if len(names) > 1 and not names[-1]:
+        names.pop()
+    _refuse_wide(names, allowance)
     if all(_is_number(name.replace(",", ".") if delimiter != "," else name) for name in names):
         row = text.header.strip()
         raise FileFormatError(f"{allowance.path}: {_unnamed(Layout(0, text.first - 1, delimiter, (), (), row))}")
@@ -359,15 +355,6 @@ def _refuse_long_lines(data: bytes, allowance: Allowance) -> None:
                 "measurement; check that this is a table with a line for each sample"
             )
         start = end + 1
-
-
-def _names(text: Text, delimiter: str | None, allowance: Allowance) -> list[str]:
-    header = text.header
-    names = cells_of(UNIT_BEHIND.sub("", header) if delimiter is None else header, delimiter)
-    if len(names) > 1 and not names[-1]:
-        names.pop()
-    _refuse_wide(names, allowance)
-    return names
 
 
 def _refuse_wide(names: list[str], allowance: Allowance) -> None:
