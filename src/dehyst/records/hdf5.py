@@ -1,4 +1,4 @@
-"""Datasets of an HDF5 file that contain their own samples; links out of the file are found before data are read."""
+"""HDF5: datasets that contain their own samples, links out of a file, and the record files of dehyst."""
 
 from __future__ import annotations
 

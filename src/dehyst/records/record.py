@@ -19,14 +19,7 @@ from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records.formats.columns import Column, Table, without_groups
-from dehyst.records.quality import (
-    problems,
-    refuse_implausible,
-    refuse_not_finite,
-    refuse_not_rising,
-    refuse_other_unit,
-    refuse_unusable,
-)
+from dehyst.records.quality import fault_of, not_rising, other_unit, problems, unusable
 from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -117,9 +110,10 @@ class Record:
         for column, unit in _COLUMNS.items():
             for j, values in enumerate(np.atleast_2d(getattr(self, column).T)):
                 name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
-                refuse_not_finite(values, column, unit, name)
-                refuse_implausible(values, column, unit, name)
-        refuse_not_rising(self.time, self.name)
+                if words := fault_of(values, column, unit):
+                    raise RecordError(f"record '{name}': {words}")
+        if words := not_rising(self.time):
+            raise self._error(words)
 
     def _error(self, words: str) -> RecordError:
         return RecordError(f"record '{self.name}': {words}")
@@ -209,7 +203,8 @@ class Record:
         except (TypeError, ValueError) as error:
             raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
         record = cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
-        refuse_other_unit(record)
+        if words := other_unit(record):
+            raise record._error(words)
         return record
 
     @classmethod
@@ -501,7 +496,8 @@ class Record:
             Too few samples or cycles, constant voltage or displacement, a stroke over 0.1 m, inverted or clipped
             sensor, swapped columns.
         """
-        refuse_unusable(self.one_axis(), min_samples, min_cycles)
+        if words := unusable(self.one_axis(), min_samples, min_cycles):
+            raise self._error(words)
 
 
 def _frozen_column(raw: object, column: str, name: str) -> Array:

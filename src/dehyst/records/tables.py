@@ -12,13 +12,12 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._units import symbol_of
+from dehyst._units import FACTORS, quantity_of, symbol_of
 from dehyst._validation import axis_names
 from dehyst.records.formats.columns import (
     EXAMPLES,
     GAIN,
     GUESS,
-    UNITS,
     Column,
     ColumnError,
     Selected,
@@ -27,7 +26,6 @@ from dehyst.records.formats.columns import (
     is_small,
     listed,
     plausible_unit,
-    quantity_of,
     scale_of,
     shortened,
 )
@@ -295,7 +293,7 @@ def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> 
     """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
     name, unit, scale = column.name, column.parts[1], choice.scale(quantity)
     given = f"{name}{GUESS if guessed else ''}"
-    if unit not in UNITS[quantity] and scale is None:
+    if unit not in FACTORS[quantity] and scale is None:
         if quantity == "displacement" and quantity_of(unit) == "voltage":
             return {quantity: given, "displacement_scale": f"{GAIN} um/{unit}"}
         unit = "" if quantity_of(unit) else plausible_unit(quantity, column.data)
@@ -308,7 +306,11 @@ def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> 
 
 def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
     """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
-    if column is None or choice.voltage_scale is not None or not is_small(column.data * UNITS["voltage"].get(unit, 1)):
+    if (
+        column is None
+        or choice.voltage_scale is not None
+        or not is_small(column.data * FACTORS["voltage"].get(unit, 1))
+    ):
         return {}
     return {"voltage_scale": f"{GAIN} V/V"}
 
@@ -377,7 +379,7 @@ def joined(
     inside, remarks = _common(kept, moved)
     places = kept.seconds[inside]
     columns = [
-        replace(column, data=places / UNITS["time"][first.unit])
+        replace(column, data=places / FACTORS["time"][first.unit])
         if column is first.column and moved is first
         else _aligned(column, timed.seconds, inside if timed is kept else places)
         for timed, columns in ((first, table.columns), (second, added))

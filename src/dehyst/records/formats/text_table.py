@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import DecimalSignError, FileFormatError
-from dehyst._units import symbol_of
-from dehyst.records.formats.columns import UNITS, Column, shortened, without_groups
+from dehyst._units import FACTORS, symbol_of
+from dehyst.records.formats.columns import Column, shortened, without_groups
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.table_layout import (
     ERROR,
@@ -77,7 +77,7 @@ def with_clock_of_header(
     another, or their decimal sign is unknown, the time has a fault. A step without a unit is taken for seconds, as a
     guess. `delimiter`: the separator of the table. `notation`: function that returns that of its numbers.
     """
-    if not columns or any(column.parts[1] in UNITS["time"] for column in columns):
+    if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
     place = next((k for k, column in enumerate(columns) if _counts(column)), None)
     lines = [line for line in header.split("\n")[-_LINES:] if len(line) <= _LONGEST]
@@ -162,7 +162,7 @@ def _stated(entries: list[_Entry], floats: dict[str, float]) -> tuple[list[_Cloc
     start = 0.0
     for one in entries:
         for text, written in one.numbers:
-            number, factor = floats[text], UNITS["time"].get(symbol_of(written or common))
+            number, factor = floats[text], FACTORS["time"].get(symbol_of(written or common))
             in_seconds = number * (factor or 1.0) if factor or not written else 0.0
             hertz = number * _HERTZ.get(written.lower(), 0.0 if written else 1.0)
             if one.kind == "step" and in_seconds > 0:
