@@ -20,11 +20,7 @@ _FORMS = (
 
 
 def open_rig(
-    address: str,
-    axes: Sequence[str] | None = None,
-    *,
-    limits: AxisLimits = None,
-    slew_rate: AxisSlewRates = None,
+    address: str, axes: Sequence[str] | None = None, *, limits: AxisLimits = None, slew_rate: AxisSlewRates = None
 ) -> AbstractRig:
     """Open the rig at an address, of one axis or of several that move together.
 
@@ -172,8 +168,4 @@ def _module(path: Path) -> ModuleType:
     return module
 
 
-_OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {
-    "epics": _epics,
-    "sim": _sim,
-    "ni": _ni,
-}
+_OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {"epics": _epics, "sim": _sim, "ni": _ni}

@@ -12,14 +12,7 @@ import numpy as np
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.instruments import gcs_syntax
-from dehyst.instruments.base import (
-    HIGHEST_RATE,
-    AbstractRig,
-    AxisLimits,
-    AxisSlewRates,
-    bounds_of_axes,
-    host_timed,
-)
+from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes, host_timed
 from dehyst.instruments.gcs_client import AbstractGcsLink, DeviceLink, GcsClient, TcpLink
 from dehyst.instruments.gcs_syntax import STOPPED
 from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis, WaveTraits, discover

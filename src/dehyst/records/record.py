@@ -172,13 +172,7 @@ class Record:
 
     @classmethod
     def from_arrays(
-        cls,
-        time: ArrayLike,
-        voltage: ArrayLike,
-        displacement: ArrayLike,
-        *,
-        units: str = "um",
-        name: str = "record",
+        cls, time: ArrayLike, voltage: ArrayLike, displacement: ArrayLike, *, units: str = "um", name: str = "record"
     ) -> Record:
         """Make a record from arrays whose displacement is in `units`, by default micrometres.
 
