@@ -14,6 +14,7 @@ from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._io import PathLike, demand_own_folder, format_of, make_own_folder, read_json, write_json
 from dehyst._text import counted
 from dehyst._types import Array, Mask
+from dehyst._views.fields import json_values
 from dehyst.trust.changes import SLOW
 from dehyst.trust.recheck import Recheck
 
@@ -225,23 +226,12 @@ class CheckHistory:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        keys = "name effect_percent=effects score=scores average limit=limits above below outside"
         return {
             "checks": len(self.checks),
             "others": self.others,
             "average_error_percent": self.average_error().tolist(),
-            "charts": [
-                {
-                    "name": chart.name,
-                    "effect_percent": chart.effects.tolist(),
-                    "score": chart.scores.tolist(),
-                    "average": chart.average.tolist(),
-                    "limit": chart.limits.tolist(),
-                    "above": chart.above.tolist(),
-                    "below": chart.below.tolist(),
-                    "outside": chart.outside,
-                }
-                for chart in self.charts()
-            ],
+            "charts": [json_values(chart, keys) for chart in self.charts()],
             "sentences": list(self.sentences()),
         }
 
