@@ -188,7 +188,7 @@ class CheckHistory:
         if recheck.mismatch:
             raise IdentifyError(f"{recheck.mismatch}. It is not kept in the history")
         if moment is not None and moment.tzinfo is None:
-            raise FileFormatError(f"moment: got {moment} without a time zone; try datetime.now(UTC)")
+            raise FileFormatError(argument="moment", got=f"{moment} without a time zone", hint="try datetime.now(UTC)")
         demand_folder(folder)
         target = make_own_folder(folder, *OWN, option="--history")
         path = target / f"check-{recheck.model_id}-{recheck.record_id}.json"
