@@ -16,9 +16,9 @@ from dehyst._validation import interval, number, untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import VoltageLimits, unit_hint
 from dehyst.control.planning.bounds import moves_on
-from dehyst.control.planning.homing import Homing, leg_seconds
-from dehyst.control.planning.played_homing import FASTEST_LEG, played_homing, present_voltage, rows_of
+from dehyst.control.planning.homing import FASTEST_LEG, Homing, played_homing, present_voltage, rows_of
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
+from dehyst.control.planning.timed_homing import leg_seconds
 from dehyst.model import Actuator, State
 from dehyst.model.states import state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
