@@ -177,7 +177,7 @@ def path_trial(fit: Fit) -> Applet | str:
 
 
 def _duration(fit: Fit) -> float:
-    """Return how long a path may take [s]: so many legs of the first record, rounded to one digit."""
+    """Return how long a path may take [s]: a multiple of the legs of the first record, rounded to one digit."""
     trace = fit.traces[0] if fit.traces else None
     if trace is None or not trace.time.size:
         return _SECONDS
