@@ -10,7 +10,7 @@ import pytest
 from summaries import anatomy
 
 from dehyst import ClampWarning, Compensator, ModelError
-from dehyst.control import home_before
+from dehyst.control import plan_path
 from dehyst.exports.golden_trace import golden_trace
 
 U = pint.UnitRegistry()
@@ -108,5 +108,5 @@ def test_a_path_in_metres_is_recognized():
     (clamped,), hinted = micro.trajectory(PATH).warnings, micro.trajectory(PATH / 2e6)
     assert "metres" not in clamped and hinted.clamped.all()
     assert "in metres" in hinted.warnings[-1] and "in um" in hinted.warnings[-1]
-    assert "in metres" in home_before(micro, PATH / 2e6).warnings[-1]
-    assert not any("metres" in one for one in home_before(micro, PATH).warnings)
+    assert "in metres" in plan_path(micro, PATH / 2e6, home=True).warnings[-1]
+    assert not any("metres" in one for one in plan_path(micro, PATH, home=True).warnings)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
 from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
-from dehyst.control import PossibleStart, StartError, home_before, plan_path, plan_voltage, start_at
+from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage, start_at
 from dehyst.control.planning.start import model_error
 
 LIMITS = -40.0, 260.0
@@ -80,7 +80,7 @@ def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
     actuator, rng = ACTUATORS[name], np.random.default_rng(5)
     time = np.arange(400) * 0.05
     wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
-    homed = home_before(Compensator(actuator, slew_rate=500.0), wanted, time=time, present=present)
+    homed = plan_path(Compensator(actuator, slew_rate=500.0), wanted, time=time, present=present, home=True)
     assert homed.certified and homed.followed and not homed.error.matters and not homed.clamped.any()
     assert homed.voltage[0] == (0.0 if present is None else present)
     first = homed.first
@@ -106,9 +106,14 @@ def test_a_homed_path_in_a_unit_is_the_one_in_metres(units, counts, carrier):
     if given is None:
         given = pytest.importorskip("xarray").DataArray(1e6 * wanted, attrs={"units": "um"})
     velocity = 2 * np.pi * 0.3 * STROKE * np.sin(2 * np.pi * time)
-    metres = home_before(Compensator(PLAIN, slew_rate=500.0), wanted, time=time, velocity=velocity)
-    other = home_before(
-        Compensator(PLAIN, slew_rate=500.0, units=units), given, time=time, velocity=counts * velocity, present=0.0
+    metres = plan_path(Compensator(PLAIN, slew_rate=500.0), wanted, time=time, velocity=velocity, home=True)
+    other = plan_path(
+        Compensator(PLAIN, slew_rate=500.0, units=units),
+        given,
+        time=time,
+        velocity=counts * velocity,
+        present=0.0,
+        home=True,
     )
     np.testing.assert_allclose(other.voltage, metres.voltage, atol=1e-9)
     assert np.abs(np.diff(other.voltage) / np.diff(other.time)).max() <= 500 * (1 + 1e-9)
@@ -123,7 +128,9 @@ def test_a_homed_path_in_a_unit_is_the_one_in_metres(units, counts, carrier):
 def test_a_path_that_begins_fast_keeps_the_slew_rate_from_the_homing_on():
     """Its first interval is longer than the others: the homing has the steps of most of them."""
     time = np.append(0.0, 0.1 + 0.01 * np.arange(200))
-    homed = home_before(Compensator(PLAIN, slew_rate=100.0), STROKE * (0.2 + 0.3 * time), time=time, present=70.0)
+    homed = plan_path(
+        Compensator(PLAIN, slew_rate=100.0), STROKE * (0.2 + 0.3 * time), time=time, present=70.0, home=True
+    )
     steps, intervals = np.diff(homed.voltage), np.diff(homed.time)
     assert np.all(np.abs(steps) <= 100.0 * intervals * (1 + 1e-9) + 1e-9)
 
@@ -144,7 +151,7 @@ def test_without_a_homing_it_is_not():
 def test_the_order_without_proof_is_simulated_too():
     actuator = replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6]))
     assert len(PossibleStart.unknown(actuator, 20.0).states) > 10
-    homed = home_before(Compensator(actuator), np.linspace(3e-6, 9e-6, 100), time=np.arange(100.0))
+    homed = plan_path(Compensator(actuator), np.linspace(3e-6, 9e-6, 100), time=np.arange(100.0), home=True)
     assert homed.error.percent(homed.error.largest) < 1
 
 
@@ -176,7 +183,7 @@ def test_a_path_is_homed_where_its_start_matters():
     wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
     loop = Compensator(PLAIN, slew_rate=500.0)
     homed, unhomed = plan_path(loop, wanted, time=time), plan_path(loop, wanted, time=time, home=False)
-    assert np.array_equal(homed.voltage, home_before(loop, wanted, time=time).voltage) and homed.certified
+    assert np.array_equal(homed.voltage, plan_path(loop, wanted, time=time, home=True).voltage) and homed.certified
     assert homed.unhomed.largest == unhomed.error.largest and unhomed.error.matters
     assert unhomed.homing is None and set(unhomed.phase) == {2} and not unhomed.start.known
     # From a known start the way to the first sample is left out if one step leads there.
@@ -203,10 +210,10 @@ def test_a_voltage_is_homed_before_too():
 def test_wrong_requests_are_refused_in_sentences():
     compensator = Compensator(PLAIN)
     with pytest.raises(RecordError, match="present: got 900 V"):
-        home_before(compensator, [1e-6], present=900.0)
+        plan_path(compensator, [1e-6], present=900.0, home=True)
     with pytest.raises(RecordError, match="path: got no samples"):
-        home_before(compensator, [])
+        plan_path(compensator, [], home=True)
     with pytest.raises(ModelError, match="time"):
-        home_before(compensator, [1e-6, 2e-6], time=[0.0, 0.0])
+        plan_path(compensator, [1e-6, 2e-6], time=[0.0, 0.0], home=True)
     with pytest.raises(ModelError, match="start: got 'middle', need one of top, bottom, relaxed, homed"):
         PossibleStart.named(PLAIN, "middle")

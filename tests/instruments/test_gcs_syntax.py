@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.instruments import LinkError, RigError, gcs_array, gcs_errors, gcs_syntax
+from dehyst.instruments import LinkError, RigError, gcs_syntax
 
 VOLTAGES = st.floats(-1e6, 1e6, allow_nan=False)
 FINITE = st.floats(-1e15, 1e15, allow_nan=False)
@@ -195,7 +195,7 @@ def test_record_options_are_found_by_their_words():
 )
 def test_an_array_comes_back(columns, sample_time):
     names = tuple(f"column {index}" for index in range(len(columns)))
-    found = gcs_array.table(array_text(columns, sample_time, names), len(columns[0]), len(columns))
+    found = gcs_syntax.table(array_text(columns, sample_time, names), len(columns[0]), len(columns))
     assert found.sample_time == sample_time
     assert found.names == names
     assert np.array_equal(found.columns, columns)
@@ -203,18 +203,18 @@ def test_an_array_comes_back(columns, sample_time):
 
 def test_the_columns_are_told_by_their_names():
     columns = [[1.0, 2.0], [3.0, 4.0]]
-    straight = gcs_array.table(array_text(columns), 2, 2)
+    straight = gcs_syntax.table(array_text(columns), 2, 2)
     turned = ("Voltage of output chan 1", "Current Position of axis 1")
-    swapped = gcs_array.table(array_text(columns, names=turned), 2, 2)
-    nameless = gcs_array.table(array_text(columns, names=()), 2, 2)
+    swapped = gcs_syntax.table(array_text(columns, names=turned), 2, 2)
+    nameless = gcs_syntax.table(array_text(columns, names=()), 2, 2)
     for array, positions in ((straight, [1.0, 2.0]), (swapped, [3.0, 4.0]), (nameless, [1.0, 2.0])):
-        assert gcs_array.positions_and_voltages(array)[0].T.tolist() == [positions]
+        assert gcs_syntax.positions_and_voltages(array)[0].T.tolist() == [positions]
 
 
 def test_each_pair_of_columns_is_told_by_its_own_names():
     names = ("Position of axis 1", "Voltage of axis 1", "Voltage of axis 2", "Position of axis 2")
-    pairs = gcs_array.table(array_text([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]], names=names), 2, 4)
-    positions, voltages = gcs_array.positions_and_voltages(pairs)
+    pairs = gcs_syntax.table(array_text([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]], names=names), 2, 4)
+    positions, voltages = gcs_syntax.positions_and_voltages(pairs)
     assert positions.T.tolist() == [[1.0, 2.0], [7.0, 8.0]]
     assert voltages.T.tolist() == [[3.0, 4.0], [5.0, 6.0]]
 
@@ -223,7 +223,7 @@ def test_an_array_cut_anywhere_is_refused():
     lines = array_text([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     for stop in range(len(lines)):
         with pytest.raises(LinkError, match="got"):
-            gcs_array.table(lines[:stop], 3, 2)
+            gcs_syntax.table(lines[:stop], 3, 2)
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def test_an_array_with_a_fault_is_refused(old, new):
     lines = array_text([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     assert any(old in line for line in lines)
     with pytest.raises(LinkError, match="got"):
-        gcs_array.table([line.replace(old, new) for line in lines], 3, 2)
+        gcs_syntax.table([line.replace(old, new) for line in lines], 3, 2)
 
 
 @given(st.lists(LINE, max_size=12), st.binary(max_size=60))
@@ -262,7 +262,7 @@ def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
         lambda: gcs_syntax.pairs(lines),
         lambda: gcs_syntax.parameter(lines, "1", 7),
         lambda: gcs_syntax.single(lines),
-        lambda: gcs_array.table(lines, 3, 2),
+        lambda: gcs_syntax.table(lines, 3, 2),
         lambda: gcs_syntax.line_of(raw),
         lambda: gcs_syntax.lines_of(raw.decode("latin-1")),
         lambda: [gcs_syntax.integer(x) for x in lines],
@@ -276,9 +276,9 @@ def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
 
 @given(st.integers(-5000, 5000))
 def test_every_error_number_has_a_sentence(number):
-    assert gcs_errors.sentence(number).startswith(f"error {number}: ")
+    assert gcs_syntax.sentence(number).startswith(f"error {number}: ")
 
 
 def test_limits_say_what_to_try():
-    for number in gcs_errors.LIMITS:
-        assert "limits" in gcs_errors.sentence(number)
+    for number in gcs_syntax.LIMITS:
+        assert "limits" in gcs_syntax.sentence(number)

@@ -25,7 +25,7 @@ FACES = {
         """,
         "control": """
             ClampWarning Command Compensator HomedPath Homing PossibleStart Snapshot StartError StateBounds
-            VoltageLimits WaveTable home_before plan_path plan_voltage shortest_homing start_at wave_table
+            VoltageLimits WaveTable plan_path plan_voltage shortest_homing start_at wave_table
         """,
         "exports": """
             Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
@@ -62,7 +62,7 @@ FACES = {
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Judgement Recheck Standing check insight judge
+            Change CheckHistory Insight Judgement Recheck Standing check insight judge start_of
         """,
         "virtual": """
             BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench

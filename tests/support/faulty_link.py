@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from fake_gcs import text_of
 
-from dehyst.instruments.gcs_link import TcpLink
+from dehyst.instruments.gcs_client import TcpLink
 from dehyst.instruments.pi import PiRig
 
 KINDS = ("drop", "truncate", "garble", "replay", "inject", "double", "delay", "number", "nonsense", "close", "space")

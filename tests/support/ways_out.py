@@ -20,7 +20,7 @@ from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
-from dehyst.control import PossibleStart, home_before, plan_voltage, wave_table
+from dehyst.control import PossibleStart, plan_path, plan_voltage, wave_table
 from dehyst.instruments.base import TICK
 from dehyst.model import Creep, Dynamics
 from dehyst.stages import Stage, StageCompensator, home_stage_before
@@ -213,7 +213,7 @@ class Life:
         if self.kind == "creep" and self.rng.random() < 0.9:
             return
         path, present = self.path(60), float(self.rng.uniform(self.low, self.high))
-        self.homed("home_before", path, present=present)
+        self.homed("plan_path", path, present=present)
         if self.rng.random() < 0.2:
             wave = np.full(5, float(self.rng.uniform(self.low, self.high)))
             homed = plan_voltage(self.loop, wave, home=True, present=present)
@@ -225,12 +225,12 @@ class Life:
         if self.kind not in ("dynamics", "lag"):
             voltage = [self.rng.uniform(self.low, self.high)]
             state = self.actuator.simulate(voltage, time=[0.0], extrapolate=True).state
-        self.homed("from a state", self.path(60), state=state)
+        self.homed("from a state", self.path(60), start=PossibleStart("given", (state,)))
 
     def homed(self, call, path, **options):
         time = self.clock(path.size)
-        homed = home_before(self.loop, carried(self.rng, path, self.units), time=time, **options)
-        present = options["present"] if "present" in options else self.held(options["state"])
+        homed = plan_path(self.loop, carried(self.rng, path, self.units), time=time, home=True, **options)
+        present = options["present"] if "present" in options else self.held(options["start"].state)
         step = float(np.median(np.diff(time)))
         self.hold_against(call, homed.voltage, present, np.diff(homed.time, prepend=homed.time[0] - step), slack=1e-6)
         wanted = path * COUNTS[self.units]

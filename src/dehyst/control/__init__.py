@@ -5,7 +5,7 @@ from dehyst.control.limits import ClampWarning, VoltageLimits
 from dehyst.control.loop import Snapshot
 from dehyst.control.planning.bounds import StateBounds
 from dehyst.control.planning.homing import Homing, shortest_homing
-from dehyst.control.planning.path import HomedPath, home_before, plan_path, plan_voltage, start_at
+from dehyst.control.planning.path import HomedPath, plan_path, plan_voltage, start_at
 from dehyst.control.planning.start import PossibleStart, StartError
 from dehyst.control.planning.wave_table import WaveTable, wave_table
 from dehyst.control.trajectory import Command
@@ -22,7 +22,6 @@ __all__ = [
     "StateBounds",
     "VoltageLimits",
     "WaveTable",
-    "home_before",
     "plan_path",
     "plan_voltage",
     "shortest_homing",

@@ -1,17 +1,243 @@
-"""A client of one GCS controller: it sends queries and commands, checks for errors, and resynchronises the link."""
+"""A client of one GCS controller, over a TCP socket or a device object that the user has connected."""
 
 from __future__ import annotations
 
+import math
+import socket
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from contextlib import suppress
+from typing import Any, TypeVar
 
 from dehyst._errors import DeviceError, LinkError, RigError
-from dehyst.instruments import gcs_errors, gcs_syntax
-from dehyst.instruments.gcs_link import IDENTITY, AbstractGcsLink
+from dehyst.instruments import gcs_syntax
 
 _Answer = TypeVar("_Answer")
 # Controllers of GCS 2 answer CSV? with 2 at most; older ones do not have the command.
 _NEWER = 3.0
+IDENTITY = "*IDN?"
+# Most bytes of one line, and lines of one answer.
+_LONGEST = 1 << 16
+_MOST_LINES = 1 << 18
+# Most time of a whole answer, in timeouts, however slowly it arrives.
+_SLOWEST = 10
+# Seconds between two attempts to reconnect.
+_PAUSE = 0.02
+# Not a command of any controller: it makes a line that was sent in part invalid.
+_SPOILED = b" *spoiled*\n"
+
+
+class AbstractGcsLink(ABC):
+    """A link that carries lines to one controller and its answers back.
+
+    `where`: address, for messages.
+    """
+
+    where: str
+
+    @abstractmethod
+    def exchange(self, commands: Sequence[str], query: str) -> list[str]:
+        """Send commands without answers, then a query; return the lines of its answer without line ends.
+
+        Raise `LinkError` if there is no answer, or an incomplete one.
+        """
+
+    @abstractmethod
+    def settle(self, identity: str) -> None:
+        """Resynchronise after an exchange that failed; `identity` is the earlier answer to *IDN?.
+
+        Raise `LinkError` if that fails.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the link; raises nothing."""
+
+
+class TcpLink(AbstractGcsLink):
+    """A socket to a controller, which takes one client at a time.
+
+    Raise `LinkError` if no connection can be made.
+
+    `timeout`: seconds without a byte after which an answer is abandoned.
+    """
+
+    def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
+        self.where = f"{host}:{port}"
+        self._address, self._timeout = (host, port), timeout
+        self._buffer = bytearray()
+        self._half_sent = False
+        self._socket: socket.socket | None = self._connect()
+
+    def exchange(self, commands: Sequence[str], query: str) -> list[str]:
+        """Send and read; see `AbstractGcsLink`."""
+        self._send([*commands, query])
+        deadline = time.monotonic() + _SLOWEST * self._timeout
+        lines: list[str] = []
+        more = True
+        while more:
+            text, more = gcs_syntax.line_of(self._line(deadline))
+            lines.append(text)
+            if len(lines) > _MOST_LINES:
+                raise LinkError(f"got more than {_MOST_LINES} lines")
+        return lines
+
+    def settle(self, identity: str) -> None:
+        """Read until the controller answers with its identity; if it does not, reconnect."""
+        if self._socket is not None and not self._half_sent:
+            with suppress(LinkError):
+                self._await(identity)
+                return
+        self.close()
+        deadline = time.monotonic() + self._timeout
+        while True:
+            try:
+                self._socket = self._connect()
+                self._await(identity)
+                return
+            except LinkError:
+                self.close()
+                # The controller may not have noticed yet that its only client has disconnected.
+                if time.monotonic() + _PAUSE > deadline:
+                    raise
+            time.sleep(_PAUSE)
+
+    def close(self) -> None:
+        """Close the socket."""
+        link, self._socket = self._socket, None
+        self._buffer.clear()
+        if link is not None:
+            with suppress(OSError):
+                if self._half_sent:
+                    link.sendall(_SPOILED)
+            self._half_sent = False
+            with suppress(OSError):
+                link.close()
+
+    def _await(self, identity: str) -> None:
+        """Query the identity, and discard what was still on its way."""
+        self._send([IDENTITY])
+        deadline = time.monotonic() + self._timeout
+        wanted = identity.encode("ascii")
+        # An answer that was cut off before has no line feed of its own.
+        while not self._line(deadline).rstrip().endswith(wanted):
+            pass
+
+    def _connect(self) -> socket.socket:
+        host, port = self._address
+        if not 0 < port < 1 << 16:
+            raise LinkError(f"{self.where}: got the port {port}, need 1 to 65535 (PI's is 50000)")
+        try:
+            link = socket.create_connection((host, port), self._timeout)
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except (ConnectionRefusedError, ConnectionResetError) as error:
+            raise LinkError(
+                f"{self.where}: refused the connection; is the controller on, and {port} its port (PI's is 50000)?"
+            ) from error
+        except (socket.gaierror, UnicodeError) as error:
+            raise LinkError(f"{self.where}: host {host!r} is not known; check its name, or give its number") from error
+        except TimeoutError as error:
+            raise LinkError(f"{self.where}: no answer in {self._timeout:g} s; check cable and address") from error
+        except OSError as error:
+            raise LinkError(f"{self.where}: cannot be reached ({error}); check address and network") from error
+        return link
+
+    def _send(self, lines: Sequence[str]) -> None:
+        if self._socket is None:
+            raise LinkError("the connection is closed")
+        # One write: a second one would wait for the first's acknowledgement.
+        data = "".join(f"{line}\n" for line in lines).encode("ascii")
+        self._half_sent = True
+        try:
+            self._socket.settimeout(self._timeout)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkError(f"the connection was lost ({error})") from error
+        self._half_sent = False
+
+    def _line(self, deadline: float) -> bytes:
+        """Return one line with its line feed."""
+        searched = 0
+        while (end := self._buffer.find(b"\n", searched)) < 0:
+            searched = len(self._buffer)
+            if searched > _LONGEST:
+                raise LinkError(f"got {searched} bytes without a line feed: {gcs_syntax.shown(bytes(self._buffer))}")
+            self._receive(deadline)
+        line = bytes(self._buffer[: end + 1])
+        del self._buffer[: end + 1]
+        return line
+
+    def _receive(self, deadline: float) -> None:
+        if self._socket is None:
+            raise LinkError("the connection is closed")
+        wait = min(self._timeout, deadline - time.monotonic())
+        got = f"got {gcs_syntax.shown(bytes(self._buffer))}" if self._buffer else "got nothing"
+        if wait <= 0:
+            raise LinkError(f"{got}: the answer takes too long")
+        try:
+            self._socket.settimeout(wait)
+            data = self._socket.recv(1 << 16)
+        except TimeoutError as error:
+            raise LinkError(f"{got} in {wait:.3g} s, need an answer") from error
+        except OSError as error:
+            raise LinkError(f"{got}: the connection was lost ({error})") from error
+        if not data:
+            raise LinkError(f"{got}: the controller closed the connection")
+        self._buffer += data
+
+
+class DeviceLink(AbstractGcsLink):
+    """A device object that the user has connected; it stays open.
+
+    Raise `LinkError` if it does not have them.
+
+    `device`: with two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
+    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
+    """
+
+    def __init__(self, device: Any) -> None:
+        read = getattr(device, "ReadGCSCommand", getattr(device, "read", None))
+        write = getattr(device, "GcsCommandset", getattr(device, "send", None))
+        if not (callable(read) and callable(write)):
+            raise LinkError(
+                f"device: got {type(device).__name__}, need a connected one with ReadGCSCommand(query) and "
+                "GcsCommandset(command), as PI's GCSDevice has them"
+            )
+        self.where = type(device).__name__
+        self._read: Callable[[str], Any] = read
+        self._write: Callable[[str], Any] = write
+
+    def exchange(self, commands: Sequence[str], query: str) -> list[str]:
+        """Send and read; see `AbstractGcsLink`."""
+        try:
+            for command in commands:
+                self._write(command)
+            answer = self._read(query)
+        # Whatever the device's own class raises.
+        except Exception as error:
+            raise _translated(error) from error
+        if not isinstance(answer, str):
+            raise LinkError(f"got {gcs_syntax.shown(answer)}, need text")
+        return gcs_syntax.lines_of(answer)
+
+    def settle(self, identity: str) -> None:
+        """Query the identity until that is the answer."""
+        for _ in range(3):
+            with suppress(LinkError, DeviceError):
+                if self.exchange([], IDENTITY)[-1].endswith(identity):
+                    return
+        raise LinkError("it does not answer with its identity any more; connect it again")
+
+    def close(self) -> None:
+        """Leave the device connected: it belongs to the user."""
+
+
+def _translated(error: Exception) -> LinkError | DeviceError:
+    number = getattr(error, "val", None)
+    if isinstance(number, int | float) and math.isfinite(number) and number:
+        return DeviceError(gcs_syntax.sentence(int(number)))
+    return LinkError(f"{type(error).__name__}: {error}")
 
 
 class GcsClient:
@@ -71,14 +297,14 @@ class GcsClient:
         Raise `DeviceError` if there is an error that is not in `expect`. Raise `LinkError` if the controller does not
         answer.
         """
-        number = self.query("ERR?", _error, commands)
+        number = self.query("ERR?", gcs_syntax.error, commands)
         if number and number not in expect:
             after = f" after {gcs_syntax.shown(commands)}" if commands else ""
-            raise DeviceError(f"{self.name}: {gcs_errors.sentence(number)}{after}")
+            raise DeviceError(f"{self.name}: {gcs_syntax.sentence(number)}{after}")
 
     def clear(self) -> None:
         """Clear a latched error, and resynchronise."""
-        self.query("ERR?", _error)
+        self.query("ERR?", gcs_syntax.error)
 
     def close(self) -> None:
         """Close the link."""
@@ -106,7 +332,3 @@ class GcsClient:
                 "is it a GCS controller?"
             )
         return text
-
-
-def _error(lines: Sequence[str]) -> int:
-    return gcs_syntax.integer(gcs_syntax.single(lines))

@@ -1,4 +1,4 @@
-"""The client's half of PI's general command set (GCS 2.0) as pure text: commands to send, answers to parse.
+"""The client's half of PI's general command set (GCS 2.0) as text: commands, answers, recorded arrays, errors.
 
 Written from the public command set. An answer is one or more lines; every line but the last ends with a space before
 its line feed. Parsing is strict: an invalid answer raises `LinkError` with what was got.
@@ -11,7 +11,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from dehyst._errors import LinkError, RigError
+from dehyst._types import Array
+from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
 
 # Every controller's input buffer holds a line of this many characters.
 _LINE = 500
@@ -116,6 +120,11 @@ def integer(text: str) -> int:
     return int(text)
 
 
+def error(lines: Sequence[str]) -> int:
+    """Return the number in an answer of ERR?; raises LinkError."""
+    return integer(single(lines))
+
+
 def single(lines: Sequence[str]) -> str:
     """Return the only line of an answer; raises LinkError."""
     if len(lines) != 1 or not lines[0]:
@@ -205,6 +214,126 @@ def shown(got: object) -> str:
         got = got[0]
     text = repr(got[: 4 * _SHOWN] if isinstance(got, str | bytes | list | tuple) else got)
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 15]} ... {text[-10:]}"
+
+
+class GcsArray(NamedTuple):
+    """A GCS array.
+
+    `sample_time`: [s] from one row to the next. `names`: name of each column; empty where the header has none.
+    `columns` (k, n): in the controller's units.
+    """
+
+    sample_time: float
+    names: tuple[str, ...]
+    columns: Array
+
+
+def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
+    """Parse an answer of DRR? that has `rows` rows and `columns` columns.
+
+    Raise `LinkError` if the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
+    """
+    stripped = [line.strip() for line in lines]
+    if GCS_END not in stripped:
+        raise LinkError(f"got {shown(lines)}, need an array with a header that ends {GCS_END}")
+    end = stripped.index(GCS_END)
+    if strange := next((line for line in stripped[:end] if not line.startswith("#")), ""):
+        raise LinkError(f"got {shown(strange)} in the header of an array, need lines that begin with #")
+    entries = gcs_entries(stripped[:end])
+    header = dict(entries)
+    if len(header) < len(entries):
+        keys = [key for key, _ in entries]
+        raise LinkError(f"got {next(key for key in keys if keys.count(key) > 1)} twice in the header of an array")
+    for key, needed in (("TYPE", 1), ("DIM", columns), ("NDATA", rows)):
+        size = integer(header.get(key, ""))
+        if size != needed:
+            raise LinkError(f"got an array with {key} = {size}, need {needed}")
+    sample_time = real(header.get("SAMPLE_TIME", ""))
+    if sample_time <= 0:
+        raise LinkError(f"got an array with SAMPLE_TIME = {sample_time}, need a time above 0 s")
+    separator = integer(header.get("SEPARATOR", "32"))
+    if str(separator) not in GCS_SEPARATORS:
+        raise LinkError(f"got an array with SEPARATOR = {separator}, need 32 (space), 9, 44 or 59")
+    body = stripped[end + 1 :]
+    if len(body) != rows:
+        raise LinkError(f"got an array of {len(body)} rows, need {rows}; was the answer cut?")
+    names = tuple(header.get(f"NAME{index}", "") for index in range(columns))
+    numbers = np.empty((rows, columns))
+    for index, line in enumerate(body):
+        words = line.split(None if separator in (9, 32) else chr(separator))
+        if len(words) != columns:
+            raise LinkError(f"got the row {shown(line)}, need {columns} numbers")
+        numbers[index] = [real(word.strip()) for word in words]
+    return GcsArray(sample_time, names, np.ascontiguousarray(numbers.T))
+
+
+def positions_and_voltages(array: GcsArray) -> tuple[Array, Array]:
+    """Return positions and voltages (n, axes) of pairs of columns: by their names, else in the requested order."""
+    kinds = [("position" in name.lower(), "voltage" in name.lower()) for name in array.names]
+    positions, voltages = [], []
+    for first in range(0, len(kinds), 2):
+        turned = kinds[first : first + 2] == [(False, True), (True, False)]
+        positions.append(array.columns[first + turned])
+        voltages.append(array.columns[first + (not turned)])
+    return np.column_stack(positions), np.column_stack(voltages)
+
+
+# Numbers of the public list, the common ones.
+_ERRORS = {
+    1: "the syntax of a parameter is wrong",
+    2: "it does not have the command",
+    3: "the command was too long",
+    5: "the move is not allowed with the servo off, or without a reference",
+    7: "the position or voltage is out of its limits",
+    8: "the velocity is out of its limits",
+    10: "it was stopped by a command",
+    15: "it has no such axis",
+    17: "a parameter is out of its range",
+    23: "it has no such axis or channel",
+    24: "the number of parameters is wrong",
+    25: "a number cannot be read",
+    26: "a parameter is missing",
+    54: "it does not have the parameter",
+    57: "it has no such recorder table",
+    58: "it cannot record that",
+    60: "the parameter is protected",
+    63: "it is still starting",
+    66: "the voltage is out of its limits",
+    67: "its memory does not hold the wave",
+    72: "the analog input is in command of the axis",
+    73: "the wave generator is in command of the axis",
+    74: "the axis has no sensor or no piezo channel",
+    75: "no wave table was chosen",
+    76: "its input buffer ran over",
+    77: "it has not recorded that much",
+    78: "the recorder table records nothing",
+    79: "open-loop commands are not allowed with the servo on",
+    215: "the cable between controller and stage may be broken",
+    302: "the voltage is out of its limits",
+    303: "open-loop motion is not allowed with the servo on",
+    304: "the command was too long",
+    308: "it took longer than expected",
+    333: "its hardware has failed",
+    400: "it has no such wave generator or wave table",
+    401: "the wave table is empty",
+    402: "it does not have this kind of wave",
+    403: "the wave is longer than its table",
+    404: "the number of a wave's parameters is wrong",
+    405: "a wave's value is out of its range",
+    -1024: "the position error was too large, and it switched the servo off",
+}
+# Reported for a voltage or wave beyond what the controller allows.
+LIMITS = frozenset({7, 17, 66, 302, 405})
+# Reported after a requested stop.
+STOPPED = 10
+
+
+def sentence(number: int) -> str:
+    """Return the meaning of an error number, and for limits what to try."""
+    text = _ERRORS.get(number, "see its manual's list of error codes")
+    if number in LIMITS:
+        text += "; its limits are narrower than it reported, request narrower limits"
+    return f"error {number}: {text}"
 
 
 def _listed(lines: Iterable[str]) -> Iterator[tuple[int, str]]:

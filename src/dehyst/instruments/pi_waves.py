@@ -13,7 +13,6 @@ from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments import gcs_syntax
-from dehyst.instruments.gcs_array import positions_and_voltages, table
 from dehyst.instruments.gcs_client import GcsClient
 from dehyst.instruments.samples import Samples
 
@@ -352,13 +351,13 @@ class PiWaves:
 
     def _rows(self, first: int, number: int, interval: float) -> tuple[Array, Array]:
         query = gcs_syntax.command("DRR?", first + 1, number, *self._keys)
-        array = self._client.query(query, lambda lines: table(lines, number, 2 * len(self._axes)))
+        array = self._client.query(query, lambda lines: gcs_syntax.table(lines, number, 2 * len(self._axes)))
         if abs(array.sample_time / interval - 1) > 1e-3:
             raise DeviceError(
                 f"{self._client.name}: records every {array.sample_time:g} s, need {interval:g} s; check its servo "
                 "update time"
             )
-        return positions_and_voltages(array)
+        return gcs_syntax.positions_and_voltages(array)
 
     def _counts(self, word: str, keys: Sequence[str]) -> list[int]:
         return self._client.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.counts(lines, keys))

@@ -58,6 +58,13 @@ class State:
         if self.motion.size not in (0, 2):
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
+    @classmethod
+    def unchecked(cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array) -> State:
+        """Return the state of arrays that a computation has just made of a valid one: they are not copied."""
+        state = cls.__new__(cls)
+        keep(state, displacement=displacement, carts=carts, creep=creep, motion=motion, smooth=smooth)
+        return state
+
     def __repr__(self) -> str:
         more = {"creep strains": self.creep, "smooth elongations": self.smooth}
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)

@@ -19,6 +19,8 @@ from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, T
 
 # Relative rounding error of a slope that is the difference of two.
 _ROUNDING = 1e-9
+# Coefficients of one run of steps of an actuator that does not depend on time.
+_NO_COEFFICIENTS = (np.empty((1, 0)),) * 3
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Evaluator:
         state = self.core_state(start)
         if self.lag:
             voltage = self._amplified(voltage, path.time, self.core.voltage(state))
-        demand_result(voltage, "acting voltage")
+            demand_result(voltage, "acting voltage")
         y, reached = self.core.simulate(voltage, steps, state, load=push if self.dynamics else EMPTY, stack=stack)
         y = y if self.dynamics or not push.size else y + push
         demand_result(y, "displacement", FARTHEST)
@@ -111,13 +113,16 @@ class Evaluator:
         motion = state.motion
         if self.dynamics is not None:
             motion = motion / np.array([1.0, self.dynamics.frequency])
-        return CoreState(state.displacement, state.carts, np.concatenate([state.creep, state.smooth]), motion)
+        strains = np.concatenate([state.creep, state.smooth]) if state.smooth.size else state.creep
+        return CoreState(state.displacement, state.carts, strains, motion)
 
     def state_of(self, core: CoreState) -> State:
         """Return the core's numbers as a state."""
-        motion = core.motion if self.dynamics is None else core.motion * np.array([1.0, self.dynamics.frequency])
         branches = 0 if self.creep is None else len(self.creep)
-        return State(core.w, core.carts, core.strains[:branches], motion, core.strains[branches:])
+        creep, smooth = core.strains[:branches], core.strains[branches:]
+        if self.dynamics is None:
+            return State.unchecked(core.w, core.carts, creep, core.motion, smooth)
+        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.frequency]), smooth)
 
     def complete_state(self, start: State) -> State:
         """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
@@ -139,7 +144,8 @@ class Evaluator:
             )
         if not excess.size or excess[worst] <= 0:
             return start
-        return replace(start, carts=np.clip(start.carts, start.displacement - rho, start.displacement + rho))
+        carts = np.clip(start.carts, start.displacement - rho, start.displacement + rho)
+        return State.unchecked(start.displacement, carts, start.creep, start.motion, start.smooth)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
@@ -162,6 +168,8 @@ class Evaluator:
         return np.array([0, samples]), np.zeros(1)
 
     def _steps(self, time: ArrayLike | None, samples: int) -> StepCoefficients:
+        if time is None and not self.needs_time:
+            return StepCoefficients(np.array([0, samples]), *_NO_COEFFICIENTS)
         return self.step_coefficients(*self.clock(time, samples))
 
     def step_coefficients(self, bounds: NDArray[np.int64], durations: Array) -> StepCoefficients:

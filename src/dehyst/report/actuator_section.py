@@ -20,7 +20,7 @@ from dehyst.model.summary import parts_of
 from dehyst.records.signals import turning_points
 from dehyst.report import plots
 from dehyst.report.html import MINUS, Applet, Row, asset, escape, figure, length, number, panel, spelled, table
-from dehyst.report.plots import INK, MEASURED, SIMULATED, inline, length_unit
+from dehyst.report.plots import INK, MEASURED, SIMULATED, length_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,13 +39,9 @@ def made_of(actuator: Actuator) -> str:
         (part.name, _spelt(part.sentence), "–" if part.holds is None else f"{number(part.holds)} V")
         for part in parts_of(actuator)
     ]
-    drawn = figure("", _CAPTION, _panels(actuator)).replace("<h2></h2>\n", "") if _panels(actuator) else ""
     head = ("Part", "What it does", "Holds at most")
-    return "\n".join(
-        part
-        for part in (f"<h2>What the model is made of</h2>\n{table(head, rows, texts=2)}", drawn, _tables(actuator))
-        if part
-    )
+    parts = table(head, rows, texts=2), figure("", _CAPTION, _panels(actuator)), _tables(actuator)
+    return "\n".join(["<h2>What the model is made of</h2>", *filter(None, parts)])
 
 
 _CAPTION = (
@@ -57,15 +53,15 @@ _CAPTION = (
 def _panels(actuator: Actuator) -> list[str]:
     found, slip = [], actuator.slip
     if actuator.transformer is not None:
-        found.append(panel(("Transformer", ""), plots.transformer(actuator.transformer, name="tau"), ""))
+        found.append(panel("Transformer", "tau", plots.draw_transformer, actuator.transformer, rows=2, height=4.4))
     if actuator.creep is not None:
-        found.append(panel(("Creep after a sudden rise", ""), plots.creep(actuator, name="creep"), ""))
+        found.append(panel("Creep after a sudden rise", "creep", plots.draw_creep, actuator))
     if isinstance(slip, GradedSlip):
-        found.append(panel(("Graded elements", ""), plots.graded(slip, name="graded"), ""))
-        drawn = plots.slopes(slip, actuator.spring, name="slopes")
-        found.append(panel(("Stiffness along the stroke", ""), drawn, ""))
+        found.append(panel("Graded elements", "graded", plots.draw_graded, slip, height=3.6))
+        drawn = plots.draw_slopes, slip, actuator.spring
+        found.append(panel("Stiffness along the stroke", "slopes", *drawn, height=3.6))
     if actuator.smooth is not None:
-        found.append(panel(("Smooth elements", ""), plots.smooth(actuator.smooth, name="smooth"), ""))
+        found.append(panel("Smooth elements", "smooth", plots.draw_smooth, actuator.smooth))
     return found
 
 
@@ -104,8 +100,8 @@ def _spelt(words: str) -> str:
 
 def slip_and_spring(actuator: Actuator) -> str:
     """Return figures of the slip elements and of the spring."""
-    slip = panel(("Slip elements", ""), plots.slip_elements(_plain_slip(actuator), name="slip"), "")
-    spring = panel(("Parallel spring", ""), plots.parallel_spring(actuator.spring, name="spring"), "")
+    slip = panel("Slip elements", "slip", plots.draw_slip_elements, _plain_slip(actuator), rows=2, height=4.4)
+    spring = panel("Parallel spring", "spring", plots.draw_spring, actuator.spring, rows=2, height=4.4)
     caption = (
         "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
         "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
@@ -287,36 +283,30 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
     return [
         "<h2>Measured along a path</h2>",
         table(head, rows, texts=1),
-        figure("", caption, [panel(("Path", ""), _paths(followed), "Path"), *_errors(followed)]).replace(
-            "<h2></h2>\n", ""
-        ),
+        figure("", caption, [panel("Path", "path", _draw_paths, followed, label="Path"), *_errors(followed)]),
     ]
 
 
-def _paths(followed: Mapping[str, TrackedPath]) -> str:
-    factor, unit = length_unit(next(iter(followed.values())).stroke)
-
-    def draw(ax: Axes) -> None:
-        for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
-            ax.plot(path.time, path.reached * factor, color=colour, lw=1.2, label=name)
-        first = next(iter(followed.values()))
-        ax.plot(first.time, first.wanted * factor, color=INK, lw=0.8, ls="--", label="wanted")
-        ax.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
-        ax.legend(loc="upper center", ncols=3)
-        ax.margins(y=0.15)
-
-    return inline("path", draw)
+def _draw_paths(ax: Axes, followed: Mapping[str, TrackedPath]) -> None:
+    first = next(iter(followed.values()))
+    factor, unit = length_unit(first.stroke)
+    for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
+        ax.plot(path.time, path.reached * factor, color=colour, lw=1.2, label=name)
+    ax.plot(first.time, first.wanted * factor, color=INK, lw=0.8, ls="--", label="wanted")
+    ax.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
+    ax.legend(loc="upper center", ncols=3)
+    ax.margins(y=0.15)
 
 
 def _errors(followed: Mapping[str, TrackedPath]) -> list[str]:
     """Return one panel for each voltage, on its own scale: the errors differ too much for one scale."""
-    panels = []
-    for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
+    return [
+        panel(name, f"error-{name}", _draw_error, path, colour, role=_WORDS.get(name, ""), label="Error of")
+        for (name, path), colour in zip(followed.items(), _COLOURS, strict=False)
+    ]
 
-        def draw(ax: Axes, path: TrackedPath = path, colour: str = colour) -> None:
-            ax.plot(path.time, 100 * path.error / path.stroke, color=colour, lw=1)
-            ax.axhline(0, color=INK, lw=0.8)
-            ax.set(xlabel="time (s)", ylabel="error (% of the stroke)")
 
-        panels.append(panel((name, _WORDS.get(name, "")), inline(f"error-{name}", draw), "Error of"))
-    return panels
+def _draw_error(ax: Axes, path: TrackedPath, colour: str) -> None:
+    ax.plot(path.time, 100 * path.error / path.stroke, color=colour, lw=1)
+    ax.axhline(0, color=INK, lw=0.8)
+    ax.set(xlabel="time (s)", ylabel="error (% of the stroke)")

@@ -8,7 +8,7 @@ import html
 import json
 import math
 import re
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from dehyst._io import GENERATOR
 from dehyst._text import escaped
 from dehyst._types import Array
-from dehyst.report.plots import length_unit
+from dehyst.report.plots import inline, length_unit
 
 # Names of colours in page.css, where each has a light and a dark form.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink"]
@@ -329,11 +329,20 @@ def length(metres: float) -> str:
     return f"{number(metres * factor)} {unit}"
 
 
-def panel(title: tuple[str, str], svg: str, label: str) -> str:
-    """Set one drawing under its record and role."""
-    name, role = escape(title[0]), escape(title[1])
-    image = svg.replace("<svg", f'<svg role="img" aria-label="{f"{label} {name}".strip()}"', 1)
-    return f'<div class="panel"><h3>{name} <span>{role}</span></h3>\n{image}</div>'
+def panel(
+    title: str,
+    name: str,
+    draw: Callable[..., None],
+    *drawn: object,
+    role: str = "",
+    label: str = "",
+    rows: int = 1,
+    height: float = 3.3,
+) -> str:
+    """Set a drawing under its title and role; `name`, `draw` and the others as in `plots.inline`."""
+    svg = inline(name, draw, *drawn, rows=rows, height=height)
+    image = svg.replace("<svg", f'<svg role="img" aria-label="{f"{label} {escape(title)}".strip()}"', 1)
+    return f'<div class="panel"><h3>{escape(title)} <span>{escape(role)}</span></h3>\n{image}</div>'
 
 
 def _chart_panel(chart: Chart, number: int) -> str:
@@ -353,9 +362,9 @@ def figure(title: str, caption: str, panels: Sequence[str], *, wide: bool = Fals
     """Set panels side by side, or below one another if wide, under a heading and a caption; nothing without panels."""
     if not panels:
         return ""
-    body = "\n".join(panels)
+    body, heading = "\n".join(panels), f"<h2>{title}</h2>\n" if title else ""
     return (
-        f"<h2>{title}</h2>\n<figure>\n<figcaption>{escape(caption)}</figcaption>\n"
+        f"{heading}<figure>\n<figcaption>{escape(caption)}</figcaption>\n"
         f'<div class="panels{" one" if wide else ""}">\n{body}\n</div>\n</figure>'
     )
 

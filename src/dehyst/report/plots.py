@@ -149,36 +149,28 @@ def draw_both(ax: Axes, trace: Trace, measured: Array, simulated: Array, *, labe
         ax.plot(v, shown, color=colour, lw=width, alpha=alpha, label=label if labels else None, rasterized=big)
 
 
-def slip_elements(slip: MaxwellSlip, *, name: str) -> str:
+def draw_slip_elements(upper: Axes, lower: Axes, slip: MaxwellSlip) -> None:
     """Draw stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
     factor, unit = length_unit(float(slip.breakaway[-1]))
-
-    def draw(upper: Axes, lower: Axes) -> None:
-        stems(upper, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
-        stems(lower, slip.breakaway * factor, slip.friction, "breakaway voltage (V)")
-        lower.set_xlabel(f"breakaway elongation ({unit})")
-        lower.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
-
-    return inline(name, draw, rows=2, height=4.4)
+    stems(upper, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
+    stems(lower, slip.breakaway * factor, slip.friction, "breakaway voltage (V)")
+    lower.set_xlabel(f"breakaway elongation ({unit})")
+    lower.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
 
 
-def parallel_spring(spring: Spring, *, name: str) -> str:
+def draw_spring(upper: Axes, lower: Axes, spring: Spring) -> None:
     """Draw the voltage of the parallel spring over displacement, its slope beneath with the least one marked."""
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
     y, slopes = spring.displacement * factor, spring.slopes * 1e-6
-
-    def draw(upper: Axes, lower: Axes) -> None:
-        upper.plot(y, spring.voltage, color=MEASURED, lw=1, marker="o", ms=2.2)
-        upper.set_ylabel("spring voltage (V)")
-        lower.stairs(slopes, y, baseline=None, color=MEASURED, lw=1)
-        least = int(np.argmin(slopes))
-        lower.plot(y[least : least + 2], slopes[[least, least]], color=SIMULATED, lw=2.4, label="least slope")
-        lower.axhline(0, color=INK, lw=0.6)
-        lower.set_ylim(min(0.0, 1.1 * float(slopes.min())), 1.25 * max(float(slopes.max()), 0.0))
-        lower.set(xlabel=f"displacement ({unit})", ylabel="slope (V/µm)")
-        lower.legend(loc="upper right")
-
-    return inline(name, draw, rows=2, height=4.4)
+    upper.plot(y, spring.voltage, color=MEASURED, lw=1, marker="o", ms=2.2)
+    upper.set_ylabel("spring voltage (V)")
+    lower.stairs(slopes, y, baseline=None, color=MEASURED, lw=1)
+    least = int(np.argmin(slopes))
+    lower.plot(y[least : least + 2], slopes[[least, least]], color=SIMULATED, lw=2.4, label="least slope")
+    lower.axhline(0, color=INK, lw=0.6)
+    lower.set_ylim(min(0.0, 1.1 * float(slopes.min())), 1.25 * max(float(slopes.max()), 0.0))
+    lower.set(xlabel=f"displacement ({unit})", ylabel="slope (V/µm)")
+    lower.legend(loc="upper right")
 
 
 def length_unit(length: float) -> tuple[float, str]:
@@ -235,9 +227,9 @@ def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
     return np.insert(x[keep], where, np.nan), np.insert(y[keep], where, np.nan)
 
 
-def inline(name: str, draw: Callable[..., None], *, rows: int = 1, height: float = 3.3) -> str:
-    """Draw on `rows` axes, one above the other, and return SVG text for a page."""
-    return _inline(svg_file(name, draw, rows=rows, height=height))
+def inline(name: str, draw: Callable[..., None], *drawn: object, rows: int = 1, height: float = 3.3) -> str:
+    """Draw on `rows` axes, one above the other, and return SVG text for a page; `draw` gets the axes, then `drawn`."""
+    return _inline(svg_file(name, lambda *axes: draw(*axes, *drawn), rows=rows, height=height))
 
 
 def svg_file(
@@ -277,28 +269,19 @@ def _inline(svg: str) -> str:
     return f"{head}>{rest}".strip()
 
 
-def transformer(tau: Transformer, *, name: str) -> str:
+def draw_transformer(upper: Axes, lower: Axes, tau: Transformer) -> None:
     """Draw tau(v) minus the straight line between its ends, its slope beneath."""
-
-    def draw(upper: Axes, lower: Axes) -> None:
-        upper.plot(tau.voltage, bend(tau), color=MEASURED, lw=1, marker="o", ms=2.6)
-        upper.axhline(0, color=INK, lw=0.6)
-        upper.set_ylabel("tau(v) less a straight line (V)")
-        lower.stairs(tau.slopes, tau.voltage, baseline=None, color=MEASURED, lw=1)
-        lower.axhline(1, color=INK, lw=0.6)
-        lower.set_ylim(bottom=0)
-        lower.set(xlabel="voltage (V)", ylabel="slope of tau (V/V)")
-
-    return inline(name, draw, rows=2, height=4.4)
-
-
-def creep(actuator: Actuator, *, name: str) -> str:
-    """Draw the displacement after a sudden rise through all voltages, with the time constants marked."""
-    return inline(name, lambda ax: draw_creep(ax, actuator))
+    upper.plot(tau.voltage, bend(tau), color=MEASURED, lw=1, marker="o", ms=2.6)
+    upper.axhline(0, color=INK, lw=0.6)
+    upper.set_ylabel("tau(v) less a straight line (V)")
+    lower.stairs(tau.slopes, tau.voltage, baseline=None, color=MEASURED, lw=1)
+    lower.axhline(1, color=INK, lw=0.6)
+    lower.set_ylim(bottom=0)
+    lower.set(xlabel="voltage (V)", ylabel="slope of tau (V/V)")
 
 
 def draw_creep(ax: Axes, actuator: Actuator) -> None:
-    """Draw what `creep` shows on axes."""
+    """Draw the displacement after a sudden rise through all voltages, with the time constants marked."""
     time, share = step_response(actuator)
     branches = actuator.creep
     ax.plot(time, 100 * share, color=MEASURED, lw=1.2)
@@ -311,30 +294,21 @@ def draw_creep(ax: Axes, actuator: Actuator) -> None:
     ax.legend(loc="upper left")
 
 
-def graded(slip: GradedSlip, *, name: str) -> str:
+def draw_graded(ax: Axes, slip: GradedSlip) -> None:
     """Draw stiffness times breakaway elongation of each element over the position of its cart; darker is more."""
     factor, unit = length_unit(float(np.ptp(slip.knots)))
     edges = np.concatenate([[0.0], slip.breakaway]) * factor
-
-    def draw(ax: Axes) -> None:
-        held = slip.stiffness * slip.breakaway[:, None]
-        shades = ax.pcolormesh(slip.knots * factor, edges, held, cmap="Blues", lw=0, rasterized=True)
-        ax.set(xlabel=f"position of the cart ({unit})", ylabel=f"breakaway elongation ({unit})")
-        ax.grid(visible=False)
-        bar = ax.figure.colorbar(shades, ax=ax, pad=0.02)
-        bar.set_label("stiffness times breakaway elongation (V)")
-        bar.outline.set_linewidth(0.6)
-
-    return inline(name, draw, height=3.6)
-
-
-def slopes(slip: GradedSlip | MaxwellSlip, spring: Spring, *, name: str) -> str:
-    """Draw the slope of slow motion: just after a turn, and when every element slides."""
-    return inline(name, lambda ax: draw_slopes(ax, slip, spring), height=3.6)
+    held = slip.stiffness * slip.breakaway[:, None]
+    shades = ax.pcolormesh(slip.knots * factor, edges, held, cmap="Blues", lw=0, rasterized=True)
+    ax.set(xlabel=f"position of the cart ({unit})", ylabel=f"breakaway elongation ({unit})")
+    ax.grid(visible=False)
+    bar: Any = ax.figure.colorbar(shades, ax=ax, pad=0.02)
+    bar.set_label("stiffness times breakaway elongation (V)")
+    bar.outline.set_linewidth(0.6)
 
 
 def draw_slopes(ax: Axes, slip: GradedSlip | MaxwellSlip, spring: Spring) -> None:
-    """Draw what `slopes` shows on axes."""
+    """Draw the slope of slow motion: just after a turn, and when every element slides."""
     steepness = Slopes.of(slip, spring)
     factor, unit = length_unit(float(np.ptp(steepness.displacement)))
     # Those of plain elements are equal.
@@ -350,24 +324,20 @@ def draw_slopes(ax: Axes, slip: GradedSlip | MaxwellSlip, spring: Spring) -> Non
     ax.legend(loc="upper left", ncols=3)
 
 
-def smooth(elements: SmoothSlip, *, name: str) -> str:
+def draw_smooth(ax: Axes, elements: SmoothSlip) -> None:
     """Draw the largest voltage that each smooth element holds, over its length."""
     factor, unit = length_unit(float(elements.length.max()))
-
-    def draw(ax: Axes) -> None:
-        held, length = elements.stiffness * elements.length, elements.length * factor
-        dahl = elements.closing > 0.75
-        for kind, colour, aside, label in (
-            (~dahl, MEASURED, -1, "back on a straight line"),
-            (dahl, SIMULATED, 1, "back on a curve (Dahl)"),
-        ):
-            if kind.any():
-                x = length[kind] + 0.008 * aside * length.max()
-                ax.vlines(x, 0, held[kind], color=colour, lw=1.2)
-                ax.plot(x, held[kind], ls="none", marker="o", ms=4, color=colour, label=label)
-        ax.set(xlabel=f"length ({unit})", ylabel="holds at most (V)")
-        ax.set_xlim(0, 1.08 * float(length.max()))
-        ax.set_ylim(0, 1.3 * float(held.max()) if held.any() else 1.0)
-        ax.legend(loc="upper left")
-
-    return inline(name, draw)
+    held, length = elements.stiffness * elements.length, elements.length * factor
+    dahl = elements.closing > 0.75
+    for kind, colour, aside, label in (
+        (~dahl, MEASURED, -1, "back on a straight line"),
+        (dahl, SIMULATED, 1, "back on a curve (Dahl)"),
+    ):
+        if kind.any():
+            x = length[kind] + 0.008 * aside * length.max()
+            ax.vlines(x, 0, held[kind], color=colour, lw=1.2)
+            ax.plot(x, held[kind], ls="none", marker="o", ms=4, color=colour, label=label)
+    ax.set(xlabel=f"length ({unit})", ylabel="holds at most (V)")
+    ax.set_xlim(0, 1.08 * float(length.max()))
+    ax.set_ylim(0, 1.3 * float(held.max()) if held.any() else 1.0)
+    ax.legend(loc="upper left")

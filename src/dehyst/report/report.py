@@ -40,7 +40,7 @@ from dehyst.report.html import (
     spelled,
     table,
 )
-from dehyst.report.plots import INK, MEASURED, SIMULATED, inline, length_unit, line, svg_file
+from dehyst.report.plots import INK, MEASURED, SIMULATED, length_unit, line, svg_file
 from dehyst.report.uncertainty_section import sections
 from dehyst.trust import CheckHistory, Insight
 from dehyst.trust.history import ControlChart
@@ -225,40 +225,35 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
         figure(
             "Against time",
             "Check that the voltage is that of the actuator, not of a monitor.",
-            [panel((one.name, ""), _in_time(one), "time") for one in every],
+            [
+                panel(one.name, f"{one.name}-time", _draw_in_time, one, label="time", rows=2, height=4.2)
+                for one in every
+            ],
         ),
         figure(
             "Loop",
             "A piezo actuator's loop runs counterclockwise.",
-            [panel((one.name, ""), _loop(one), "loop") for one in every],
+            [panel(one.name, f"{one.name}-loop", _draw_loop, one, label="loop") for one in every],
         ),
         reproduction(command),
     ]
     write_atomically(path, document(f"{record.name}: record", [part for part in parts if part]))
 
 
-def _in_time(record: Record) -> str:
+def _draw_in_time(upper: Axes, lower: Axes, record: Record) -> None:
     factor, unit = length_unit(record.stroke)
     rows = _drawn(record)
-
-    def draw(upper: Axes, lower: Axes) -> None:
-        line(upper, record.time[rows], record.voltage[rows], color=MEASURED)
-        line(lower, record.time[rows], record.displacement[rows] * factor, color=MEASURED)
-        upper.set(ylabel="voltage (V)")
-        lower.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
-
-    return inline(f"{record.name}-time", draw, rows=2, height=4.2)
+    line(upper, record.time[rows], record.voltage[rows], color=MEASURED)
+    line(lower, record.time[rows], record.displacement[rows] * factor, color=MEASURED)
+    upper.set(ylabel="voltage (V)")
+    lower.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
 
 
-def _loop(record: Record) -> str:
+def _draw_loop(ax: Axes, record: Record) -> None:
     factor, unit = length_unit(record.stroke)
     rows = _drawn(record)
-
-    def draw(ax: Axes) -> None:
-        ax.plot(record.voltage[rows], record.displacement[rows] * factor, color=MEASURED, lw=0.8)
-        ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
-
-    return inline(f"{record.name}-loop", draw)
+    ax.plot(record.voltage[rows], record.displacement[rows] * factor, color=MEASURED, lw=0.8)
+    ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
 
 
 def _drawn(record: Record) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

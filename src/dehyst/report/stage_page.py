@@ -11,7 +11,7 @@ from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
 from dehyst.records import Record
 from dehyst.report.html import bullets, document, escape, figure, panel, reproduction, spelled, table
-from dehyst.report.plots import MEASURED, inline, line
+from dehyst.report.plots import MEASURED, line
 from dehyst.stages import StageFit
 
 if TYPE_CHECKING:
@@ -106,10 +106,11 @@ def _errors(fit: StageFit) -> str:
 def _axes(fit: StageFit, records: Sequence[Record]) -> list[str]:
     parts = []
     for i, axis in enumerate(fit.axes):
-        panels = [panel((axis, ""), _loops(fit, records, i), "loops")]
+        panels = [panel(axis, f"stage-{axis}-loops", _draw_loops, fit, records, i, label="loops")]
+        drawn = _draw_residual, fit, records, i
         panels += [
-            panel((axis, f" beside v{fit.axes[j]}"), _beside(fit, records, i, j), "residual")
-            for j in range(len(fit.axes))
+            panel(axis, f"stage-{axis}-{other}", *drawn, j, role=f" beside v{other}", label="residual")
+            for j, other in enumerate(fit.axes)
             if j != i
         ]
         words = (
@@ -126,26 +127,18 @@ def _residuals(fit: StageFit, records: Sequence[Record]) -> list[Array]:
     return [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
 
 
-def _loops(fit: StageFit, records: Sequence[Record], i: int) -> str:
-    def draw(ax: Axes) -> None:
-        for record in records:
-            rows = _drawn(len(record))
-            line(ax, record.voltage[rows, i], record.displacement[rows, i] * 1e6, color=MEASURED, lw=0.6)
-        ax.set(xlabel=f"voltage of {fit.axes[i]} (V)", ylabel=f"displacement {fit.axes[i]} (um)")
-
-    return inline(f"stage-{fit.axes[i]}-loops", draw)
+def _draw_loops(ax: Axes, fit: StageFit, records: Sequence[Record], i: int) -> None:
+    for record in records:
+        rows = _drawn(len(record))
+        line(ax, record.voltage[rows, i], record.displacement[rows, i] * 1e6, color=MEASURED, lw=0.6)
+    ax.set(xlabel=f"voltage of {fit.axes[i]} (V)", ylabel=f"displacement {fit.axes[i]} (um)")
 
 
-def _beside(fit: StageFit, records: Sequence[Record], i: int, j: int) -> str:
-    left = _residuals(fit, records)
-
-    def draw(ax: Axes) -> None:
-        for record, one in zip(records, left, strict=True):
-            rows = _drawn(len(record))
-            line(ax, record.voltage[rows, j], one[rows, i] * 1e9, color=MEASURED, lw=0.5)
-        ax.set(xlabel=f"voltage of {fit.axes[j]} (V)", ylabel=f"residual of {fit.axes[i]} (nm)")
-
-    return inline(f"stage-{fit.axes[i]}-{fit.axes[j]}", draw)
+def _draw_residual(ax: Axes, fit: StageFit, records: Sequence[Record], i: int, j: int) -> None:
+    for record, one in zip(records, _residuals(fit, records), strict=True):
+        rows = _drawn(len(record))
+        line(ax, record.voltage[rows, j], one[rows, i] * 1e9, color=MEASURED, lw=0.5)
+    ax.set(xlabel=f"voltage of {fit.axes[j]} (V)", ylabel=f"residual of {fit.axes[i]} (nm)")
 
 
 def _drawn(size: int) -> Array:

@@ -12,7 +12,7 @@ from dehyst._types import Array
 from dehyst.control import Homing
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, spelled, table
-from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, inline, length_unit
+from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, length_unit
 from dehyst.trust import Insight
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.identifiability import SHARP
@@ -31,13 +31,8 @@ def _by_noise(noise: Intervals) -> str:
     return f"{100 * noise.level:.0f} % by noise"
 
 
-def singular_values(identifiability: Identifiability, *, name: str) -> str:
-    """Draw the singular value of each direction, filled if the records determine it, hollow if not."""
-    return inline(name, lambda ax: draw_singular_values(ax, identifiability))
-
-
 def draw_singular_values(ax: Axes, identifiability: Identifiability) -> None:
-    """Draw what `singular_values` shows on axes."""
+    """Draw the singular value of each direction, filled if the records determine it, hollow if not."""
     values = identifiability.values
     number, known = np.arange(1, values.size + 1), np.arange(values.size) < identifiability.determined
     shown = np.maximum(values, _FOOT)
@@ -52,13 +47,8 @@ def draw_singular_values(ax: Axes, identifiability: Identifiability) -> None:
     ax.legend(loc="lower left")
 
 
-def stiffness_intervals(found: Insight, *, name: str) -> str:
-    """Draw each stiffness with its interval by noise, and behind it its range among compatible models."""
-    return inline(name, lambda ax: draw_stiffness_intervals(ax, found))
-
-
 def draw_stiffness_intervals(ax: Axes, found: Insight) -> None:
-    """Draw what `stiffness_intervals` shows on axes."""
+    """Draw each stiffness with its interval by noise, and behind it its range among compatible models."""
     slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
     rho = slip.breakaway * factor
@@ -74,33 +64,23 @@ def draw_stiffness_intervals(ax: Axes, found: Insight) -> None:
     ax.legend(loc="upper right")
 
 
-def spring_intervals(found: Insight, *, name: str) -> str:
+def draw_spring_interval(ax: Axes, found: Insight) -> None:
     """Draw the uncertainty of the spring's voltage at its knots, by noise and among compatible models."""
     spring, noise, free = found.actuator.spring, found.intervals, found.feasible_set
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
-    centre = spring.voltage - spring.voltage[0]
-
-    def draw(ax: Axes) -> None:
-        y = spring.displacement * factor
-        if free is not None:
-            ax.fill_between(y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="compatible")
-        if noise is not None:
-            low, high = (end - centre for end in noise.spring)
-            ax.fill_between(y, low, high, color=SIMULATED, alpha=0.6, lw=0, label=_by_noise(noise))
-        ax.axhline(0, color=INK, lw=0.8)
-        ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
-        ax.legend(loc="upper left")
-
-    return inline(name, draw)
-
-
-def loop_interval(found: Insight, *, name: str) -> str:
-    """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
-    return inline(name, lambda ax: draw_loop_interval(ax, found))
+    centre, y = spring.voltage - spring.voltage[0], spring.displacement * factor
+    if free is not None:
+        ax.fill_between(y, free.spring[0] - centre, free.spring[1] - centre, color=_FREE, lw=0, label="compatible")
+    if noise is not None:
+        low, high = (end - centre for end in noise.spring)
+        ax.fill_between(y, low, high, color=SIMULATED, alpha=0.6, lw=0, label=_by_noise(noise))
+    ax.axhline(0, color=INK, lw=0.8)
+    ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage, off the model's (V)")
+    ax.legend(loc="upper left")
 
 
 def draw_loop_interval(ax: Axes, found: Insight) -> None:
-    """Draw what `loop_interval` shows on axes."""
+    """Draw the uncertainty of the displacement by noise on the rise and the fall through the limits."""
     loop = found.loop
     if loop is None:
         return
@@ -115,52 +95,38 @@ def draw_loop_interval(ax: Axes, found: Insight) -> None:
     ax.legend(loc="upper left", ncols=2)
 
 
-def drive_interval(found: Insight, *, name: str) -> str:
+def draw_drive_interval(ax: Axes, found: Insight) -> None:
     """Draw the uncertainty of tau at its knots by noise."""
     tau, noise = found.actuator.transformer, found.intervals
-
-    def draw(ax: Axes) -> None:
-        if tau is not None and noise is not None and noise.drive is not None:
-            low, high = noise.drive - tau.drive
-            ax.fill_between(
-                tau.voltage, low, high, color=SIMULATED, alpha=0.6, lw=0, label=f"{100 * noise.level:.0f} % by noise"
-            )
-        ax.axhline(0, color=INK, lw=0.8)
-        ax.set(xlabel="voltage (V)", ylabel="tau, off the model's (V)")
-        ax.legend(loc="upper left")
-
-    return inline(name, draw)
+    if tau is not None and noise is not None and noise.drive is not None:
+        low, high = noise.drive - tau.drive
+        ax.fill_between(tau.voltage, low, high, color=SIMULATED, alpha=0.6, lw=0, label=_by_noise(noise))
+    ax.axhline(0, color=INK, lw=0.8)
+    ax.set(xlabel="voltage (V)", ylabel="tau, off the model's (V)")
+    ax.legend(loc="upper left")
 
 
-def creep_intervals(found: Insight, *, name: str) -> str:
+def draw_creep_intervals(ax: Axes, found: Insight) -> None:
     """Draw the stiffness of each creep branch with its interval by noise."""
     creep, noise = found.actuator.creep, found.intervals
-
-    def draw(ax: Axes) -> None:
-        if creep is None:
-            return
-        if noise is not None and noise.creep is not None:
-            low, high = noise.creep * 1e-6
-            ax.vlines(creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
-        ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
-        ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
-        low, high = ax.get_ylim()
-        ax.set_ylim(0, 1.3 * high)
-        ax.legend(loc="upper left", ncols=2)
-
-    return inline(name, draw)
+    if creep is None:
+        return
+    if noise is not None and noise.creep is not None:
+        low, high = noise.creep * 1e-6
+        ax.vlines(creep.time_constants, low, high, color=SIMULATED, lw=1.6, label=_by_noise(noise))
+    ax.plot(creep.time_constants, creep.stiffness * 1e-6, ls="none", marker="o", ms=3, color=INK, label="model")
+    ax.set(xscale="log", xlabel="time constant (s)", ylabel="stiffness (V/µm)")
+    low, high = ax.get_ylim()
+    ax.set_ylim(0, 1.3 * high)
+    ax.legend(loc="upper left", ncols=2)
 
 
-def band(found: PredictionBand, stroke: float, *, name: str) -> str:
+def _draw_trajectory(upper: Axes, lower: Axes, found: PredictionBand, stroke: float) -> None:
     """Draw the error to expect along a trajectory, part by part, and the trajectory above."""
     factor, unit = length_unit(float(np.ptp(found.displacement)))
-
-    def draw(upper: Axes, lower: Axes) -> None:
-        upper.plot(np.arange(found.displacement.size), found.wanted * factor, color=MEASURED, lw=1)
-        upper.set_ylabel(f"displacement ({unit})")
-        draw_band(lower, found, stroke)
-
-    return inline(name, draw, rows=2, height=4.4)
+    upper.plot(np.arange(found.displacement.size), found.wanted * factor, color=MEASURED, lw=1)
+    upper.set_ylabel(f"displacement ({unit})")
+    draw_band(lower, found, stroke)
 
 
 def draw_band(ax: Axes, found: PredictionBand, stroke: float) -> None:
@@ -233,7 +199,7 @@ def _directions(found: Insight) -> str:
         f"{of}, with the spring and each record's constant free. A singular value is the RMS voltage that one "
         "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
-    drawn = panel(("Singular values", ""), singular_values(directions, name="singular"), "")
+    drawn = panel("Singular values", "singular", draw_singular_values, directions)
     body = f'<div class="panel"><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>'
     return figure("What the turning points determine", caption, [drawn, body] if items else [drawn])
 
@@ -248,8 +214,8 @@ def _subscripts(sentence: str) -> str:
 def _intervals(found: Insight) -> str:
     if found.intervals is None or found.feasible_set is None or found.precision is None:
         return ""
-    stiffness = panel(("Stiffnesses", ""), stiffness_intervals(found, name="stiffnesses"), "")
-    spring = panel(("Parallel spring", ""), spring_intervals(found, name="spring-interval"), "")
+    stiffness = panel("Stiffnesses", "stiffnesses", draw_stiffness_intervals, found)
+    spring = panel("Parallel spring", "spring-interval", draw_spring_interval, found)
     slip = found.actuator.slip
     rows: list[Row] = [
         (str(i), number(rho * 1e6, 4), number(kappa * 1e-6, 4), *_ranges(found, i - 1))
@@ -352,11 +318,11 @@ def _part_intervals(found: Insight) -> str:
         return ""
     panels = []
     if found.loop is not None:
-        panels.append(panel(("The major loop", ""), loop_interval(found, name="loop-interval"), ""))
+        panels.append(panel("The major loop", "loop-interval", draw_loop_interval, found))
     if found.actuator.transformer is not None:
-        panels.append(panel(("Transformer", ""), drive_interval(found, name="drive-interval"), ""))
+        panels.append(panel("Transformer", "drive-interval", draw_drive_interval, found))
     if found.actuator.creep is not None:
-        panels.append(panel(("Creep", ""), creep_intervals(found, name="creep-interval"), ""))
+        panels.append(panel("Creep", "creep-interval", draw_creep_intervals, found))
     level = f"{100 * found.intervals.level:.0f} %"
     caption = (
         f"{level} intervals from {len(found.intervals.actuators)} identifications of resampled cycles (bootstrap) with "
@@ -393,7 +359,7 @@ def _trajectory(found: Insight) -> str:
         for key, error in errors.items()
         if error or key != "clamped"
     ]
-    drawn = panel(("Along the trajectory", ""), band(found.band, stroke, name="band"), "")
+    drawn = panel("Along the trajectory", "band", _draw_trajectory, found.band, stroke, rows=2, height=4.4)
     body = f'<div class="panel"><h3>Largest error to expect</h3>\n{table(("From", "of stroke", ""), rows, 1)}</div>'
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
     caption = f"{caption} {found.band.sentence(stroke)}".strip()

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits, home_before, plan_voltage, start_at
+from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits, plan_path, plan_voltage, start_at
 from dehyst.control.planning.path import HOMING, PATH, WAY
 from dehyst.model import State
 from dehyst.model.states import state_at
@@ -43,7 +43,7 @@ def home_stage_before(
     states : sequence of State, optional
         State of each actuator at rest, if they are known: then no homing comes before the way to the path.
     present : sequence of float, optional
-        Present voltage [V] of each axis, as in `home_before`.
+        Present voltage [V] of each axis, as in `plan_path`.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def home_stage_before(
     Raises
     ------
     ModelError, RecordError
-        As `home_before` and `StageCompensator.trajectory`.
+        As `plan_path` and `StageCompensator.trajectory`.
     """
     stage = compensator.stage
     wanted = stage.columns(displacement, "displacement", "m")
@@ -62,7 +62,14 @@ def home_stage_before(
     begins: list[State | None] = [None] * len(targets.T) if states is None else list(states)
     now: list[float | None] = [None] * len(targets.T) if present is None else list(present)
     homed = [
-        home_before(one, target, time=time, state=begin, present=volts)
+        plan_path(
+            one,
+            target,
+            time=time,
+            start=None if begin is None else PossibleStart("given", (begin,)),
+            home=True,
+            present=volts,
+        )
         for one, target, begin, volts in zip(compensator.compensators, targets.T, begins, now, strict=True)
     ]
     ahead, voltage, phase = _side_by_side(homed)

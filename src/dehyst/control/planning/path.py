@@ -139,7 +139,7 @@ def plan_path(
 ) -> HomedPath:
     """Compute the voltages of a path from what is known of its start, with a homing before it where that matters.
 
-    From a known start, the way to the first sample comes first if one step within the slew rate does not lead there.
+    Limits and slew rate hold from the present voltage to the last sample.
 
     Parameters
     ----------
@@ -150,83 +150,11 @@ def plan_path(
     start : PossibleStart, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
-        Whether the shortest homing comes first; default: if the start is unknown, and leaves more open along the path
-        than the model's error.
+        Whether a way to the first sample comes before the path: from a known start directly, otherwise with the
+        shortest homing. Default: from a known start, if one step within the slew rate does not lead there; from an
+        unknown one, if it leaves more open along the path than the model's error.
     present : float, optional
-        Present voltage [V] before a homing, as in `home_before`.
-
-    Raises
-    ------
-    ModelError, RecordError
-        As `home_before` and `Compensator.trajectory`.
-    """
-    path: dict[str, Any] = {"time": time, "velocity": velocity, "acceleration": acceleration}
-    if home:
-        return home_before(compensator, displacement, **path, present=present)
-    planned = _path_from(compensator, displacement, path, start)
-    if start is None and home is None and planned.error.matters:
-        return replace(home_before(compensator, displacement, **path, present=present), unhomed=planned.error)
-    return planned
-
-
-def _path_from(
-    compensator: Compensator, displacement: ArrayLike, path: dict[str, Any], given: PossibleStart | None
-) -> HomedPath:
-    """Return the voltages from a start, or from the middle of the possible ones."""
-    wanted, actuator, limits = compensator.in_metres(displacement), compensator.actuator, compensator.limits
-    when = _time(compensator, path["time"], wanted.size)
-    start = start_at(actuator, float(wanted[0]), limits) if given is None else given
-    first = begin = start.within(actuator, limits)
-    if actuator.model.moves_on or given is None:
-        # It stands at the first sample, or is brought there slowly.
-        first = state_at(actuator, begin, float(wanted[0]))
-    present = None if given is None else VoltageLimits(*limits).nearest(actuator.voltage(begin))
-    command = compensator.trajectory(displacement, **path, state=first, present=present)
-    if given is not None and compensator.slew_rate is not None and command.clamped[:1].any():
-        led = home_before(compensator, displacement, **path, state=begin)
-        error = start.error_along(actuator, led.voltage, limits, time=led.time, first=led.first)
-        return replace(led, start=start, error=error.in_units(compensator.units))
-    return HomedPath(
-        time=when,
-        phase=np.full(wanted.size, PATH),
-        voltage=command.voltage,
-        displacement=wanted * per_metre(compensator.units),
-        expected=command.displacement,
-        state=command.state,
-        start=start,
-        homing=None,
-        clamped=command.clamped,
-        followed=command.followed,
-        error=start.error_along(actuator, command.voltage, limits, time=when).in_units(compensator.units),
-        warnings=command.warnings,
-        units=compensator.units,
-    )
-
-
-def home_before(
-    compensator: Compensator,
-    displacement: ArrayLike,
-    *,
-    time: ArrayLike | None = None,
-    velocity: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    present: float | None = None,
-    state: State | None = None,
-) -> HomedPath:
-    """Compute the voltages of a path with the shortest homing before it.
-
-    Limits and slew rate hold from the present voltage to the last sample.
-
-    Parameters
-    ----------
-    compensator : Compensator
-        Its actuator, limits, slew rate and units; its state does not count.
-    displacement, time, velocity, acceleration
-        The path, as in `Compensator.trajectory`.
-    present : float, optional
-        Present voltage [V]; by default the one that holds the state, or 0 V or the nearest limit.
-    state : State, optional
-        State at rest within the limits, if it is known: then the way to the first sample needs no homing before it.
+        Present voltage [V] before a homing; default 0 V or the nearest limit.
 
     Raises
     ------
@@ -235,41 +163,72 @@ def home_before(
     RecordError
         If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
     """
-    wanted, actuator = compensator.in_metres(displacement), compensator.actuator
+    wanted, actuator, limits = compensator.in_metres(displacement), compensator.actuator, compensator.limits
+    path: dict[str, Any] = {"time": time, "velocity": velocity, "acceleration": acceleration}
     when = _time(compensator, time, wanted.size)
+    if home:
+        return _led(compensator, wanted, path, present, start if start is not None and start.known else None)
+    begin = start_at(actuator, float(wanted[0]), limits) if start is None else start
+    first = state = begin.within(actuator, limits)
+    if actuator.model.moves_on or start is None:
+        # It stands at the first sample, or is brought there slowly.
+        first = state_at(actuator, state, float(wanted[0]))
+    held = None if start is None else VoltageLimits(*limits).nearest(actuator.voltage(state))
+    command = compensator.trajectory(displacement, **path, state=first, present=held)
+    if start is not None and compensator.slew_rate is not None and command.clamped[:1].any():
+        led = _led(compensator, wanted, path, None, PossibleStart(start.name, (state,)))
+        error = start.error_along(actuator, led.voltage, limits, time=led.time, first=led.first)
+        return replace(led, start=start, error=error.in_units(compensator.units))
+    planned = HomedPath(
+        time=when,
+        phase=np.full(wanted.size, PATH),
+        voltage=command.voltage,
+        displacement=wanted * per_metre(compensator.units),
+        expected=command.displacement,
+        state=command.state,
+        start=begin,
+        homing=None,
+        clamped=command.clamped,
+        followed=command.followed,
+        error=begin.error_along(actuator, command.voltage, limits, time=when).in_units(compensator.units),
+        warnings=command.warnings,
+        units=compensator.units,
+    )
+    if start is None and home is None and planned.error.matters:
+        return replace(_led(compensator, wanted, path, present, None), unhomed=planned.error)
+    return planned
+
+
+def _led(
+    compensator: Compensator, wanted: Array, path: dict[str, Any], present: float | None, start: PossibleStart | None
+) -> HomedPath:
+    """Return the voltages of a path [m] with the way to it before it: from a known start, or by the shortest homing."""
+    actuator, when = compensator.actuator, _time(compensator, path["time"], wanted.size)
 
     def first_state(state: State) -> State:
         return state_at(actuator, state, float(wanted[0]))
 
     way = _Way.found(
-        compensator, when, wanted.size, present, lambda begun: actuator.voltage(first_state(begun)), given=state
+        compensator, when, wanted.size, present, lambda begun: actuator.voltage(first_state(begun)), start=start
     )
-    counts = per_metre(compensator.units)
-    command = way.follower.trajectory(
-        wanted,
-        time=when,
-        velocity=None if velocity is None else compensator.in_metres(velocity, "velocity", "/s"),
-        acceleration=None if acceleration is None else compensator.in_metres(acceleration, "acceleration", "/s**2"),
-        # A mass moves with the path from its first sample on.
-        state=first_state(way.state) if actuator.model.moves_on else way.state,
-        present=way.last,
-    )
+    rates: dict[str, Any] = {
+        name: None if path[name] is None else compensator.in_metres(path[name], name, per)
+        for name, per in (("velocity", "/s"), ("acceleration", "/s**2"))
+    }
+    # A mass moves with the path from its first sample on.
+    state = first_state(way.state) if actuator.model.moves_on else way.state
+    command = way.follower.trajectory(wanted, time=when, **rates, state=state, present=way.last)
     played = way.then(command.voltage, when)
-    expected = np.concatenate([played.expected[: way.size], command.displacement])
-    homed = replace(
+    unit = unit_hint(compensator.units, compensator.reach, wanted * per_metre(compensator.units))
+    return replace(
         played,
         displacement=np.concatenate([played.expected[: way.size], wanted]),
-        expected=expected,
+        expected=np.concatenate([played.expected[: way.size], command.displacement]),
         state=command.state,
         clamped=np.concatenate([played.clamped[: way.size], command.clamped]),
         followed=command.followed,
-        warnings=(
-            *played.warnings,
-            *command.warnings,
-            *unit_hint(compensator.units, compensator.reach, wanted * counts),
-        ),
-    )
-    return homed.in_units(compensator.units)
+        warnings=(*played.warnings, *command.warnings, *unit),
+    ).in_units(compensator.units)
 
 
 def plan_voltage(
@@ -290,7 +249,7 @@ def plan_voltage(
     voltage : (n,) array_like
         [V]; played as it is.
     time, present
-        As in `home_before`.
+        As in `plan_path`.
     start : PossibleStart, optional
         The state before the voltage; default: unknown, at rest at the first one.
     home : bool, optional
@@ -301,7 +260,7 @@ def plan_voltage(
     ModelError
         As `Actuator.simulate` does.
     RecordError
-        As `home_before` does.
+        As `plan_path` does.
     """
     given, actuator = vector(voltage, "voltage"), compensator.actuator
     when = _time(compensator, time, given.size)
@@ -380,15 +339,15 @@ class _Way:
         size: int,
         present: float | None,
         goal: Callable[[State], float],
-        given: State | None = None,
+        start: PossibleStart | None = None,
     ) -> _Way:
         """Find the shortest homing, and the way from its end to the voltage [V] of the path's first sample.
 
-        No homing if the state is `given`.
+        No homing from a known `start`.
         """
         actuator, limits = compensator.actuator, compensator.limits
-        if given is not None and present is None:
-            present = VoltageLimits(*limits).nearest(actuator.voltage(given))
+        if start is not None and present is None:
+            present = VoltageLimits(*limits).nearest(actuator.voltage(start.state))
         now, rate, leg = present_voltage(limits, present), *_pace(actuator, time)
         least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
         tolerance = least if moves_on(actuator) else None
@@ -396,13 +355,12 @@ class _Way:
         excitation: Excitation | None = None
         homing: Homing | None = None
         remarks: tuple[str, ...] = ()
-        if given is None:
+        if start is None:
             excitation, homing, remarks = played_homing(
                 compensator, rate, leg, present=now, drive=drive, tolerance=tolerance
             )
-            start, begin = PossibleStart.unknown(actuator, now, limits), homing.state
-        else:
-            start, begin = PossibleStart("given", (given,)), given
+            start = PossibleStart.unknown(actuator, now, limits)
+        begin = start.state if homing is None else homing.state
         rows = np.zeros(0, dtype=np.int64) if excitation is None else rows_of(excitation.voltage[:-1])
         homed = np.zeros(0) if excitation is None else excitation.voltage[rows]
         seconds = 0.0 if excitation is None else excitation.duration

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
 from datetime import date, datetime, time
@@ -20,6 +21,9 @@ from dehyst.records.formats.table_layout import SIGNS, WRITTEN, Cells, Layout, n
 from dehyst.records.formats.text_table import WIDEST, Text, columns_below, read_text, text_of
 from dehyst.records.formats.timestamps import clock_of, moment
 
+GCS_END = "# END_HEADER"
+# The separators of a GCS array by their number; None: blanks.
+GCS_SEPARATORS = {"9": "\t", "32": None, "44": ",", "59": ";"}
 _END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*$")
 _ENTRY = re.compile(r"#\s*([A-Z_]+\d*)\s*=\s*(.*)")
 # The header of an array is shorter [bytes].
@@ -31,23 +35,26 @@ def is_gcs(data: bytes) -> bool:
     return _END.search(data, 0, _HEAD) is not None
 
 
+def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
+    """Return keys and values of the header of a GCS array."""
+    return [(match[1], match[2].strip()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))]
+
+
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     """Read a GCS array: its columns by the names in the header, and their time by its sample time.
 
     The header states no units.
 
-    Raises
-    ------
-    FileFormatError
-        The separator is unknown, the sample time is no positive number, or the rows are no table.
+    Raise `FileFormatError` if the separator is unknown, the sample time is no positive number, or the rows are no
+    table.
     """
     text = text_of(data, allowance)
     end = _END.search(text.data)
     if end is None:
-        raise FileFormatError(f"{allowance.path}: got no line # END_HEADER, need one before the rows; record again")
+        raise FileFormatError(f"{allowance.path}: got no line {GCS_END}, need one before the rows; record again")
     lines = text.data[: end.start()].decode(text.encoding).split("\n")
-    header = {match[1]: match[2].strip() for line in lines if (match := _ENTRY.fullmatch(line.strip()))}
-    separator = {"9": "\t", "32": None, "44": ",", "59": ";"}.get(header.get("SEPARATOR", "32"), "")
+    header = dict(gcs_entries(lines))
+    separator = GCS_SEPARATORS.get(header.get("SEPARATOR", "32"), "")
     if separator == "":
         raise FileFormatError(
             f"{allowance.path}: got SEPARATOR = {shortened(header['SEPARATOR'])}, need 32 (space), 9, 44 or 59; record "
@@ -89,11 +96,8 @@ def is_labview(data: bytes) -> bool:
 def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the segment of a LabVIEW measurement file: its channels with their units, and their time.
 
-    Raises
-    ------
-    FileFormatError
-        A header without its end, more than one segment, channels with clocks of their own, or fewer samples than the
-        header states.
+    Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
+    fewer samples than the header states.
     """
     text = text_of(data, allowance)
     parts = text.data.split(_LABVIEW_END)
@@ -252,10 +256,8 @@ def _text(sheet: Any, allowance: Allowance) -> bytes:
 
     The range that a sheet declares is not believed: programs write a wrong one.
 
-    Raises
-    ------
-    FileFormatError
-        More rows than Excel has, or more cells than allowed; empty cells before one with content count.
+    Raise `FileFormatError` for more rows than Excel has, or more cells than allowed; empty cells before one with
+    content count.
     """
     sheet.reset_dimensions()
     table: list[list[Any]] = []

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from dehyst.instruments import LinkError
-from dehyst.instruments.gcs_link import TcpLink
+from dehyst.instruments.gcs_client import TcpLink
 from dehyst.instruments.pi import PiRig
 
 
