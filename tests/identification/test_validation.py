@@ -186,7 +186,7 @@ def test_without_inner_loops_the_papers_class_is_kept():
     assert found.trials == ()
     assert not found.actuator.wide
     assert any(
-        remark.startswith("Wider structures were not tried: the turning points determine 5 of 9")
+        remark.startswith("Structures with more parts were not tried: the turning points determine 5 of 9")
         for remark in found.remarks
     )
     assert (

@@ -62,7 +62,7 @@ FACES = {
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Judgement Recheck Standing check insight judge
+            Change CheckHistory Insight Judgement Recheck Standing check insight judge start_of
         """,
         "virtual": """
             BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench

@@ -17,20 +17,9 @@ class PlayCore:
 
     `tables` are, in this order:
 
-    Parameters
-    ----------
-    thresholds : (N,) array
-        r_i [V].
-    first : (N + 1,) intc array
-        Where the knots of curve i begin.
-    knots, values : (first[N],) array
-        Of the curves, one after another: [V], [m].
-    slopes : (first[N] + N,) array
-        Of the curves [m/V]: below the first knot, between knots, beyond the last.
-    times, shares : (K,) array
-        Of the low-passes: [s], [m/V].
-    offset : float
-        [m].
+    `thresholds` (N,): r_i [V]. `first` (N + 1,): where the knots of curve i begin. `knots`, `values` (first[N],): of
+    the curves, one after another: [V], [m]. `slopes` (first[N] + N,): of the curves [m/V]: below the first knot,
+    between knots, beyond the last. `times`, `shares` (K,): of the low-passes: [s], [m/V]. `offset`: [m].
     """
 
     __slots__ = ("_core",)

@@ -90,19 +90,10 @@ class PlayBank:
 
     Raise `ModelError` if a number is impossible.
 
-    Parameters
-    ----------
-    thresholds : (N,) array_like
-        r_i [V], 0 or more.
-    knots : sequence of N array_like
-        Places [V] where the slope of phi_i changes, increasing; none for a straight line through 0.
-    slopes : sequence of N array_like
-        Slopes of phi_i [m/V], 0 or more, one more than knots: below the first, between them, beyond the last. phi_i is
-        0 at its first knot.
-    offset : float
-        [m].
-    times, shares : (K,) array_like
-        Of the low-passes: time constants [s], above 0, and shares [m/V], 0 or more.
+    `thresholds` (N,): r_i [V], 0 or more. `knots`: places [V] where the slope of phi_i changes, increasing; none for a
+    straight line through 0. `slopes`: slopes of phi_i [m/V], 0 or more, one more than knots: below the first, between
+    them, beyond the last. phi_i is 0 at its first knot. `offset`: [m]. `times`, `shares` (K,): of the low-passes: time
+    constants [s], above 0, and shares [m/V], 0 or more.
     """
 
     thresholds: Array

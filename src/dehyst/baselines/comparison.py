@@ -90,21 +90,10 @@ class RecordScore:
 class ModelScore:
     """One model.
 
-    Attributes
-    ----------
-    name : str
-    failure : str
-        Why there is no model or no figure, as a sentence; empty if there is none to report.
-    parameters : int or None
-        Number of coefficients.
-    seconds : float or None
-        Time that the fit took.
-    scores : tuple of RecordScore
-        One for each record, training first.
-    tracking : Mapping
-        Errors by virtual actuator; the model was fitted to that actuator's own records.
-    simulate, compensate : float or None
-        Nanoseconds a sample.
+    `failure`: why there is no model or no figure, as a sentence; empty if there is none to report. `parameters`: number
+    of coefficients. `seconds`: time that the fit took. `scores`: one for each record, training first. `tracking`:
+    errors by virtual actuator; the model was fitted to that actuator's own records. `simulate`, `compensate`:
+    nanoseconds a sample.
     """
 
     name: str

@@ -33,18 +33,9 @@ _NEW = 1e-6
 class PlayRows:
     """Outputs of plays and low-passes at the samples that count, stacked over all records.
 
-    Attributes
-    ----------
-    training : Training
-        Displacements and nuisances.
-    thresholds : (N,) array
-        r_i [V].
-    plays : (n, N) array
-        Outputs z_i [V].
-    known : (n, N) bool array
-        Whether the state of play i is known; a play whose state is not known stands still.
-    lowpasses : (n, K) array
-        Outputs [V].
+    `training`: displacements and nuisances. `thresholds` (N,): r_i [V]. `plays` (n, N): outputs z_i [V]. `known` (n, N)
+    bool: whether the state of play i is known; a play whose state is not known stands still. `lowpasses` (n, K):
+    outputs [V].
     """
 
     training: Training
@@ -161,17 +152,8 @@ def fit_nonnegative(
 ) -> WeightFit:
     """Fit weights of columns, each at least its floor, beside nuisances of any sign, by least squares.
 
-    Parameters
-    ----------
-    columns : (n, p) array
-    nuisance : (n, B) array
-    target : (n,) array
-    floors : (p,) array, optional
-        Least weights; by default 0.
-    rough : (m, p) array, optional
-        Combinations of the weights that shall be small; by default each weight.
-    smoothing : float, optional
-        Weight of their squares, relative to the largest mean square of a column.
+    `floors` (p,): least weights; by default 0. `rough` (m, p): combinations of the weights that shall be small; by
+    default each weight. `smoothing`: weight of their squares, relative to the largest mean square of a column.
     """
     from scipy.optimize import nnls
 

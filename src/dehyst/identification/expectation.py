@@ -239,16 +239,9 @@ def _both(error: float, stroke: float) -> str:
 class HeldOutErrors:
     """Errors on parts of the records that were not trained on; 0 where that was not tried.
 
-    Attributes
-    ----------
-    in_time : float
-        RMS error of parts of the training records that were held out in turn [m].
-    by_size : float
-        RMS error of cycles of sizes that were held out [m].
-    disagreement : float
-        RMS distance of other structures that explain the records as well, on a random path [m].
-    noise : float
-        Standard deviation of the sensor in the samples that were compared [m].
+    `in_time`: RMS error of parts of the training records that were held out in turn [m]. `by_size`: RMS error of cycles
+    of sizes that were held out [m]. `disagreement`: RMS distance of other structures that explain the records as well,
+    on a random path [m]. `noise`: standard deviation of the sensor in the samples that were compared [m].
     """
 
     in_time: float = 0.0
@@ -270,22 +263,9 @@ def expectation(
 ) -> Expectation:
     """Return what to expect.
 
-    Parameters
-    ----------
-    outcome : Outcome
-    errors, checks
-        Those of a `Fit`.
-    held_out : HeldOutErrors
-    remaining : sequence of RemainingError
-        One for each of the errors.
-    noise : float
-        Standard deviation of the sensor [m].
-    goal : float
-        [% of the stroke].
-    caveats : sequence of str, optional
-        More reasons for care, in words.
-    lagging : (float, float), optional
-        RMS and largest displacement [m] within a lag that may be the sensor's: a path is missed by as much if it is.
+    `errors`, `checks`: those of a `Fit`. `remaining`: one for each of the errors. `noise`: standard deviation of the
+    sensor [m]. `goal`: [% of the stroke]. `caveats`: more reasons for care, in words. `lagging`: RMS and largest
+    displacement [m] within a lag that may be the sensor's: a path is missed by as much if it is.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
     # A model that misses its own records by too much is of no use, whatever it makes of others.

@@ -218,9 +218,9 @@ def _structures(fit: Fit) -> Iterator[str]:
 
 
 def _parts_of(actuator: Any) -> list[tuple[str, str]]:
-    """Return name and sentence of each part of a wider actuator."""
-    wide = isinstance(actuator, Actuator) and actuator.wide
-    return [(part.name, part.sentence) for part in parts_of(actuator)] if wide else []
+    """Return name and sentence of each part of an actuator; none of slip elements and a spring alone."""
+    more = isinstance(actuator, Actuator) and actuator.wide
+    return [(part.name, part.sentence) for part in parts_of(actuator)] if more else []
 
 
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:

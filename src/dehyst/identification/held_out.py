@@ -43,12 +43,8 @@ _BRANCHES = 4
 class Dropped:
     """A part that the records do not support.
 
-    Attributes
-    ----------
-    part : str
-        "inertia", "creep" or "delay".
-    without, within : float
-        Error [m] of time that was not trained on, without the part and with it.
+    `part`: "inertia", "creep" or "delay". `without`, `within`: error [m] of time that was not trained on, without the
+    part and with it.
     """
 
     part: str
@@ -155,14 +151,8 @@ def _detrended(time: Array, residual: Array) -> Array:
 def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, report: Progress) -> Dropped | None:
     """Return the first part that moves in time and does not predict time that was not trained on; None if all do.
 
-    Parameters
-    ----------
-    frame, structure : TrainingData, Structure
-        As they were found.
-    still : TrainingData
-        The same records without inertia.
-    report : callable
-        Called with a few words at each step.
+    `frame`, `structure`: as they were found. `still`: the same records without inertia. `report`: called with a few
+    words at each step.
     """
     simpler = []
     if frame.inertia.mass:
@@ -214,14 +204,8 @@ def disagreement(
 ) -> float:
     """Return the median RMS distance [m] on a random path from other structures that explain the records about as well.
 
-    Parameters
-    ----------
-    frame : TrainingData
-    actuator : Actuator
-    voltages : (float, float)
-        Lowest and highest voltage of the path [V].
-    trials : sequence of StructureTrial
-        All that were tried; 0 if no other one explains the records as well.
+    `voltages`: lowest and highest voltage of the path [V]. `trials`: all that were tried; 0 if no other one explains
+    the records as well.
     """
     voltage, known = _random_path(*voltages)
     time = np.arange(voltage.size) * frame.times[0]

@@ -19,9 +19,7 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, unsupported
 from dehyst.identification.preprocessing.denoising import left_of
 from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared, as_list, prepare
-from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.fold_sums import least_squares_of_sums
-from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.run import IdentificationRun
 from dehyst.identification.settings import Deadline, Direction, Method, Settings
@@ -143,41 +141,29 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
-    counted = elements is not None or knots is not None or settings.breakaway is not None
-    if structure == "auto" and (counted or method != "record"):
-        structure = "maxwell_slip"
-    _refuse_structure(structure, settings, counted)
+    structure = _checked_structure(structure, settings, refine)
     _refuse_copies([*training, *held_out])
-    if refine and structure == "maxwell_slip":
-        raise IdentifyError("refine: 'maxwell_slip' is fitted as it is; leave refine out, or try the structure 'auto'")
     report("checking the records")
-    # Maxwell-slip takes every sample as it is.
+    # Maxwell-slip takes every sample as it is; other structures take means of so many samples at most.
     most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
+
+    def prepared(record: Record, ringing: bool) -> Prepared:
+        found = prepare(record, ringing=ringing).with_block(most)
+        return found.reduced.without_lag(sensor_lag) if sensor_lag else found
+
+    def run_of(*, ringing: bool) -> IdentificationRun:
+        mine, others = ([prepared(one, ringing) for one in part] for part in (training, held_out))
+        return IdentificationRun(settings, mine, others, report, goal, deadline, first_model, ringing=ringing)
+
     with one_thread():
-
-        def prepared(*, ringing: bool) -> IdentificationRun:
-            training_, held_out_ = (
-                [_prepared(one, most, settings.sensor_lag, ringing) for one in records]
-                for records in (training, held_out)
-            )
-            return IdentificationRun(
-                settings, training_, held_out_, report, goal, deadline, first_model, ringing=ringing
-            )
-
-        run = prepared(ringing=False)
+        run = run_of(ringing=False)
         if any(item.record.set_aside for item in run.training):
             # Whether the hysteresis sees what rings, the samples after it show.
-            run = min(run, prepared(ringing=True), key=IdentificationRun.plain_error)
+            run = min(run, run_of(ringing=True), key=IdentificationRun.maxwell_slip_error)
         fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     return fit
-
-
-def _prepared(record: Record, most: float, sensor_lag: float | None, ringing: bool) -> Prepared:
-    """Prepare a record, to be reduced to means of `most` samples at most; before the lag of its sensor, if given."""
-    found = prepare(record, ringing=ringing).with_block(most)
-    return found.reduced.without_lag(sensor_lag) if sensor_lag else found
 
 
 def _refuse_copies(records: list[Record]) -> None:
@@ -192,18 +178,27 @@ def _refuse_copies(records: list[Record]) -> None:
         seen[key] = one.name
 
 
-def _refuse_structure(structure: object, settings: Settings, counted: bool) -> None:
-    """Reject an invalid `structure` and options that conflict with it."""
+def _checked_structure(
+    structure: Structure | Literal["auto", "maxwell_slip"], settings: Settings, refine: bool
+) -> Structure | Literal["auto", "maxwell_slip"]:
+    """Return the structure, with options of Maxwell-slip only "maxwell_slip" for "auto"; reject options in conflict."""
+    counted = settings.elements is not None or settings.knots is not None or settings.breakaway is not None
+    if structure == "auto" and (counted or settings.method != "record"):
+        structure = "maxwell_slip"
     if structure == "maxwell_slip":
-        return
-    if structure != "auto" and not isinstance(structure, Structure):
+        if refine:
+            raise IdentifyError(
+                "refine: 'maxwell_slip' is fitted as it is; leave refine out, or try the structure 'auto'"
+            )
+    elif structure != "auto" and not isinstance(structure, Structure):
         raise IdentifyError(
             argument="structure", got=repr(structure), need="'auto', 'maxwell_slip' or a dehyst.Structure"
         )
-    if settings.method != "record":
+    elif settings.method != "record":
         raise IdentifyError(f"structure: method {settings.method!r} fits 'maxwell_slip' only; leave one out")
-    if counted:
+    elif counted:
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
+    return structure
 
 
 def _identify_structure(
@@ -274,7 +269,7 @@ class _MaxwellSlipProgram:
     def solve(self, reach: float = 1.0) -> StructuredFit:
         """Solve it with thresholds up to so many half strokes."""
         run, rho = self._run, reach * self._rho
-        regression = _with_drifts(run, run.with_datums(run.regression(rho, self._data)))
+        regression = run.with_drifts(run.with_datums(run.regression(rho, self._data)))
         run.report(f"solving the {run.settings.norm} program for {len(regression)} samples")
         run.publish_first_model(regression)
         found = run.solve_with_fallback(regression.fit_weighted, lambda: least_squares_of_sums(regression))
@@ -367,9 +362,7 @@ def _chosen_again(
 ) -> Structure | None:
     """Return the structure that the records support without a part, from a structure nearby; None without time."""
     again = run.deadline.attempt(
-        lambda: frame.chosen(start, run.report, fixed, run.deadline),
-        None,
-        f"the search for a structure without {part}",
+        lambda: frame.chosen(start, run.report, fixed, run.deadline), None, f"the search for a structure without {part}"
     )
     if again is None:
         return None
@@ -418,9 +411,5 @@ def _identify_at_breakpoints(run: IdentificationRun) -> Fit:
         return run.failed(found.status)
     run.remarks.extend(found.remarks)
     actuator = replace(found.actuator, delay=run.delay, **run.recorded())
-    regression = _with_drifts(run, run.regression(actuator.slip.breakaway, run.data(run.delay)))
+    regression = run.with_drifts(run.regression(actuator.slip.breakaway, run.data(run.delay)))
     return run.finish(actuator, regression, found.outcome, found.status, found.gap)
-
-
-def _with_drifts(run: IdentificationRun, regression: Regression) -> Regression:
-    return replace(regression, drifting=nuisances.find_drifts(regression, run.can_drift()))

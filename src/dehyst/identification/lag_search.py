@@ -34,14 +34,8 @@ _POINTS, _SHARES = 7, (0.0, 0.5, 1.0)
 def find_lag(frame: TrainingData, longest: float, cycle: float) -> SensedDynamics:
     """Return delay and lag of the records; both 0 unless they predict time that was not trained on.
 
-    Parameters
-    ----------
-    frame : TrainingData
-        Without delay and lag.
-    longest : float
-        Largest delay looked for [s]; a displacement that leads has another cause.
-    cycle : float
-        Least duration of a cycle [s].
+    `frame`: without delay and lag. `longest`: largest delay looked for [s]; a displacement that leads has another
+    cause. `cycle`: least duration of a cycle [s].
     """
     search, step = _LagSearch(frame, cycle), frame.times[0]
     total = searched_delay(search.residual, longest, step, search.voltage, frame.stroke, _POINTS)

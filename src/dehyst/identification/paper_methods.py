@@ -22,12 +22,8 @@ from dehyst.records import Record
 class BreakPointLoop:
     """A closed loop between two turning points, its cycles averaged.
 
-    Attributes
-    ----------
-    bottom, top : float
-        Turning points [m].
-    descending, ascending : (m, 2) array
-        Break points (displacement [m], voltage [V]) of the branch, its two ends among them, in the order of motion.
+    `bottom`, `top`: turning points [m]. `descending`, `ascending` (m, 2): break points (displacement [m], voltage [V])
+    of the branch, its two ends among them, in the order of motion.
     """
 
     record: str
@@ -59,10 +55,7 @@ def loops_of(records: list[Record], elements: int) -> list[BreakPointLoop]:
     A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
     breakaway elongation; the others are springs with an unknown constant force (Remark 4).
 
-    Raises
-    ------
-    IdentifyError
-        If no record holds a closed loop.
+    Raise `IdentifyError` if no record holds a closed loop.
     """
     groups = [family for record in records for family in families(record)]
     if not groups:
@@ -160,9 +153,10 @@ def _solve(
     lower = np.concatenate([lower, np.zeros(2 * count)])
     upper = np.concatenate([np.full(unknowns, np.inf), np.where(np.tile(fixed, 2), 0.0, np.inf)])
     goal = target / size
-    x, objective, optimal, status, dual = highs.linear_program(cost, (lower, upper), matrix, (goal, goal))
-    gap = abs(objective - dual) / max(float(np.abs(goal).sum()), 1e-300)
-    return x[:unknowns] / scale * size, objective * size, optimal, status, gap
+    program = cost, (lower, upper), matrix, (goal, goal)
+    found = highs.minimum(*program)
+    gap = abs(found.objective - highs.dual_objective(found, *program)) / max(float(np.abs(goal).sum()), 1e-300)
+    return found.value[:unknowns] / scale * size, found.objective * size, found.optimal, found.status, gap
 
 
 def closed_form(loops: list[BreakPointLoop], elements: int, branch: Direction) -> Identified:

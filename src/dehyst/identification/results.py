@@ -287,10 +287,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     It has the arrays time_s_1, voltage_V_1, measured_m_1 and simulated_m_1 of the first record, and so on; the array
     "dehyst-output" is JSON in bytes: name, role and first time [s] of each.
 
-    Raises
-    ------
-    FileFormatError
-        The suffix is another one, or the file cannot be written.
+    Raise `FileFormatError`: the suffix is another one, or the file cannot be written.
     """
     if Path(path).suffix.lower() != ".npz":
         raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
@@ -304,10 +301,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
 def read_traces(path: PathLike) -> Iterator[Trace]:
     """Yield the traces that `write_traces` wrote to a `path`, one at a time.
 
-    Raises
-    ------
-    FileFormatError
-        The file cannot be read, or is another one.
+    Raise `FileFormatError`: the file cannot be read, or is another one.
     """
     with reading_errors(Path(path), ".npz"), np.load(path, allow_pickle=False) as archive:
         if _HEADS not in archive:

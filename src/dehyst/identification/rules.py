@@ -20,9 +20,7 @@ class DecisionRules:
     """Thresholds of decisions; the metadata of each field are its `unit` and its `reason`."""
 
     longest_lag: float = _rule(
-        0.05,
-        "cycles",
-        "Longest delay that is searched: a displacement that lags by more has another cause.",
+        0.05, "cycles", "Longest delay that is searched: a displacement that lags by more has another cause."
     )
     shortest_lag: float = _rule(
         0.1,
@@ -30,14 +28,10 @@ class DecisionRules:
         "A shorter delay is none: the straight lines between samples round the turns of the voltage as well.",
     )
     delay_gain: float = _rule(
-        0.95,
-        "ratio of errors",
-        "A delay must lower both the residual and the held-out error to this part.",
+        0.95, "ratio of errors", "A delay must lower both the residual and the held-out error to this part."
     )
     lag_gain: float = _rule(
-        0.97,
-        "ratio of errors",
-        "A lag of first order must lower them to this part of those with a delay in its place.",
+        0.97, "ratio of errors", "A lag of first order must lower them to this part of those with a delay in its place."
     )
     delay_alike: float = _rule(
         1.1,
@@ -55,9 +49,7 @@ class DecisionRules:
         "Where ranges grow, a delay with a residual this many times the best is not simulated.",
     )
     significant_delay: float = _rule(
-        0.01,
-        "samples",
-        "A shorter delay or lag has no effect in a record; a search rarely ends at 0.",
+        0.01, "samples", "A shorter delay or lag has no effect in a record; a search rarely ends at 0."
     )
     amplifier_lag_gain: float = _rule(
         0.9,
@@ -71,14 +63,10 @@ class DecisionRules:
         "Loops of one height and rate show a delay only at their turns: there it must lower the residual to this part.",
     )
     datum_gain: float = _rule(
-        0.8,
-        "ratio of residuals",
-        "A sensor that was zeroed anew shows at once; a smaller gain is the model bending.",
+        0.8, "ratio of residuals", "A sensor that was zeroed anew shows at once; a smaller gain is the model bending."
     )
     drift_gain: float = _rule(
-        0.97,
-        "ratio of residuals",
-        "A drift is set aside if it lowers the RMS residual to this part.",
+        0.97, "ratio of residuals", "A drift is set aside if it lowers the RMS residual to this part."
     )
     drift_prediction_gain: float = _rule(
         0.95,
@@ -91,9 +79,7 @@ class DecisionRules:
         "A drift in proportion to time replaces one by its logarithm if it lowers the residual to this part.",
     )
     creep_at_start_gain: float = _rule(
-        0.9,
-        "ratio of residuals",
-        "A record crept as it began if that lowers the residual to this part.",
+        0.9, "ratio of residuals", "A record crept as it began if that lowers the residual to this part."
     )
     speed_ratio: float = _rule(
         3.0,
@@ -103,9 +89,7 @@ class DecisionRules:
     )
     least_leg: float = _rule(0.1, "part of the voltage's range", "Smaller legs do not count as legs at two speeds.")
     legs_alike: float = _rule(
-        1.5,
-        "ratio of heights",
-        "Legs are alike up to this ratio: what differs more in height is another loop.",
+        1.5, "ratio of heights", "Legs are alike up to this ratio: what differs more in height is another loop."
     )
     hold_span: float = _rule(0.005, "part of the voltage's range", "A voltage that stays within it holds.")
     slowest_lag: float = _rule(0.05, "cycles", "What follows sooner than this is a lag, not creep.")
@@ -115,24 +99,16 @@ class DecisionRules:
         "Larger steps of the voltage hide holds, and keep a model from being ready.",
     )
     creep_at_once: float = _rule(
-        0.3,
-        "part of a step",
-        "Creep is slow: what grows by more within a twentieth of a cycle is a low-pass.",
+        0.3, "part of a step", "Creep is slow: what grows by more within a twentieth of a cycle is a low-pass."
     )
     most_creep: float = _rule(
         20.0,
         "% of the range a decade",
         "Piezoelectric actuators creep by a few percent a decade: a larger drift has another cause.",
     )
-    fewest_decades: float = _rule(
-        0.5,
-        "decades",
-        "A rate from a smaller part of a decade of time is an extrapolation.",
-    )
+    fewest_decades: float = _rule(0.5, "decades", "A rate from a smaller part of a decade of time is an extrapolation.")
     slowest_cycle: float = _rule(
-        1000.0,
-        "samples a cycle",
-        "Inertia is searched only in faster cycles: it does not show in slower ones.",
+        1000.0, "samples a cycle", "Inertia is searched only in faster cycles: it does not show in slower ones."
     )
     mass_gain: float = _rule(
         0.95,
@@ -140,9 +116,7 @@ class DecisionRules:
         "One of a few masses must lower the residual to this part before inertia is searched.",
     )
     inertia_gain: float = _rule(
-        0.8,
-        "ratio of residuals",
-        "Inertia must lower the residual to this part: it can filter the sensor's noise.",
+        0.8, "ratio of residuals", "Inertia must lower the residual to this part: it can filter the sensor's noise."
     )
     excited: float = _rule(
         1e-07,
@@ -150,9 +124,7 @@ class DecisionRules:
         "A voltage with less energy above half the resonance does not excite it: noise would be fitted.",
     )
     resonance_gain: float = _rule(
-        0.97,
-        "ratio of simulation errors",
-        "Another round of tuning must lower the simulation error to this part.",
+        0.97, "ratio of simulation errors", "Another round of tuning must lower the simulation error to this part."
     )
     part_gain: float = _rule(
         0.97,
@@ -170,14 +142,10 @@ class DecisionRules:
         "Creep or inertia stays only if held-out time is missed this many times as far without it.",
     )
     longer_reach: float = _rule(
-        1.25,
-        "half strokes",
-        "Thresholds up to here are tried where loops grow: such elements slide once.",
+        1.25, "half strokes", "Thresholds up to here are tried where loops grow: such elements slide once."
     )
     longer_gain: float = _rule(
-        0.6,
-        "ratio of simulation errors",
-        "They must lower the error of the records simulated whole to this part.",
+        0.6, "ratio of simulation errors", "They must lower the error of the records simulated whole to this part."
     )
     growing: float = _rule(
         0.5,
@@ -197,9 +165,7 @@ class DecisionRules:
     )
     quiet: float = _rule(0.0003, "part of the range", "Less noise has no effect on elements.")
     loud: float = _rule(
-        0.002,
-        "part of the range",
-        "More noise narrows the loops of elements: it drags them back and forth.",
+        0.002, "part of the range", "More noise narrows the loops of elements: it drags them back and forth."
     )
     first_element_noise: float = _rule(
         30,
@@ -208,20 +174,14 @@ class DecisionRules:
     )
     check_risk: float = _rule(0.05, "probability", "Noise alone exceeds the floor of a check this often.")
     smallest_pattern: float = _rule(
-        0.1,
-        "% of the range",
-        "A smaller value does not matter: a record of 50 samples a cycle has this resolution.",
+        0.1, "% of the range", "A smaller value does not matter: a record of 50 samples a cycle has this resolution."
     )
     smallest_drift: float = _rule(0.0002, "part of the stroke a decade", "A smaller drift is not reported.")
     voltage_margin: float = _rule(
-        0.02,
-        "part of the limits' range",
-        "Held-out voltages may leave those of training by this part.",
+        0.02, "part of the limits' range", "Held-out voltages may leave those of training by this part."
     )
     usual_error: float = _rule(
-        2,
-        "ratio of errors",
-        "Larger errors of held-out records than this many times those of training are remarked.",
+        2, "ratio of errors", "Larger errors of held-out records than this many times those of training are remarked."
     )
     end_of_limits: float = _rule(
         0.1,
@@ -229,19 +189,13 @@ class DecisionRules:
         "The outer part at each end, where samples may be rare and inner loops may all turn.",
     )
     least_passage: float = _rule(
-        0.25,
-        "passages",
-        "Fewer samples than this part of one passage through it are remarked.",
+        0.25, "passages", "Fewer samples than this part of one passage through it are remarked."
     )
     line_power: float = _rule(
-        0.05,
-        "part of the power",
-        "A line of a residual's spectrum is a vibration if it holds this part of its power.",
+        0.05, "part of the power", "A line of a residual's spectrum is a vibration if it holds this part of its power."
     )
     line_height: float = _rule(
-        20.0,
-        "ratio of powers",
-        "It must also hold this many times the power of its neighbours.",
+        20.0, "ratio of powers", "It must also hold this many times the power of its neighbours."
     )
     useless: float = _rule(5.0, "% of the stroke", "A model with a larger expected error is not usable.")
     most_set_aside: float = _rule(0.1, "part of the samples", "If more was set aside, the model is usable with care.")

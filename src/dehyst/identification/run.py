@@ -153,8 +153,8 @@ class IdentificationRun:
         floor = data.floor / self.settings.slope_floor * _LEAST_FLOOR
         return find_lag(replace(data, training=few, floor=floor, denoised=True), RULES.longest_lag * cycle, cycle)
 
-    def plain_error(self) -> float:
-        """RMS residual of a plain actuator in few rows of the training records [m]."""
+    def maxwell_slip_error(self) -> float:
+        """RMS residual of Maxwell-slip elements in few rows of the training records [m]."""
         rho = self.stroke / 60 * np.arange(1.0, 31.0)
         return TrainingErrors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
 
@@ -202,6 +202,10 @@ class IdentificationRun:
         """Return a regression with the datum of each record that was zeroed anew."""
         others = [q for q in range(len(self.training)) if q != self.widest and not self.settings.shared_datum]
         return nuisances.with_datums(regression, others, self.stroke)
+
+    def with_drifts(self, regression: Regression) -> Regression:
+        """Return a regression with a drift of each record in which it is significant."""
+        return replace(regression, drifting=nuisances.find_drifts(regression, self.can_drift()))
 
     def actuator(self, regression: Regression, found: Coefficients) -> Actuator:
         """Return the actuator of coefficients, named."""
@@ -255,15 +259,7 @@ class IdentificationRun:
     def failed(self, status: str) -> Fit:
         """Return the result of a program without an optimum."""
         return Fit(
-            None,
-            Outcome.FAILED,
-            (),
-            tuple(self.repairs),
-            tuple(self.remarks),
-            (),
-            status,
-            float("nan"),
-            self.options(),
+            None, Outcome.FAILED, (), tuple(self.repairs), tuple(self.remarks), (), status, float("nan"), self.options()
         )
 
     def simulated(

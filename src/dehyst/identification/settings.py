@@ -163,10 +163,7 @@ _ELEMENTS = {"record": 20, "breakpoints": 10, "antisymmetric": 10}
 class Settings:
     """Options of `dehyst.identify`; see there.
 
-    Raises
-    ------
-    IdentifyError
-        If an option is impossible, or two exclude each other.
+    Raise `IdentifyError` if an option is impossible, or two exclude each other.
     """
 
     method: Method = "record"

@@ -37,14 +37,8 @@ _WORTH_ALONE, _HARDLY = 0.5, 1e-9
 class StartState:
     """Carts at the first sample of a piece.
 
-    Attributes
-    ----------
-    carts : (N,) array
-        Positions [m], on the axis of the displacement.
-    constant : float
-        What the voltages have beside the model's [V].
-    creep : (J,) array
-        What creep branches hold beside what the path since then gives them [V].
+    `carts` (N,): positions [m], on the axis of the displacement. `constant`: what the voltages have beside the model's
+    [V]. `creep` (J,): what creep branches hold beside what the path since then gives them [V].
     """
 
     carts: Array
@@ -63,21 +57,10 @@ def fit_start(
 ) -> StartState:
     """Fit the carts and what creep branches hold at the first sample.
 
-    Parameters
-    ----------
-    slip : MaxwellSlip or GradedSlip
-    displacement : (n,) array
-        Path [m] from the first sample of a record, with all its turning points.
-    force : (n,) array
-        What the elements hold there [V], up to a constant and the creep before the first sample.
-    fades : (n, J) array
-        What is left of one volt that each creep branch held at the first sample.
-    most : (J,) array
-        The largest such voltages [V].
-    constant : float, optional
-        The constant, where it is known.
-    counted : (n,) bool array, optional
-        Samples whose forces count; the others move the elements only.
+    `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): what the
+    elements hold there [V], up to a constant and the creep before the first sample. `fades` (n, J): what is left of one
+    volt that each creep branch held at the first sample. `most` (J,): the largest such voltages [V]. `constant`: the
+    constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the elements only.
     """
     known = constant is not None
     problem = _Problem(

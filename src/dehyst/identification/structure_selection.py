@@ -38,13 +38,8 @@ TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
 class StructureTrial:
     """A structure and its cross-validation error.
 
-    Attributes
-    ----------
-    structure : Structure
-    held_out, training : float
-        RMS error [m] on cycles held out in turn, and on the training records.
-    seconds : float
-        Duration of the trial.
+    `held_out`, `training`: RMS error [m] on cycles held out in turn, and on the training records. `seconds`: duration
+    of the trial.
     """
 
     structure: Structure
@@ -75,19 +70,9 @@ def select(
 ) -> tuple[Structure, tuple[StructureTrial, ...]]:
     """Add the part that reduces the held-out error most, repeatedly, until no part is worth it; then tune.
 
-    Parameters
-    ----------
-    build : callable
-        Structure -> regression on the same samples, thinned.
-    start : Structure
-    progress : callable
-        Called with a few words at each trial.
-    without : sequence of str
-        Fields of a structure that must not change.
-    stroke : float, optional
-        Range of the widest loop [m], to which reported errors refer.
-    deadline : Deadline, optional
-        When no further trial begins.
+    `build`: structure -> regression on the same samples, thinned. `progress`: called with a few words at each trial.
+    `without`: fields of a structure that must not change. `stroke`: range of the widest loop [m], to which reported
+    errors refer. `deadline`: when no further trial begins.
 
     Returns
     -------

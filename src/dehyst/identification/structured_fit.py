@@ -37,18 +37,8 @@ from dehyst.records.signals import rms
 class FinalEpoch:
     """The last epoch of one piece of a record.
 
-    Attributes
-    ----------
-    record : Prepared
-    number : int
-        Number of the piece.
-    epoch : Epoch
-    state : State
-        At its first sample, on the model's axis.
-    offset : float
-        Offset of its voltages [V].
-    datum : float
-        Datum of its displacements [m].
+    `number`: number of the piece. `state`: at its first sample, on the model's axis. `offset`: offset of its voltages
+    [V]. `datum`: datum of its displacements [m].
     """
 
     record: Prepared
@@ -84,12 +74,7 @@ class FinalEpoch:
 
 @dataclass(frozen=True, eq=False)
 class SimulationError:
-    """The last epochs of records, from whose start states models of the same structure are simulated.
-
-    Attributes
-    ----------
-    epochs : tuple of FinalEpoch
-    """
+    """The last epochs of records, from whose start states models of the same structure are simulated."""
 
     epochs: tuple[FinalEpoch, ...]
 
@@ -127,12 +112,7 @@ _STEP = 1e-3
 def tune_resonance(actuator: Actuator, simulation: SimulationError) -> Actuator:
     """Return the actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
 
-    Parameters
-    ----------
-    actuator : Actuator
-        With dynamics.
-    simulation : SimulationError
-        Of records in which the actuator rings.
+    `actuator`: with dynamics. `simulation`: of records in which the actuator rings.
     """
     if actuator.dynamics is None:
         return actuator
@@ -188,14 +168,7 @@ _ROUNDS = 3
 class StructuredFit:
     """What the records and a structure make.
 
-    Attributes
-    ----------
-    frame : TrainingData
-    structure : Structure
-    norm : str
-    regression : Regression
-    found : Coefficients
-        Of an actuator only if its solution is optimal.
+    `found`: of an actuator only if its solution is optimal.
     """
 
     frame: TrainingData
@@ -260,14 +233,8 @@ _MOVING, _CLOSEST = 0.1, 0.4
 class Refinement:
     """The result of a refinement.
 
-    Attributes
-    ----------
-    actuator : Actuator
-        The refined actuator, or the original.
-    kept : bool
-    before, after : float
-        RMS error of simulation [m] on held-out cycles, of the original, which was fitted to them, and of a refined
-        model that was not.
+    `actuator`: the refined actuator, or the original. `before`, `after`: RMS error of simulation [m] on held-out
+    cycles, of the original, which was fitted to them, and of a refined model that was not.
     """
 
     actuator: Actuator
@@ -313,16 +280,8 @@ def _after_steps(point: _Iterate, used: NDArray[np.bool_]) -> _Iterate:
 class _Iterate:
     """Coefficients and thresholds, and their actuator.
 
-    Attributes
-    ----------
-    given : Actuator
-        Its parts lie on the grid of `regression`.
-    regression : Regression
-        Its rows are not used.
-    x : (q,) array
-        Unknowns of the program that are not negative.
-    breakaway : (N,) array
-        [m].
+    `given`: its parts lie on the grid of `regression`. `regression`: its rows are not used. `x` (q,): unknowns of the
+    program that are not negative. `breakaway` (N,): [m].
     """
 
     given: Actuator

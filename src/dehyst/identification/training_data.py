@@ -16,12 +16,7 @@ from dehyst.identification.preprocessing.denoising import left_of, remove_dynami
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import (
-    FoldSums,
-    TrainingErrors,
-    first_weights,
-    nearly_least_absolute,
-)
+from dehyst.identification.regression.fold_sums import FoldSums, TrainingErrors, first_weights, nearly_least_absolute
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
@@ -33,7 +28,7 @@ from dehyst.model import Actuator, Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import energy_share, resolution, turning_points
 
-# Inertia must reduce the RMS residual to this share, or it is left out.
+# Of the error, in the search for inertia.
 _EVALUATIONS = 90
 
 
@@ -41,16 +36,7 @@ _EVALUATIONS = 90
 class SensedDynamics:
     """Dynamics between w, the output of the hysteresis, and y: w(t - delay) = y + damping y' + mass y''.
 
-    Attributes
-    ----------
-    delay : float
-        [s].
-    damping : float
-        2 zeta / omega [s].
-    mass : float
-        1 / omega^2 [s2].
-    lag : float
-        Time constant of the amplifier [s].
+    `delay`: [s]. `damping`: 2 zeta / omega [s]. `mass`: 1 / omega^2 [s2]. `lag`: time constant of the amplifier [s].
     """
 
     delay: float
@@ -81,16 +67,8 @@ def find_dynamics(
 ) -> SensedDynamics:
     """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 
-    Parameters
-    ----------
-    error : callable
-        Dynamics -> RMS residual [m] of a fit of few rows.
-    delay : float
-        Delay without inertia [s]: the start of the search.
-    sample_time : float
-        [s].
-    fastest : float
-        Least duration of a cycle of the excitation [s].
+    `error`: dynamics -> RMS residual [m] of a fit of few rows. `delay`: delay without inertia [s]: the start of the
+    search. `sample_time`: [s]. `fastest`: least duration of a cycle of the excitation [s].
     """
     from scipy.optimize import minimize
 

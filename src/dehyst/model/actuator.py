@@ -98,8 +98,7 @@ class Actuator(AbstractModel):
 
     def __post_init__(self) -> None:
         checks.check_kinds(self)
-        keep(self, lag=checks.checked_lag(self.lag))
-        keep(self, load_stiffness=checks.checked_load_stiffness(self.load_stiffness))
+        keep(self, **checks.checked_numbers(self))
         least_slope(self.slip, self.spring)
         if self.state is None:
             keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
@@ -107,9 +106,6 @@ class Actuator(AbstractModel):
         _ = self.core  # refuses what a part alone cannot check
         if self.limits is not None:
             keep(self, limits=interval(self.limits))
-        keep(self, delay=checks.checked_delay(self.delay))
-        if self.recorded_slew_rate is not None:
-            keep(self, recorded_slew_rate=checks.checked_slew_rate(self.recorded_slew_rate))
 
     def __repr__(self) -> str:
         from dehyst.model.summary import one_line
@@ -128,10 +124,7 @@ class Actuator(AbstractModel):
         return "\n".join(lines(self))
 
     def plot(
-        self,
-        kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop",
-        *,
-        ax: Axes | None = None,
+        self, kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop", *, ax: Axes | None = None
     ) -> Axes:
         """Draw the actuator.
 
@@ -175,7 +168,12 @@ class Actuator(AbstractModel):
 
         Without limits, the first and the last knot of the spring.
         """
-        return checks.reach(self)
+        return self._knots if self.limits is None else self.major_loop(self.limits)
+
+    @property
+    def _knots(self) -> tuple[float, float]:
+        """First and last knot of the spring [m]."""
+        return float(self.spring.displacement[0]), float(self.spring.displacement[-1])
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
@@ -184,7 +182,10 @@ class Actuator(AbstractModel):
     @cached_property
     def voltage_range(self) -> tuple[float, float]:
         """The limits [V]; without limits, the voltages of the largest loop between the ends of the spring's knots."""
-        return checks.voltage_range(self)
+        if self.limits is not None:
+            return self.limits
+        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(self._knots))
+        return self.voltage(low), self.voltage(high)
 
     @cached_property
     def plausible(self) -> Range:

@@ -25,6 +25,13 @@ _KINDS: tuple[tuple[str, tuple[type, ...]], ...] = (
     ("dynamics", (Dynamics, type(None))),
     ("smooth", (SmoothSlip, type(None))),
 )
+# Name, unit, what is needed, whether 0 is impossible and None allowed, and whether it is divided by.
+_NUMBERS = (
+    ("delay", "s", "0 or more: a displacement does not lead its voltage", False, False),
+    ("lag", "s", "0 s or more", False, True),
+    ("load_stiffness", "N/m", "a positive number of N/m", True, True),
+    ("recorded_slew_rate", "V/s", "a positive number of volts a second, or None", True, False),
+)
 # Largest magnitude over that of the range from which on a displacement is more likely in another unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
 ANYWAY = "or extrapolate to compute it anyway"
@@ -43,43 +50,19 @@ def check_kinds(actuator: Actuator) -> None:
             raise ModelError(argument=name, got=type(part).__name__, need=f"a {needed}")
 
 
-def checked_lag(lag: float) -> float:
-    """Return the amplifier's time constant [s]; raise `ModelError` if it is impossible."""
-    seconds = number(lag, "lag")
-    if seconds < 0:
-        raise ModelError(argument="lag", got=lag, need="0 s or more")
-    if seconds:
-        demand_divisors(seconds, "lag [s]")
-    return seconds
-
-
-def checked_load_stiffness(load_stiffness: float | None) -> float | None:
-    """Return the stiffness against a load [N/m]; raise `ModelError` if it is impossible."""
-    if load_stiffness is None:
-        return None
-    stiffness = number(load_stiffness, "load_stiffness")
-    if stiffness <= 0:
-        raise ModelError(f"load_stiffness: got {load_stiffness}, need a positive number of N/m")
-    demand_divisors(stiffness, "load_stiffness [N/m]")
-    return stiffness
-
-
-def checked_delay(delay: float) -> float:
-    """Return the delay [s]; raise `ModelError` if it is impossible."""
-    seconds = number(delay, "delay")
-    if seconds < 0:
-        raise ModelError(argument="delay", got=delay, need="0 or more: a displacement does not lead its voltage")
-    demand_magnitudes(seconds, "delay [s]")
-    return seconds
-
-
-def checked_slew_rate(slew_rate: float) -> float:
-    """Return the speed of the records [V/s]; raise `ModelError` if it is impossible."""
-    speed = number(slew_rate, "recorded_slew_rate")
-    if speed <= 0:
-        raise ModelError(f"recorded_slew_rate: got {slew_rate}, need a positive number of volts a second, or None")
-    demand_magnitudes(speed, "recorded_slew_rate [V/s]")
-    return speed
+def checked_numbers(actuator: Actuator) -> dict[str, float | None]:
+    """Return delay, lag, load stiffness and slew rate as floats; raise `ModelError` if one is impossible."""
+    found: dict[str, float | None] = {}
+    for name, unit, need, above_zero, divides in _NUMBERS:
+        given = getattr(actuator, name)
+        if given is None and above_zero:
+            continue
+        found[name] = value = number(given, name)
+        if value < 0 or (above_zero and not value):
+            raise ModelError(argument=name, got=given, need=need)
+        if value:
+            (demand_divisors if divides else demand_magnitudes)(value, f"{name} [{unit}]")
+    return found
 
 
 @dataclass(frozen=True)
@@ -114,22 +97,6 @@ def major_loop_ends(actuator: Actuator, limits: tuple[float, float]) -> tuple[fl
     time = np.arange(voltage.size) * rest if slow.needs_time else None
     y = slow.simulate(voltage, time=time, extrapolate=True).displacement
     return float(y[-2]), float(y[-1])
-
-
-def reach(actuator: Actuator) -> tuple[float, float]:
-    """Return the displacements [m] of `major_loop_ends`; without limits, the ends of the spring's knots."""
-    if actuator.limits is not None:
-        return actuator.major_loop(actuator.limits)
-    return float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1])
-
-
-def voltage_range(actuator: Actuator) -> tuple[float, float]:
-    """Return the limits [V]; without limits, voltages of the largest loop between the ends of the spring's knots."""
-    if actuator.limits is not None:
-        return actuator.limits
-    ends = float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1])
-    low, high = (actuator.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(ends))
-    return actuator.voltage(low), actuator.voltage(high)
 
 
 def plausible_displacements(actuator: Actuator) -> Range:

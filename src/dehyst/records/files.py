@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, named, packed, reading_errors, write_atomically
 from dehyst._types import Array
-from dehyst._units import per_metre
+from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
 from dehyst.records import hdf5
-from dehyst.records.formats.columns import TEXT, UNITS, Selected, Table, listed
+from dehyst.records.formats.columns import TEXT, Selected, Table, listed
 from dehyst.records.formats.containers import MEMBER, line_of, stated
 from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
 from dehyst.records.formats.reader_process import LOADERS, load
@@ -206,7 +206,7 @@ def _meta(table: Table, found: Mapping[str, Selected], sample_rate: float | None
 def _in_units(table: Table, wanted: str | None, units: str) -> str:
     """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
     per_metre(units, error=FileFormatError)
-    found, known = table.select("displacement", wanted), UNITS["displacement"]
+    found, known = table.select("displacement", wanted), FACTORS["displacement"]
     if found.unit in known and known[found.unit] != known[units]:
         raise FileFormatError(
             f"{table.source}: got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave "

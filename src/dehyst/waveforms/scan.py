@@ -370,10 +370,7 @@ def length(value: object, what: str) -> float:
     metres = number(value, what, "m", error=RecordError)
     if abs(metres) > _MOST_METRES:
         raise RecordError(
-            argument=what,
-            got=f"{metres * 1e6:g} um",
-            need=f"{_MOST_METRES * 1e6:g} um at most",
-            hint="check its unit",
+            argument=what, got=f"{metres * 1e6:g} um", need=f"{_MOST_METRES * 1e6:g} um at most", hint="check its unit"
         )
     return metres
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog, lsq_linear
 
 from dehyst import IdentifyError
-from dehyst.identification.solvers.highs import linear_program
+from dehyst.identification.solvers.highs import dual_objective, minimum
 from dehyst.identification.solvers.program import NORMS, solve
 
 CASES = [(seed, free, positive) for seed in range(4) for free, positive in ((1, 5), (3, 8), (0, 6), (4, 0))]
@@ -176,8 +176,9 @@ def test_a_linear_program_and_its_dual_meet(seed):
     inside = rng.uniform(-1, 1, 8)
     bounds = np.where(np.arange(8) < 4, -2.0, -3.0), np.full(8, 2.0)
     limits = rows @ inside - rng.uniform(0, 1, 15), np.where(np.arange(15) < 7, rows @ inside, np.inf)
-    x, objective, optimal, status, dual = linear_program(cost, bounds, rows, limits)
-    assert optimal, status
+    found = minimum(cost, bounds, rows, limits)
+    x, objective, dual = found.value, found.objective, dual_objective(found, cost, bounds, rows, limits)
+    assert found.optimal, found.status
     assert objective == pytest.approx(cost @ x, rel=1e-12)
     assert dual == pytest.approx(objective, rel=1e-8)
     assert np.all(rows @ x >= limits[0] - 1e-8)
@@ -193,10 +194,10 @@ def test_a_linear_program_and_its_dual_meet(seed):
 
 
 def test_a_linear_program_without_an_optimum_says_so():
-    nothing = linear_program(np.ones(1), (np.zeros(1), np.ones(1)), np.ones((1, 1)), (np.full(1, 3.0), np.full(1, 4.0)))
-    assert not nothing[2]
-    assert "nfeasible" in nothing[3]
+    nothing = minimum(np.ones(1), (np.zeros(1), np.ones(1)), np.ones((1, 1)), (np.full(1, 3.0), np.full(1, 4.0)))
+    assert not nothing.optimal
+    assert "nfeasible" in nothing.status
     above = np.zeros(1), np.full(1, np.inf)
-    endless = linear_program(-np.ones(1), above, np.ones((1, 1)), above)
-    assert not endless[2]
-    assert "nbounded" in endless[3]
+    endless = minimum(-np.ones(1), above, np.ones((1, 1)), above)
+    assert not endless.optimal
+    assert "nbounded" in endless.status

@@ -39,14 +39,8 @@ Branch: TypeAlias = "tuple[Array, Array]"
 class Family(NamedTuple):
     """Branches of one record between the same turning points.
 
-    Attributes
-    ----------
-    record : str
-        Its name.
-    bottom, top : float
-        Mean turning points [m].
-    descending, ascending : list of (displacement (n,) [m], voltage (n,) [V])
-        In the order of motion, both turning points among them.
+    `record`: its name. `bottom`, `top`: mean turning points [m]. `descending`, `ascending`: in the order of motion,
+    both turning points among them.
     """
 
     record: str
@@ -147,21 +141,11 @@ _PLACES = 40
 class Mirrored:
     """A loop, its cycles read at places that lie symmetrically about its centre.
 
-    Attributes
-    ----------
-    record : str
-    range, middle : float
-        Width and centre [m].
-    place : (K,) array
-        u [m], from the centre of each cycle, which removes a slow drift of the sensor.
-    rising, falling : (M, K) array
-        V_up and V_down [V] of each cycle, minus the mean voltage of its turning points.
-    noise : float
-        Standard deviation of a sample [m].
-    gain : float
-        Largest part of its variance that a reading keeps.
-    opening : float
-        Mean distance of the ends of descending and ascending branches [m]: it limits what an open loop shows.
+    `range`, `middle`: width and centre [m]. `place` (K,): u [m], from the centre of each cycle, which removes a slow
+    drift of the sensor. `rising`, `falling` (M, K): V_up and V_down [V] of each cycle, minus the mean voltage of its
+    turning points. `noise`: standard deviation of a sample [m]. `gain`: largest part of its variance that a reading
+    keeps. `opening`: mean distance of the ends of descending and ascending branches [m]: it limits what an open loop
+    shows.
     """
 
     record: str
@@ -266,12 +250,7 @@ _FEWEST_RETURNS = 4
 def gaps(record: Record, noise: float) -> tuple[Array, Array]:
     """Find the cycles in a known state that return to their voltage.
 
-    Parameters
-    ----------
-    record : Record
-        Without gaps, its delay removed.
-    noise : float
-        Standard deviation of the sensor [m].
+    `record`: without gaps, its delay removed. `noise`: standard deviation of the sensor [m].
 
     Returns
     -------
@@ -294,14 +273,8 @@ def gaps(record: Record, noise: float) -> tuple[Array, Array]:
 def creep(pieces: list[tuple[Record, Array]], noise: float, risk: float) -> tuple[float, float] | None:
     """Fit the slope of the displacement at the ends of the voltages over creep curves.
 
-    Parameters
-    ----------
-    pieces : list of (Record, creep curve (n,))
-        Without gaps, delays removed; the curve in decades.
-    noise : float
-        Standard deviation of the sensor [m].
-    risk : float
-        Probability that scatter alone exceeds the floor.
+    `pieces`: without gaps, delays removed; the curve in decades. `noise`: standard deviation of the sensor [m]. `risk`:
+    probability that scatter alone exceeds the floor.
 
     Returns
     -------

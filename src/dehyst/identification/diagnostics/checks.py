@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,18 +40,9 @@ def model_checks(
     records. A model with more parts follows loops without them: its residuals must show no pattern, no difference
     between rising and falling branches, between the ends of the stroke, or between early and late.
 
-    Parameters
-    ----------
-    actuator : Actuator
-        As identified.
-    records : sequence of Prepared
-        Training records, then those held out.
-    traces, errors : sequence of Trace and of RecordErrors
-        Those of a `Fit`, one for each record.
-    floor : float, optional
-        Least allowed slope [V/m] of the spring; of Maxwell-slip only.
-    imposed : bool, optional
-        Whether the spring would fall somewhere without the floor; of Maxwell-slip only.
+    `actuator`: as identified. `records`: training records, then those held out. `traces`, `errors`: those of a `Fit`,
+    one for each record. `floor`: least allowed slope [V/m] of the spring; of Maxwell-slip only. `imposed`: whether the
+    spring would fall somewhere without the floor; of Maxwell-slip only.
 
     Returns
     -------
@@ -110,30 +102,45 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
 
 def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) -> Check:
     """Count the elements that slide before the used samples; an element about to slide at an extreme counts."""
-    name, unit = "Assumption II", "% of elements"
     needed = 2 * slip.breakaway[slip.friction > 0]
-    if not needed.size:
-        return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness: none must slide.")
     counts = []
     for item in training:
         reach = max((epoch.reach for piece in item.pieces for epoch in epochs(piece, item.noise)), default=0.0)
         counts.append((reach, int(np.count_nonzero(needed <= (reach + 8 * item.noise) * (1 + 1e-9))), item.name))
     reach, slid, record = max(counts)
     sentence = f"{record}: {slid} of the {needed.size} elements with stiffness slide before the samples that count."
+    still = [(count, name_) for _, count, name_ in counts if count < slid]
+    rest = ""
+    if still:
+        fewest, fewest_name = min(still)
+        rest = (
+            f" Fewer slide in {counted(len(still), 'other record')}, {fewest} in {fewest_name}: the rest are fixed "
+            "springs there, with a constant for each record, which the fit finds."
+        )
+    return _slides("Assumption II", needed, slid, reach, sentence, rest)
+
+
+def _sliding(actuator: Actuator, training: Sequence[Trace]) -> Check:
+    """Count the elements that slide both ways in the widest motion."""
+    needed = 2 * actuator.slip.breakaway[actuator.slip.friction > 0]
+    reach = max(float(np.ptp(trace.simulated)) for trace in training)
+    slid = int(np.count_nonzero(needed <= reach * (1 + 1e-3)))
+    sentence = f"{slid} of the {needed.size} elements with stiffness slide in both directions in the widest motion."
+    return _slides("Sliding elements", needed, slid, reach, sentence)
+
+
+def _slides(name: str, needed: Array, slid: int, reach: float, sentence: str, rest: str = "") -> Check:
+    """Return the check of the motions that elements with stiffness need [m], of which so many slide."""
+    unit = "% of elements"
+    if not needed.size:
+        return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness: none must slide.")
     if slid < needed.size:
         sentence += (
             f" The widest needs {needed[-1] * 1e6:.4g} um, the widest motion is {reach * 1e6:.4g} um: record a wider "
             "loop, or give fewer elements."
         )
-    still = [(count, name_) for _, count, name_ in counts if count < slid]
-    if still:
-        fewest, fewest_name = min(still)
-        sentence += (
-            f" Fewer slide in {counted(len(still), 'other record')}, {fewest} in {fewest_name}: the rest are fixed "
-            "springs there, with a constant for each record, which the fit finds."
-        )
     verdict = Verdict.HOLDS if slid == needed.size else Verdict.FAILS
-    return Check(name, verdict, 100 * slid / needed.size, None, unit, sentence)
+    return Check(name, verdict, 100 * slid / needed.size, None, unit, sentence + rest)
 
 
 def _widest(training: Sequence[tuple[Prepared, RecordErrors]], delay: float) -> Mirrored | None:
@@ -254,38 +261,86 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
 
 def _creep_at_extremes(records: Sequence[Prepared], errors: Sequence[RecordErrors], delay: float) -> Check:
     """Test how far the displacement creeps at an extreme of the voltage, which always leaves the same state."""
-    name, unit = "No drift", "% a decade"
     drifts = []
     for item, error in zip(records, errors, strict=True):
-        trend = _creep(item, delay)
-        if trend:
+        if trend := _creep(item, delay):
             value, floor = (100 * abs(number) / error.stroke for number in trend)
             decades = max(float(np.ptp(curve)) for _, _, curve in item.delayed(0, delay))
-            drifts.append(
-                (value / max(floor, RULES.smallest_pattern), value, floor, decades, bool(error.drift), item.name)
-            )
+            aside = "it was set aside" if error.drift else "it was left in"
+            drifts.append(_Drift(value, floor, decades, item.name, aside))
     if not drifts:
-        sentence = (
+        return _no_drift(
             "No record returns three times to an extreme of its voltage: fewer cannot separate drift from hysteresis."
         )
-        return Check(name, Verdict.UNKNOWN, None, None, unit, sentence)
-    ratio, value, floor, decades, aside, record = max(drifts)
-    if ratio <= 1 and not may_creep(floor, decades):
-        sentence = f"{record}: its displacements at the ends of its voltages scatter too much to determine a drift."
-        return Check(name, Verdict.UNKNOWN, None, None, unit, sentence)
-    sentence = (
-        f"{record}: at the ends of its voltages the displacement creeps by {value:.2g} % of the range a decade of time "
-        "since the record's start"
+    worst = max(drifts, key=_Drift.ratio)
+    if worst.ratio() <= 1 and not may_creep(worst.floor, worst.decades):
+        return _no_drift(
+            f"{worst.record}: its displacements at the ends of its voltages scatter too much to determine a drift."
+        )
+    return worst.check(
+        "at the ends of its voltages the displacement",
+        f"{worst.why}. The model does not depend on time: expect as much in use, or correct it by feedback",
     )
-    if not may_creep(value, decades):
-        value, floor, unit = value * decades, floor * decades, _OF_RANGE
-        sentence = f"{record}: at the ends of its voltages the displacement drifts by {value:.3g} % of the range in all"
-    if ratio <= 1:
-        sentence += ", which does not matter." if value <= RULES.smallest_pattern else ", which its scatter explains."
-        return Check(name, Verdict.HOLDS, value, floor, unit, sentence)
-    sentence += "; it was set aside." if aside else "; it was left in."
-    sentence += " The model does not depend on time: expect as much in use, or correct it by feedback."
-    return Check(name, Verdict.FAILS, value, floor, unit, sentence)
+
+
+def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
+    """Test the slope of the legs' mean residuals over the logarithm of the time since the record's start."""
+    from scipy.special import stdtrit
+
+    drifts = []
+    for trace in training:
+        legs = _legs(trace)
+        if len(legs) <= _FEWEST:
+            continue
+        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - trace.time[0] for a, b in legs])
+        mean = np.array([float(trace.residual[a:b].mean()) for a, b in legs]) * 100 / stroke
+        decades = np.log10(np.maximum(middle, middle[middle > 0].min()))
+        off = decades - decades.mean()
+        slope = float(off @ mean / (off @ off))
+        rest = mean - mean.mean() - slope * off
+        scatter = float(np.sqrt(rest @ rest / (len(legs) - 2) / (off @ off)))
+        floor = float(stdtrit(len(legs) - 2, 1 - RULES.check_risk / (2 * len(training)))) * scatter
+        drifts.append(_Drift(abs(slope), floor, float(np.ptp(decades)), trace.record))
+    if not drifts:
+        return _no_drift("No record has enough legs to determine a drift.")
+    return max(drifts, key=_Drift.ratio).check(
+        "the residual",
+        "the actuator creeps longer than the model's branches, or its surroundings changed; expect as much in use",
+    )
+
+
+class _Drift(NamedTuple):
+    """Drift of a record and its floor by scatter [% of the range a decade], and the decades of time that show it."""
+
+    value: float
+    floor: float
+    decades: float
+    record: str
+    why: str = ""
+
+    def ratio(self) -> float:
+        """Return the drift as a part of the least significant one."""
+        return self.value / max(self.floor, RULES.smallest_pattern)
+
+    def check(self, what: str, why: str) -> Check:
+        """Return the check of the drift of `what`; `why` it matters."""
+        value, floor, unit = self.value, self.floor, "% a decade"
+        sentence = f"{self.record}: {what} drifts by {value:.2g} % of the range a decade of time since its start"
+        if not may_creep(value, self.decades):
+            value, floor, unit = value * self.decades, floor * self.decades, _OF_RANGE
+            sentence = f"{self.record}: {what} drifts by {value:.3g} % of the range in all"
+        if self.ratio() > 1:
+            return Check("No drift", Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")
+        return Check("No drift", Verdict.HOLDS, value, floor, unit, f"{sentence}, {_calm(value)}.")
+
+
+def _no_drift(sentence: str) -> Check:
+    return Check("No drift", Verdict.UNKNOWN, None, None, "% a decade", sentence)
+
+
+def _calm(value: float) -> str:
+    """Return why a value [% of the range] below its floor is no pattern."""
+    return "which does not matter" if value <= RULES.smallest_pattern else "which scatter explains"
 
 
 def _creep(item: Prepared, delay: float) -> tuple[float, float] | None:
@@ -301,16 +356,8 @@ _FEWEST = 3
 class _Means:
     """Mean residual of each leg at each place.
 
-    Attributes
-    ----------
-    place, residual : (m,) array
-        Number of the place, and residual in % of the range.
-    up : (m,) bool array
-        Whether the leg rises.
-    edges : (_PLACES + 1,) array
-        Edges of the places [m].
-    noise : float
-        Standard deviation of a residual [% of the range].
+    `place`, `residual` (m,): number of the place, and residual in % of the range. `up` (m,) bool: whether the leg
+    rises. `edges` (_PLACES + 1,): edges of the places [m]. `noise`: standard deviation of a residual [% of the range].
     """
 
     place: NDArray[np.intp]
@@ -388,22 +435,6 @@ def _rising(actuator: Actuator, stroke: float) -> Check:
     return Check("Rising branches", verdict, value, floor, "V/um", sentence)
 
 
-def _sliding(actuator: Actuator, training: Sequence[Trace]) -> Check:
-    name, unit = "Sliding elements", "% of elements"
-    needed = 2 * actuator.slip.breakaway[actuator.slip.friction > 0]
-    if not needed.size:
-        return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness: none must slide.")
-    reach = max(float(np.ptp(trace.simulated)) for trace in training)
-    slid = int(np.count_nonzero(needed <= reach * (1 + 1e-3)))
-    sentence = f"{slid} of the {needed.size} elements with stiffness slide in both directions in the widest motion."
-    if slid < needed.size:
-        sentence += (
-            f" The widest needs {needed[-1] * 1e6:.4g} um, the motion is {reach * 1e6:.4g} um: record a wider loop."
-        )
-    verdict = Verdict.HOLDS if slid == needed.size else Verdict.FAILS
-    return Check(name, verdict, 100 * slid / needed.size, None, unit, sentence)
-
-
 def _residual_width(means: _Means) -> Check:
     at, value, floor = means.largest(-1)
     return _pattern(
@@ -433,41 +464,5 @@ def _pattern(name: str, value: float, floor: float, sentence: str, why: str) -> 
         unpassed = "No place is passed in both directions."
         return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, unpassed)
     if value <= max(floor, RULES.smallest_pattern):
-        reason = "which does not matter" if value <= RULES.smallest_pattern else "which their scatter explains"
-        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, f"{sentence}, {reason}.")
+        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, f"{sentence}, {_calm(value)}.")
     return Check(name, Verdict.FAILS, value, floor, _OF_RANGE, f"{sentence}: {why}.")
-
-
-def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
-    """Test the slope of the legs' mean residuals over the logarithm of the time since the record's start."""
-    from scipy.special import stdtrit
-
-    name, unit = "No drift", "% a decade"
-    drifts = []
-    for trace in training:
-        legs = _legs(trace)
-        if len(legs) <= _FEWEST:
-            continue
-        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - trace.time[0] for a, b in legs])
-        mean = np.array([float(trace.residual[a:b].mean()) for a, b in legs]) * 100 / stroke
-        decades = np.log10(np.maximum(middle, middle[middle > 0].min()))
-        off = decades - decades.mean()
-        slope = float(off @ mean / (off @ off))
-        rest = mean - mean.mean() - slope * off
-        scatter = float(np.sqrt(rest @ rest / (len(legs) - 2) / (off @ off)))
-        floor = float(stdtrit(len(legs) - 2, 1 - RULES.check_risk / (2 * len(training)))) * scatter
-        drifts.append(
-            (abs(slope) / max(floor, RULES.smallest_pattern), abs(slope), floor, float(np.ptp(decades)), trace.record)
-        )
-    if not drifts:
-        return Check(name, Verdict.UNKNOWN, None, None, unit, "No record has enough legs to determine a drift.")
-    ratio, value, floor, seen, record = max(drifts)
-    sentence = f"{record}: the residual drifts by {value:.2g} % of the range a decade of time since the record's start"
-    if not may_creep(value, seen):
-        value, floor, unit = value * seen, floor * seen, _OF_RANGE
-        sentence = f"{record}: the residual drifts by {value:.3g} % of the range in all"
-    if ratio <= 1:
-        reason = "which does not matter" if value <= RULES.smallest_pattern else "which its scatter explains"
-        return Check(name, Verdict.HOLDS, value, floor, unit, f"{sentence}, {reason}.")
-    why = "the actuator creeps longer than the model's branches, or its surroundings changed; expect as much in use"
-    return Check(name, Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")

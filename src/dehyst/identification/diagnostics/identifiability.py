@@ -14,7 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
-from dehyst.identification.solvers.highs import linear_program
+from dehyst.identification.solvers.highs import minimum
 from dehyst.identification.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
@@ -32,17 +32,10 @@ _SMALL = 0.02
 class Identifiability:
     """Combinations of the stiffnesses that records determine, with the spring and each record's constant free.
 
-    Attributes
-    ----------
-    breakaway : (N,) array
-        rho [m].
-    movable : (N,) bool array
-        Elements that slide in some record; the others act as part of the spring.
-    values : (m,) array
-        Singular values of the movable elements' columns, all else projected out, largest first [V/V]: the RMS voltage
-        of a change of 1 V of breakaway voltages in this direction, for any spring.
-    vectors : (m, m) array
-        Unit vectors of those changes, one in each row.
+    `breakaway` (N,): rho [m]. `movable` (N,) bool: elements that slide in some record; the others act as part of the
+    spring. `values` (m,): singular values of the movable elements' columns, all else projected out, largest first
+    [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring. `vectors` (m, m):
+    unit vectors of those changes, one in each row.
     """
 
     breakaway: Array
@@ -103,7 +96,7 @@ class Identifiability:
         # Changes of breakaway voltages are changes of stiffness times rho; combinations transform inversely.
         space = basis * scale if friction else basis / scale
         kept: list[Array] = []
-        for candidate in sorted(_sparsest(space), key=_support_size):
+        for candidate in sorted(_sparsest(space), key=lambda one: int(np.count_nonzero(np.abs(one) > _SMALL))):
             if len(kept) < len(basis) and np.linalg.matrix_rank(np.array([*kept, candidate]), tol=1e-3) > len(kept):
                 kept.append(candidate)
         return tuple(_spread(vector, where, self.movable.size) for vector in sorted(kept, key=_first))
@@ -115,14 +108,8 @@ def identifiability(records: list[Record], regression: Regression, *, relaxed: C
     Noise makes all samples of a record differ, which would raise the numerical rank of measured rows. So the rank is
     that of the outlines of the paths.
 
-    Parameters
-    ----------
-    records : list of Record
-        Pieces without gaps, on a common displacement axis.
-    regression : Regression
-        Its thresholds, knots and movable elements are used.
-    relaxed : collection of int, optional
-        Numbers of the records that start with no element strained.
+    `records`: pieces without gaps, on a common displacement axis. `regression`: its thresholds, knots and movable
+    elements are used. `relaxed`: numbers of the records that start with no element strained.
     """
     breakaway = regression.grid.breakaway
     spacing = float(np.diff(breakaway, prepend=0.0).min())
@@ -150,14 +137,8 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
     A wider structure has more coefficients than records determine; smoothing settles the rest. But if ten plain
     elements stay open, smoothing cannot predict loops that turn elsewhere.
 
-    Parameters
-    ----------
-    records : list of Record
-        Pieces without gaps, on a common displacement axis.
-    rows : Rows
-        Rows of these records; their values have no effect.
-    span : (float, float)
-        Ends of the stroke [m].
+    `records`: pieces without gaps, on a common displacement axis. `rows`: rows of these records; their values have no
+    effect. `span`: ends of the stroke [m].
     """
     stroke = span[1] - span[0]
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
@@ -213,15 +194,11 @@ def _sparsest(space: Array) -> list[Array]:
     for i in np.flatnonzero(np.linalg.norm(basis, axis=0) > _SMALL):
         equations = np.vstack([rows, np.concatenate([basis[:, i], np.zeros(2 * size)])])
         goal = np.append(np.zeros(size), 1.0)
-        x, _, optimal, _, _ = linear_program(cost, (lower, upper), equations, (goal, goal))
-        if optimal:
-            z = x[:rank] @ basis
+        found = minimum(cost, (lower, upper), equations, (goal, goal))
+        if found.optimal:
+            z = found.value[:rank] @ basis
             vectors.append(z / z[np.argmax(np.abs(z))])
     return vectors
-
-
-def _support_size(vector: Array) -> int:
-    return int(np.count_nonzero(np.abs(vector) > _SMALL))
 
 
 def _first(vector: Array) -> int:

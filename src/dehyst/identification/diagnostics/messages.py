@@ -122,8 +122,8 @@ def of_turns(probe: Identifiability) -> list[str]:
     if probe.determined == probe.of:
         return []
     return [
-        f"Wider structures were not tried: the turning points determine {probe.determined} of {probe.of} directions of "
-        "ten plain elements. Wider structures need loops within loops: add minor loops with other turning points."
+        f"Structures with more parts were not tried: the turning points determine {probe.determined} of {probe.of} "
+        "directions of ten slip elements. More parts need nested loops: add minor loops with other turning points."
     ]
 
 

@@ -19,16 +19,8 @@ from dehyst.records.signals import turning_points, white_noise
 def local_polynomial(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:
     """Return the value or a derivative at each sample of the polynomial that fits its neighbours best.
 
-    Parameters
-    ----------
-    y : (n,) array
-        Evenly sampled, n >= window.
-    window, order : int
-        Samples of a polynomial, an odd number, and its order; the first and last half window have one polynomial each.
-    derivative : int, optional
-        0: the value.
-    step : float, optional
-        Sample time [s].
+    `y` (n,): evenly sampled, n >= window. `window`, `order`: samples of a polynomial, an odd number, and its order; the
+    first and last half window have one polynomial each. `derivative`: 0: the value. `step`: sample time [s].
 
     Returns
     -------
@@ -96,14 +88,9 @@ def left_of(noise: float, stroke: float) -> float:
 def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     """Return a piece whose displacement moves as an actuator does.
 
-    Parameters
-    ----------
-    piece : Record
-        Its delay removed.
-    noise, stroke : float
-        Standard deviation of the sensor [m], and range of the widest loop [m]: if the noise is significant, parabolas
-        through neighbours, over a part of a cycle, come first; of loud noise over wider parts, each leg by itself, or a
-        turn would lie beyond what the actuator reaches.
+    `piece`: its delay removed. `noise`, `stroke`: standard deviation of the sensor [m], and range of the widest loop
+    [m]: if the noise is significant, parabolas through neighbours, over a part of a cycle, come first; of loud noise
+    over wider parts, each leg by itself, or a turn would lie beyond what the actuator reaches.
     """
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):

@@ -65,11 +65,7 @@ def block_means(record: Record, block: int) -> Record:
         whole = record.counted[: displacement.size * block].reshape(-1, block).any(axis=1)
         displacement = np.where(whole | ~rings, displacement, ends)
     return replace(
-        record,
-        set_aside=aside,
-        time=means(record.time),
-        voltage=means(record.voltage),
-        displacement=displacement,
+        record, set_aside=aside, time=means(record.time), voltage=means(record.voltage), displacement=displacement
     )
 
 
@@ -240,10 +236,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
 
     `ringing`: the elements see what rings after steps, which does not count in either case.
 
-    Raises
-    ------
-    RecordError
-        If it cannot be used at all.
+    Raise `RecordError` if it cannot be used at all.
     """
     given = record.one_axis()
     record, holes, left_out = cleaning.remove_glitches(given)
@@ -296,10 +289,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
 def as_list(records: Record | Sequence[Record]) -> list[Record]:
     """Return one or several records as a list.
 
-    Raises
-    ------
-    IdentifyError
-        If they are no records.
+    Raise `IdentifyError` if they are no records.
     """
     given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
     for item in given:

@@ -33,16 +33,9 @@ _AT_A_TIME = 1 << 19
 class Epoch:
     """Samples start..stop-1 of a piece, over which the range of the excitation did not grow.
 
-    Attributes
-    ----------
-    turn : int
-        The sample before `start` at which the range grew last.
-    reach : float
-        Range of displacement [m] so far: elements with 2 rho <= reach are in a known state.
-    middle : float
-        Displacement [m] to which the constant of the carts that stand still refers.
-    width : float
-        Range of displacement [m], noise included.
+    `turn`: the sample before `start` at which the range grew last. `reach`: range of displacement [m] so far: elements
+    with 2 rho <= reach are in a known state. `middle`: displacement [m] to which the constant of the carts that stand
+    still refers. `width`: range of displacement [m], noise included.
     """
 
     turn: int
@@ -57,14 +50,9 @@ class Epoch:
 class EpochRange:
     """Range of displacement over an epoch.
 
-    Attributes
-    ----------
-    number, record, piece : int
-        Numbers of the epoch, of its record and of its piece of the record.
-    low, high : float
-        [m], on the axis of the record.
-    reach : float
-        high - low less the noise [m]: elements with 2 rho <= reach are in a known state.
+    `number`, `record`, `piece`: numbers of the epoch, of its record and of its piece of the record. `low`, `high`: [m],
+    on the axis of the record. `reach`: high - low less the noise [m]: elements with 2 rho <= reach are in a known
+    state.
     """
 
     number: int
@@ -88,19 +76,10 @@ class EpochRange:
 class Rows:
     """Samples that count, of all records, stacked.
 
-    Attributes
-    ----------
-    elongation : (n, N) array
-        s_i [m], or for a cart that stands still y minus the middle of its epoch.
-    stuck : (n, N) bool array
-        Whether cart i stands still at this sample.
-    displacement, voltage, drift : (n,) array
-        y [m], v [V] and the record's creep curve (log of time since its start, mean zero).
-    record, epoch : (n,) int array
-    time : (n,) array
-        [s].
-    moved : (n, E) array
-        Internal states besides carts, such as creep strains [m]; E is 0 without such parts.
+    `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
+    whether cart i stands still at this sample. `displacement`, `voltage`, `drift` (n,): y [m], v [V] and the record's
+    creep curve (log of time since its start, mean zero). `time` (n,): [s]. `moved` (n, E): internal states besides
+    carts, such as creep strains [m]; E is 0 without such parts.
     """
 
     elongation: Array
@@ -133,12 +112,8 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
 
     A growth below 0.2 % of the voltage's range, or below its noise, is ignored.
 
-    Parameters
-    ----------
-    record : Record
-        Without gaps, its delay removed.
-    noise : float, optional
-        Standard deviation of the sensor [m]: the reach is reduced by the part of a range that is noise.
+    `record`: without gaps, its delay removed. `noise`: standard deviation of the sensor [m]: the reach is reduced by
+    the part of a range that is noise.
     """
     v, y = record.voltage, record.displacement
     tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
@@ -173,15 +148,8 @@ def _grows(v: Array, tolerance: float) -> NDArray[np.bool_]:
 class RowSource:
     """The samples that count, in blocks: they need not be in memory all at once.
 
-    Attributes
-    ----------
-    pieces : list of (record number, Record, drift curve (n,))
-    breakaway : (N,) array
-        rho [m].
-    epochs : list of list of Epoch
-        Epochs of each piece.
-    moved : list of InternalStates
-        Internal states besides carts along each piece, at all its samples.
+    `breakaway` (N,): rho [m]. `epochs`: epochs of each piece. `moved`: internal states besides carts along each piece,
+    at all its samples.
     """
 
     pieces: list[tuple[int, Record, Array]]
@@ -286,23 +254,12 @@ class RowSource:
 
 
 def collect(
-    pieces: list[tuple[int, Record, Array]],
-    breakaway: Array,
-    noise: list[float],
-    *,
-    relaxed: Collection[int] = (),
+    pieces: list[tuple[int, Record, Array]], breakaway: Array, noise: list[float], *, relaxed: Collection[int] = ()
 ) -> tuple[Rows, list[list[Epoch]]]:
     """Stack the samples that count.
 
-    Parameters
-    ----------
-    pieces : list of (record number, Record, drift curve (n,))
-    breakaway : (N,) array
-        rho [m].
-    noise : list of float
-        Sensor noise [m] of each piece.
-    relaxed : collection of int, optional
-        Records that start with no element strained: all their samples count up to the first gap.
+    `breakaway` (N,): rho [m]. `noise`: sensor noise [m] of each piece. `relaxed`: records that start with no element
+    strained: all their samples count up to the first gap.
 
     Returns
     -------
@@ -323,12 +280,7 @@ class InternalStates:
 
     Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains at the start (n, J).
 
-    Attributes
-    ----------
-    grid : Grid
-    piece : Record
-    lead : Record or None
-        Samples left out before the piece; used only if the piece continues them.
+    `lead`: samples left out before the piece; used only if the piece continues them.
     """
 
     grid: Grid

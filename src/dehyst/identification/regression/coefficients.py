@@ -35,22 +35,10 @@ _NOTHING = 1e-9
 class Coefficients:
     """Coefficients of a regression.
 
-    Attributes
-    ----------
-    stiffness : (N, M) array
-        kappa_im [V/m]; M = 1 for plain elements.
-    slopes : (K - 1,) array
-        Slopes of the spring [V/m].
-    internal : (J + L,) array
-        Stiffnesses of creep branches, then of smooth elements [V/m].
-    transformer : (T,) array
-        Slopes of tau; empty without one.
-    offsets, drifts : dict
-        Constants by epoch and drifts by record [V of tau].
-    solution : Solution or None
-        The program's answer; None for those of a given actuator.
-    starts : dict
-        p_j (J,) by record [V of tau].
+    `stiffness` (N, M): kappa_im [V/m]; M = 1 for plain elements. `slopes` (K - 1,): slopes of the spring [V/m].
+    `internal` (J + L,): stiffnesses of creep branches, then of smooth elements [V/m]. `transformer` (T,): slopes of
+    tau; empty without one. `offsets`, `drifts`: constants by epoch and drifts by record [V of tau]. `solution`: the
+    program's answer; None for those of a given actuator. `starts`: p_j (J,) by record [V of tau].
     """
 
     stiffness: Array
@@ -78,10 +66,7 @@ class Coefficients:
     def solved(self) -> Solution:
         """The program's answer.
 
-        Raises
-        ------
-        ValueError
-            If these are the coefficients of a given actuator.
+        Raise `ValueError` if these are the coefficients of a given actuator.
         """
         if self.solution is None:
             raise ValueError("these coefficients are those of an actuator; fit a regression for an answer")
@@ -90,16 +75,9 @@ class Coefficients:
     def to_actuator(self, grid: Grid, first: float, *, least: float | None = _NOTHING, **others: Any) -> Actuator:
         """Return the actuator that has these coefficients on a grid.
 
-        Parameters
-        ----------
-        grid : Grid
-        first : float
-            The spring's voltage at its first knot [V].
-        least : float or None
-            Creep branches and smooth elements that hold no more than this part of the voltage are left out; None: all
-            stay, negative stiffnesses as zero.
-        **others
-            Further arguments of `Actuator`.
+        `first`: the spring's voltage at its first knot [V]. `least`: creep branches and smooth elements that hold no
+        more than this part of the voltage are left out; None: all stay, negative stiffnesses as zero. `**others`:
+        further arguments of `Actuator`.
         """
         branches = grid.time_constants.size
         internal = np.maximum(self.internal, 0.0) if least is None else self.internal
@@ -131,11 +109,7 @@ def regularization_rows(grid: Grid, slope: float) -> Array:
     differences of the slopes of the spring and of tau over a segment. They do not depend on how many rows there are;
     what creeps or yields gradually lies too far apart to have neighbours.
 
-    Parameters
-    ----------
-    grid : Grid
-    slope : float
-        Volts for a metre [V/m], which make forces elongations.
+    `slope`: volts for a metre [V/m], which make forces elongations.
     """
     rho = grid.breakaway[grid.movable]
     elements, spring, drive = rho.size * grid.segments, grid.knots.size - 1, max(grid.drive.size - 2, 0)
@@ -184,15 +158,8 @@ _VIOLATED = 1e-6
 def bounds(grid: Grid, records: int, unknowns: int, least: float) -> tuple[Array, Array]:
     """Return what the last segment of tau has left to give, and starts of creep that a branch can hold.
 
-    Parameters
-    ----------
-    grid : Grid
-    records : int
-        Records that may begin strained.
-    unknowns : int
-        Unknowns of the program that are not negative.
-    least : float
-        Least slope of tau.
+    `records`: records that may begin strained. `unknowns`: unknowns of the program that are not negative. `least`:
+    least slope of tau.
 
     Returns
     -------
@@ -226,11 +193,7 @@ def violated(grid: Grid, x: Array, floor: float) -> Array:
 def ties(grid: Grid, ranges: Sequence[EpochRange]) -> list[tuple[dict[int, float], Array]]:
     """Return inequalities ``sum_e sign_e a_e + row kappa >= 0`` between constants.
 
-    Parameters
-    ----------
-    grid : Grid
-    ranges : sequence of EpochRange
-        On the model's axis, in order.
+    `ranges`: on the model's axis, in order.
 
     Returns
     -------

@@ -44,17 +44,8 @@ class Nearby:
 class FoldSums:
     """The rows of a regression, and their weighted sums by fold.
 
-    Attributes
-    ----------
-    regression : Regression
-    weights : (n,) array
-        Of the rows, as for `Regression.fit`.
-    nearby : Nearby, optional
-        The unknowns of a fit nearby that are not zero: the first fit starts from them.
-    folds : int, optional
-        Parts of the rows.
-    given : (n,) int array, optional
-        The fold of each row.
+    `weights` (n,): of the rows, as for `Regression.fit`. `nearby`: the unknowns of a fit nearby that are not zero: the
+    first fit starts from them. `folds`: parts of the rows. `given` (n,) int: the fold of each row.
     """
 
     regression: Regression

@@ -24,18 +24,9 @@ def searched_delay(
 ) -> float:
     """Seconds at which a cost, an RMS residual [m], is least; 0 unless that is worth it.
 
-    Parameters
-    ----------
-    cost : callable
-        Delay [s] -> [m].
-    longest, sample_time : float
-        Largest delay looked for, and the time of a sample [s]; the answer is good to 1 % of a sample.
-    voltage : (n,) array
-        Of the samples that count [V]: loops of one height have to explain more.
-    stroke : float
-        [m].
-    points : int, optional
-        Delays of the first, even scan.
+    `cost`: delay [s] -> [m]. `longest`, `sample_time`: largest delay looked for, and the time of a sample [s]; the
+    answer is good to 1 % of a sample. `voltage` (n,): of the samples that count [V]: loops of one height have to
+    explain more. `stroke`: [m]. `points`: delays of the first, even scan.
     """
     best = _search(cost, 0.0, longest, points, 0.002 * sample_time)
     share = RULES.delay_gain_at_turns if _one_height(voltage) else RULES.drift_gain

@@ -203,14 +203,8 @@ class Regression:
     ) -> Coefficients:
         """Solve the program, inequalities added round by round where they would be violated.
 
-        Parameters
-        ----------
-        norm : {"l1", "l2", "linf"}
-        weights : (n,) array, optional
-        equalities : (p, m) array and (p,) array, optional
-            Combinations of the movable elements' stiffnesses and their values [V], met besides; plain elements only.
-        like : Coefficients, optional
-            Another fit of this regression, whose inequalities the first round has.
+        `equalities` (p, m): combinations of the movable elements' stiffnesses and their values [V], met besides; plain
+        elements only. `like`: another fit of this regression, whose inequalities the first round has.
         """
         free, bounded, target = self.table()
         n = len(self.rows)

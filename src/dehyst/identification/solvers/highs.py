@@ -23,10 +23,18 @@ class LinearSolution:
 
 
 def minimum(
-    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str
+    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str = "simplex"
 ) -> LinearSolution:
-    """Minimise cost'x with bounds on x and limits on rows x (dense); solver "simplex" or "ipm"."""
+    """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1] (dense); "simplex" or "ipm"."""
     return _run(_highs_model(cost, bounds, rows, limits, solver), solver)
+
+
+def dual_objective(
+    solution: LinearSolution, cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
+) -> float:
+    """Return the value of the dual program at a solution."""
+    dual = solution.row_dual
+    return _support(dual, *limits) + _support(cost - rows.T @ dual, *bounds)
 
 
 def _highs_model(
@@ -88,7 +96,7 @@ def _run(highs: Any, solver: str) -> LinearSolution:
 def linear_programs(
     costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
 ) -> Iterator[LinearSolution]:
-    """Minimise each of many costs (p, n) as `linear_program` does, each from the optimum of the previous one."""
+    """Minimise each of many costs (p, n) as `minimum` does, each from the optimum of the previous one."""
     highs = _highs_model(costs[0], bounds, rows, limits, "simplex")
     every = np.arange(rows.shape[1], dtype=np.int32)
     # The previous optimum is feasible: the primal simplex continues from it, the dual simplex would start anew.
@@ -96,19 +104,6 @@ def linear_programs(
         highs.changeColsCost(every.size, every, cost)
         highs.setOptionValue("simplex_strategy", 4 if k else 1)
         yield _run(highs, "simplex")
-
-
-def linear_program(
-    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
-) -> tuple[Array, float, bool, str, float]:
-    """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1].
-
-    Returns the solution, its value, whether it is optimal, the solver's status and the dual's value.
-    """
-    solution = minimum(cost, bounds, rows, limits, solver="simplex")
-    reduced = cost - rows.T @ solution.row_dual
-    dual = _support(solution.row_dual, *limits) + _support(reduced, *bounds)
-    return solution.value, solution.objective, solution.optimal, solution.status, dual
 
 
 def _support(multipliers: Array, lower: Array, upper: Array) -> float:

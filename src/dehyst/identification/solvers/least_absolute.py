@@ -54,13 +54,8 @@ _NEGLIGIBLE = 1e-8
 class PrimalDual:
     """A point and a dual point, and the method that found them.
 
-    Attributes
-    ----------
-    x, y, multipliers : (q,), (n,) and (m,) array
-        Coefficients, duals of the rows in [-1, 1], and duals of the inequalities, not negative.
-    status : str
-    optimal : bool
-        Whether the method ended; `dual_value` returns how good they are.
+    `x`, `y`, `multipliers`: coefficients, duals of the rows in [-1, 1], and duals of the inequalities, not negative.
+    `optimal`: whether the method ended; `dual_value` returns how good they are.
     """
 
     x: Array
@@ -248,13 +243,8 @@ _MOST_MET = 5000
 def least_absolute_deviations(problem: Problem, pull: Array, unit: float) -> PrimalDual:
     """Minimise the sum of absolute residuals less pull'x.
 
-    Parameters
-    ----------
-    problem : Problem
-    pull : (q,) array
-        Sum of the rows with a residual of known sign, each times its sign.
-    unit : float
-        Sum of absolute targets of all rows: the gap is relative to it, or to the objective if that is larger.
+    `pull` (q,): sum of the rows with a residual of known sign, each times its sign. `unit`: sum of absolute targets of
+    all rows: the gap is relative to it, or to the objective if that is larger.
     """
     pair = interior(problem, pull)
     x = _polished(problem, pull, pair.x)
@@ -283,7 +273,7 @@ def _by_highs(problem: Problem, pull: Array, pair: PrimalDual) -> PrimalDual:
     both, cost = np.vstack([problem.rows, problem.matrix]).T, -np.append(problem.goal, problem.lower)
     solution = highs.minimum(cost, box, both, limits, solver="ipm")
     if not solution.optimal:
-        solution = highs.minimum(cost, box, both, limits, solver="simplex")
+        solution = highs.minimum(cost, box, both, limits)
     if not solution.optimal:
         return replace(pair, status=solution.status, optimal=False)
     x = -solution.row_dual

@@ -99,16 +99,9 @@ def _thin(rows: Array, goal: Array, place: int, step: int, usual: float) -> tupl
 class _Divided:
     """Rows in the program, and the sum of the others.
 
-    Attributes
-    ----------
-    problem : Problem
-        The kept rows.
-    places : (k,) int array
-        Their places among all rows, ascending.
-    signs_of : (q,) array
-        The coefficients that define the signs of the others.
-    pull, value : (q,) array and float
-        Sums of the other rows and of their targets, each times its sign.
+    `problem`: the kept rows. `places` (k,) int: their places among all rows, ascending. `signs_of` (q,): the
+    coefficients that define the signs of the others. `pull`, `value` (q,): sums of the other rows and of their targets,
+    each times its sign.
     """
 
     problem: Problem
@@ -209,11 +202,8 @@ def _solve_reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, un
 class _SignDoubt:
     """Doubt about the sign of a residual: its size over the shift that the sample's uncertainty may cause.
 
-    Attributes
-    ----------
-    sample : Problem
-    root : (q, q) array
-        Root of the inverse of the sample's Gram matrix: rows times it are as long as the square root of their leverage.
+    `root` (q, q): root of the inverse of the sample's Gram matrix: rows times it are as long as the square root of
+    their leverage.
     """
 
     sample: Problem

@@ -22,13 +22,8 @@ TINY = float(np.finfo(np.float64).tiny)
 class Problem:
     """Minimise || rows x - goal || with x[free:] >= 0 and matrix x >= lower.
 
-    Attributes
-    ----------
-    rows, goal : (n, q) and (n,) array
-    free : int
-        Number of coefficients that may be negative; they come first.
-    matrix, lower : (m, q) and (m,) array
-        Linear inequalities, m = 0 for none.
+    `free`: number of coefficients that may be negative; they come first. `matrix`, `lower` (m, q) and (m,): linear
+    inequalities, m = 0 for none.
     """
 
     rows: Array
@@ -77,10 +72,7 @@ def spread(answer: Answer, places: NDArray[np.intp], size: int) -> Answer:
 def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Array) -> tuple[Array, Array]:
     """Check and return (matrix, lower) on all coefficients divided by `scale`, rows scaled to a largest number of one.
 
-    Raises
-    ------
-    IdentifyError
-        If shapes do not fit or a number is not finite.
+    Raise `IdentifyError` if shapes do not fit or a number is not finite.
     """
     bounded = scale.size - free
     if constraints is None or not np.size(constraints[1]):

@@ -72,12 +72,8 @@ class NormalEquations:
     def minimum(self, inequalities: tuple[Array, Array], start: ActiveSet | None = None) -> tuple[Array, ActiveSet]:
         """Return the coefficients (q,), zero for columns without rows, and their active set.
 
-        Parameters
-        ----------
-        inequalities : (m, q) and (m,) array
-            C and l; met to 1e-9 of the largest term, columns being scaled to one length.
-        start : ActiveSet, optional
-            Of a program nearby; by default no coefficient is at its bound.
+        `inequalities` (m, q) and (m,): C and l; met to 1e-9 of the largest term, columns being scaled to one length.
+        `start`: of a program nearby; by default no coefficient is at its bound.
         """
         diagonal = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
         kept = np.flatnonzero(diagonal > 1e-12 * diagonal.max(initial=TINY))
@@ -226,19 +222,10 @@ _NO_POINT = "no coefficients that are not negative keep the inequalities"
 class Solution:
     """The solution of the program.
 
-    Attributes
-    ----------
-    free, nonnegative : array
-        a and x.
-    residual : (n,) array
-        F a + P x - b, not weighted; empty where rows were read in blocks.
-    gap : float
-        Primal minus dual objective, relative to the larger of the primal one and that of a = x = 0; not negative
-        except by rounding.
-    active_set : ActiveSet or None
-        Of a least-squares program solved from sums: the start of one nearby.
-    inequalities : (m, q) and (m,) array, or None
-        Those that the program came to need.
+    `free`, `nonnegative`: a and x. `residual` (n,): F a + P x - b, not weighted; empty where rows were read in blocks.
+    `gap`: primal minus dual objective, relative to the larger of the primal one and that of a = x = 0; not negative
+    except by rounding. `active_set`: of a least-squares program solved from sums: the start of one nearby.
+    `inequalities` (m, q) and (m,): those that the program came to need.
     """
 
     free: Array
@@ -262,22 +249,10 @@ def solve(
 ) -> Solution:
     """Solve the program.
 
-    Parameters
-    ----------
-    free, nonnegative : (n, p) and (n, q) array
-        Columns F and P.
-    target : (n,) array
-        b.
-    weights : (n,) array, optional
-        Positive weights W; default 1.
-    norm : {"l1", "l2", "linf"}
-    constraints : (m, q) and (m,) array, optional
-        C and l of the inequalities C x >= l, met to 1e-9 of the largest coefficient.
-
-    Raises
-    ------
-    IdentifyError
-        If the norm is unknown, there are fewer rows than free columns, or the constraints do not fit the columns.
+    `free`, `nonnegative` (n, p) and (n, q): columns F and P. `target` (n,): b. `weights` (n,): positive weights W;
+    default 1. `constraints` (m, q) and (m,): C and l of the inequalities C x >= l, met to 1e-9 of the largest
+    coefficient. Raise `IdentifyError` if the norm is unknown, there are fewer rows than free columns, or the
+    constraints do not fit the columns.
     """
     if norm not in NORMS:
         raise IdentifyError(argument="norm", got=repr(norm), need=f"one of {', '.join(NORMS)}")
@@ -315,14 +290,8 @@ def solve_blocks(
 ) -> Solution:
     """Solve the program of rows of which only a block is in memory at a time.
 
-    Parameters
-    ----------
-    table : WeightedBlocks
-    like : (m, p), (m, q) and (m,) array
-        Some of the rows, which define the scales: free columns, those not negative, target.
-    norm : {"l1", "l2", "linf"}
-    constraints : (c, q) and (c,) array, optional
-        As for `solve`.
+    `like`: some of the rows, which define the scales: free columns, those not negative, target. `constraints` (c, q)
+    and (c,): as for `solve`.
 
     Returns
     -------
@@ -371,7 +340,7 @@ def _impossible(problem: Problem) -> bool:
         return False
     bounds = np.where(np.arange(q) < p, -np.inf, 0.0), np.full(q, np.inf)
     above = np.full(problem.lower.size, np.inf)
-    return not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above), solver="simplex").optimal
+    return not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above)).optimal
 
 
 def _l2(blocks: Blocks, frame: Problem) -> Answer:
@@ -391,7 +360,7 @@ def _linf(blocks: Blocks, frame: Problem) -> Answer:
         rows, goal, ones = selection.rows, selection.goal, np.ones((selection.goal.size, 1))
         both = np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones]), -kept])
         upper = np.concatenate([goal, -goal, -frame.lower])
-        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper), solver="simplex")
+        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper))
         if not solution.optimal:
             return failed(frame, solution.status)
         x = solution.value[:q]

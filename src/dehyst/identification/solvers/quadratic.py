@@ -38,16 +38,8 @@ def interior_point(
 ) -> tuple[Array, Array, Array]:
     """Return x, multipliers of the bounds (0 for free coefficients) and of the inequalities.
 
-    Parameters
-    ----------
-    gram, linear : (q, q) and (q,) array
-        G and c.
-    free : int
-        Number of coefficients without a bound; they come first.
-    inequalities : (m, q) and (m,) array
-        C and l.
-    close : float
-        Mean complementarity at which the method ends.
+    `gram`, `linear` (q, q) and (q,): G and c. `free`: number of coefficients without a bound; they come first.
+    `inequalities` (m, q) and (m,): C and l. `close`: mean complementarity at which the method ends.
     """
     matrix, lower = inequalities
     q, bounded = linear.size, linear.size - free
@@ -105,17 +97,8 @@ _ROUNDS = 50
 class Minimum:
     """Coefficients, multipliers of the inequalities, free coefficients and active inequalities.
 
-    Attributes
-    ----------
-    x : (q,) array
-    multipliers : (m,) array
-        Not negative.
-    moving : (q,) bool array
-        Coefficients that are unbounded or above zero.
-    active : (m,) bool array
-        Inequalities met with equality.
-    status : str
-        The method that found it.
+    `multipliers` (m,): not negative. `moving` (q,) bool: coefficients that are unbounded or above zero. `active` (m,)
+    bool: inequalities met with equality. `status`: the method that found it.
     """
 
     x: Array

@@ -94,9 +94,6 @@ _START = (
 )
 
 
-# Of a column, what is sent before its numbers.
-
-
 class Loaded(NamedTuple):
     """Columns of a file, and its name and meta if dehyst wrote the file."""
 
