@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PossibleStart
 from dehyst.exports import wasm_module
-from dehyst.exports.shipped import shipped
+from dehyst.exports.naming import shipped
 from dehyst.identification import Fit
 from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
 from dehyst.model.summary import parts_of

@@ -36,6 +36,10 @@ class Excitation:
         Samples a second [Hz].
     warnings : tuple of str
         Sentences about what takes longer than requested; empty if nothing does.
+    axes : tuple of str
+        Names of several axes.
+    parts : tuple of (str, int, int)
+        What is played from one sample to the one before the other, if it has parts.
 
     Raises
     ------
@@ -47,6 +51,8 @@ class Excitation:
     voltage: Array
     sample_rate: float
     warnings: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
+    parts: tuple[tuple[str, int, int], ...] = ()
 
     def __post_init__(self) -> None:
         several = getattr(self.voltage, "ndim", 1) == 2
