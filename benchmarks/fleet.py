@@ -28,8 +28,8 @@ OUTPUT = Path(__file__).parent / "fleet.json"
 BY = "serial,session"
 # Records of a run in which processes are killed, and on paper.
 FEW, MANY = 120, 1_000_000
-# Of the comparison of Dask with processes, and of the ageing by `auto`.
-SOME, OTHERS = 400, 600
+# Of the ageing by `auto`.
+OTHERS = 600
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 MEASURED = ("cpu_s", "wall_s", "memory_MB")
 ALLOWED_MB = 350
@@ -116,8 +116,7 @@ def children(pid: int) -> list[int]:
 
 
 def is_worker(pid: int) -> bool:
-    words = Path(f"/proc/{pid}/cmdline").read_bytes()
-    return b"dehyst.fleet.worker" in words or b"spawn_main" in words
+    return b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
 
 
 def started(dataset: Path, output: Path, *more: str) -> subprocess.Popen:
@@ -266,26 +265,24 @@ def measure(folder: Path, count: int, jobs: int, result: dict) -> None:
             print(json.dumps({name: result[name]}, indent=1), flush=True)
         return result[name]
 
-    ways = {"": ("--jobs", str(jobs)), "dask_": ("--dask", "local", "--jobs", str(jobs))}
+    way = ("--jobs", str(jobs))
     reference = folder / "reference.parquet"
-    run(few, reference, *ways[""])
+    run(few, reference, *way)
     rows = plain_rows(reference)
-    for kind, way in ways.items():
-        output = folder / f"{kind}killed.parquet"
-        part(f"killed_{kind}workers", partial(killed_workers, few, output, rows, *way))
-        output.unlink(missing_ok=True)
-        part(f"killed_{kind}client", partial(killed_client, few, output, rows, *way))
+    output = folder / "killed.parquet"
+    part("killed_workers", partial(killed_workers, few, output, rows, *way))
+    output.unlink(missing_ok=True)
+    part("killed_client", partial(killed_client, few, output, rows, *way))
     part("killed_scheduler", lambda: killed_scheduler(few, folder / "e.parquet", rows, folder))
     table = folder / "table.parquet"
-    plain = part("processes", lambda: overhead(run(data, table, *ways[""]), jobs))
+    plain = part("processes", lambda: overhead(run(data, table, *way), jobs))
     part("found", lambda: found(table, truth))
     part("aged", lambda: aged(table, truth))
-    selected, wide = ("--structure", "auto", *ways[""]), folder / "auto.parquet"
+    selected, wide = ("--structure", "auto", *way), folder / "auto.parquet"
     slow = part("auto", lambda: overhead(run(data, wide, *selected), jobs))
     part("auto_found", lambda: found(wide, truth))
     part("auto_aged", lambda: auto_aged(folder, selected))
     part("paper", lambda: on_paper(folder, few, reference, plain, slow))
-    part("dask", lambda: with_dask(folder, jobs, ways))
 
 
 def auto_aged(folder: Path, selected: tuple[str, ...]) -> dict:
@@ -294,18 +291,6 @@ def auto_aged(folder: Path, selected: tuple[str, ...]) -> dict:
     truth = make(data, OTHERS, seed=8)
     run(data, output, *selected)
     return aged(output, truth)
-
-
-def with_dask(folder: Path, jobs: int, ways: dict) -> dict:
-    """Run a part of the fleet by processes, then by Dask, and compare rows and seconds."""
-    data, first, second = (folder / f"{name}.parquet" for name in ("some", "by_processes", "by_dask"))
-    make(data, SOME, seed=4)
-    plain = overhead(run(data, first, *ways[""]), jobs)
-    dask = overhead(run(data, second, *ways["dask_"]), jobs)
-    dask["same_rows"] = plain_rows(second) == plain_rows(first)
-    dask["over_processes_percent"] = 100 * (dask["wall_s"] / plain["wall_s"] - 1)
-    dask["over_processes_cpu_percent"] = 100 * (dask["cpu_s"] / plain["cpu_s"] - 1)
-    return {**dask, "by_processes": plain}
 
 
 if __name__ == "__main__":

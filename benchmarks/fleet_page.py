@@ -16,8 +16,6 @@ BLOCK = re.compile(r"(<!-- figures: fleet -->\n).*?(<!-- end of figures -->)", r
 KILLS = {
     "killed_workers": "four workers, one after another",
     "killed_client": "the client, then `--resume`",
-    "killed_dask_workers": "four workers of `--dask local`",
-    "killed_dask_client": "the client of `--dask local`, then `--resume`",
     "killed_scheduler": "the scheduler of `dask scheduler`, then another one and `--resume`",
 }
 
@@ -70,7 +68,7 @@ def kills(result: dict) -> list[str]:
 
 
 def costs(result: dict) -> list[str]:
-    runs = {"processes": "processes", "dask": "`--dask local`", "auto": "processes, `--structure auto`"}
+    runs = {"processes": "processes", "auto": "processes, `--structure auto`"}
     rows = [
         f"| {words} | {one['records']} | {one['wall_s']:.0f} s | {one['task_cpu_s']['mean']:.2f} s | "
         f"{one['overhead_wall_percent']:.1f} % | {one['overhead_cpu_percent']:.1f} % | {one['worker_MB']:.0f} MB |"

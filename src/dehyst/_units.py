@@ -41,6 +41,11 @@ COUNTS = {
     "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9, "min": 1 / 60},
     "V": {"V": 1.0, "mV": 1e3, "kV": 1e-3},
 }
+# SI units in one of each unit of a quantity.
+FACTORS = {
+    quantity: {unit: 1 / count for unit, count in COUNTS[si].items()}
+    for quantity, si in {"time": "s", "voltage": "V", "displacement": "m"}.items()
+}
 # The words for the units, in lower case; a symbol counts more.
 _WORDS = {
     word: symbol
@@ -121,6 +126,12 @@ def symbol_of(unit: str) -> str:
     """Return the symbol for a unit that is written as a symbol or a word, with or without brackets; "" if unknown."""
     bare = unit.strip().strip("[]()").strip()
     return bare if any(bare in known for known in COUNTS.values()) else _WORDS.get(bare.lower(), "")
+
+
+def quantity_of(unit: str) -> str:
+    """Return the quantity of a unit, "time", "voltage" or "displacement"; "" if it is unknown."""
+    symbol = symbol_of(unit)
+    return next((quantity for quantity, known in FACTORS.items() if symbol in known), "")
 
 
 def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:

@@ -25,7 +25,6 @@ import dehyst.fleet.run
 import dehyst.stages
 from dehyst.cli import main
 from dehyst.control import Compensator
-from dehyst.fleet.engines import Done
 from dehyst.fleet.task import TaskRunner
 from dehyst.records import write_columns
 
@@ -149,7 +148,7 @@ VALUES = {
     "by": "--by serial",
     "prior": "--prior table.parquet",
     "jobs": "--jobs 3",
-    "dask": "--dask local",
+    "dask": "--dask tcp://127.0.0.1:8786",
     "resume": "--resume",
     "threshold": "--threshold 2",
     "over": "--over width50_um",
@@ -307,14 +306,25 @@ CASES = {
             "model.json record.csv --repeats 20 --trajectory path.csv",
             {"force": "-o out.csv"},
             {"repeats": "--repeats 21", "trajectory": "--trajectory way.csv"},
-            only=("trajectory", "wanted", "zero", "output", "force", "level", "precision"),
+            only=("trajectory", "wanted", "zero", "start", "output", "force", "level", "precision"),
         ),
         Case("model.json short.csv --repeats 0", values={"seconds": "--seconds 0.02"}, only=("seconds",)),
         Case(
             "stage.json stage.csv --repeats 0",
             _AXES_COLUMNS,
             _AXES,
-            only=("trajectory", "wanted", "zero", "output", "report", "force", "voltage", "displacement", "axes"),
+            only=(
+                "trajectory",
+                "wanted",
+                "zero",
+                "start",
+                "output",
+                "report",
+                "force",
+                "voltage",
+                "displacement",
+                "axes",
+            ),
         ),
     ],
     "identify": [
@@ -469,7 +479,7 @@ def bench(tmp_path_factory):
     write_columns(folder / "way.csv", {"time_s": np.arange(60) / 50, "displacement_um": 0.9 * path})
     write_columns(folder / "path.csv", {"time_s": np.arange(60) / 50, "displacement_um": path, "other_um": path[::-1]})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dehyst.fleet.run, "_engine", inline)
+        patch.setattr(dehyst.fleet.run, "run_tasks", inline)
         fleet = fleet_records.write_parquet(
             folder / "fleet.parquet", 12, lambda k: {"samples": 20, "gain": 1.3 if k == 7 else 1.0 - 0.02 * (k == 3)}
         )
@@ -483,16 +493,11 @@ def bench(tmp_path_factory):
     return folder
 
 
-def inline(dask, jobs, time_limit, head):
-    """An engine of this process."""
-
-    def run(tasks):
-        click.echo(f"computed by {dask}, {jobs}, {time_limit}")
-        runner = TaskRunner(head)
-        for task in tasks:
-            yield Done(task, runner.run(task))
-
-    return run
+def inline(head, tasks, *, jobs, scheduler):
+    """Run tasks in this process."""
+    click.echo(f"computed by {scheduler}, {jobs}, {head['time_limit']}")
+    runner = TaskRunner(head)
+    yield from map(runner.run, tasks)
 
 
 def described(value):
@@ -532,7 +537,7 @@ class Walk:
 
     def __init__(self, bench, folder, monkeypatch):
         self.bench, self.folder, self.patch, self.known = bench, folder, monkeypatch, {}
-        monkeypatch.setattr(dehyst.fleet.run, "_engine", inline)
+        monkeypatch.setattr(dehyst.fleet.run, "run_tasks", inline)
 
     def outcome(self, words, caught=(), foreign=None):
         """Return status, text and files of a command."""

@@ -1,10 +1,9 @@
-"""Dask: a cluster on this machine, and a scheduler and workers as processes of their own, some of them killed."""
+"""A scheduler and workers of Dask as processes of their own, some of them killed."""
 
 import json
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,7 @@ from dehyst.fleet import identify_fleet, load
 pytest.importorskip("pyarrow")
 pytest.importorskip("distributed", reason="needs Dask: pip install 'dehyst[fleet]'")
 from command_line import DEHYST
-from fleet_records import alive, children, descendants, kill, until, write_parquet
+from fleet_records import descendants, kill, until, write_parquet
 
 pytestmark = pytest.mark.slow
 BY, COUNT = ("serial", "session"), 24
@@ -44,11 +43,6 @@ def shards(output):
     return list(output.with_name(f"{output.name}.parts").glob("*/*.json"))
 
 
-def workers_of(pid):
-    """The worker processes of a local cluster."""
-    return [one for one in children(pid) if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
-
-
 @pytest.fixture
 def cluster(tmp_path):
     """A function that starts a scheduler and two workers; it returns the processes and the address."""
@@ -73,31 +67,6 @@ def cluster(tmp_path):
         process.wait()
 
 
-def test_a_cluster_on_this_machine_gives_the_same_rows_though_workers_die(dataset, expected, tmp_path):
-    output = tmp_path / "m.parquet"
-    process = client(dataset, output, "--dask", "local", "--jobs", "2")
-    assert until(lambda: len(shards(output)) >= 3, 180)
-    for pid in workers_of(process.pid)[:1]:
-        kill(pid)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    assert rows(output) == expected
-
-
-def test_a_killed_client_leaves_no_worker_and_resumes(dataset, expected, tmp_path):
-    output = tmp_path / "m.parquet"
-    process = client(dataset, output, "--dask", "local", "--jobs", "2")
-    assert until(lambda: len(shards(output)) >= 3, 180)
-    left = descendants(process.pid)
-    kill(process.pid)
-    process.communicate()
-    assert until(lambda: not any(map(alive, left)), 60)
-    again = client(dataset, output, "--dask", "local", "--jobs", "2", "--resume")
-    _, errors = again.communicate(timeout=300)
-    assert again.returncode == 0, errors
-    assert rows(output) == expected
-
-
 def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(dataset, expected, tmp_path, cluster):
     output, (processes, address) = tmp_path / "m.parquet", cluster("first")
     process = client(dataset, output, "--dask", address)
@@ -116,6 +85,6 @@ def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(data
 
 
 def test_no_scheduler_answers(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("dehyst.fleet.engines._PATIENCE", 2)
+    monkeypatch.setattr("dehyst.fleet.engine._PATIENCE", 2)
     with pytest.raises(OSError, match="no Dask scheduler with a worker"):
         identify_fleet(dataset, tmp_path / "m.parquet", by=BY, dask="tcp://127.0.0.1:9")

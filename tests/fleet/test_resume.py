@@ -106,7 +106,7 @@ def test_a_folder_that_vanishes_leaves_the_table_as_it_is(dataset, tmp_path, mon
     output = tmp_path / "m.parquet"
     identify_fleet(dataset, output, jobs=1)
     before = output.read_bytes()
-    monkeypatch.setattr(dehyst.fleet.run._Run, "finish", lambda run, engine: run.shards.remove())
+    monkeypatch.setattr(dehyst.fleet.run._Run, "finish", lambda run, *_: run.shards.remove())
     with pytest.raises(FileFormatError):
         identify_fleet(dataset, output, jobs=1)
     assert output.read_bytes() == before

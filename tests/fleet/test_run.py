@@ -4,21 +4,19 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 
 import pytest
 
-import dehyst.fleet.engines
+import dehyst.fleet.engine
 from dehyst import FileFormatError, IdentifyError, identify
 from dehyst.fleet import FleetOptions, actuators, identify_fleet, load, open_dataset
-from dehyst.fleet.engines import Supervisor
 from dehyst.fleet.reader import Reader, sha256_of
 
 pytest.importorskip("pyarrow")
 from command_line import DEHYST
-from fleet_records import alive, children, kill, until, write_folder, write_parquet
+from fleet_records import Fatal, alive, descendants, kill, noisy, until, workers_of, write_folder, write_parquet
 
 BY = ("serial", "session")
 COUNT = 24
@@ -39,7 +37,8 @@ def complete(dataset):
 def client(dataset, output, *more):
     """`dehyst fleet identify` as a process."""
     words = ["fleet", "identify", str(dataset), "-o", str(output), "--by", ",".join(BY), *more]
-    return subprocess.Popen([*DEHYST, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([*DEHYST, *words], **pipes, text=True, start_new_session=True)
 
 
 def shards(output):
@@ -89,11 +88,11 @@ def test_models_load_and_rows_select_them(dataset, complete):
 
 
 def test_killed_workers_lose_no_row(dataset, complete, tmp_path):
-    output, killed, others = tmp_path / "m.parquet", [], set(children(os.getpid()))
+    output, killed = tmp_path / "m.parquet", []
 
     def attack():
         while len(killed) < 4 and not output.exists():
-            if workers := [pid for pid in children(os.getpid()) if pid not in others]:
+            if workers := workers_of(os.getpid()):
                 killed.append(workers[0])
                 kill(workers[0])
             time.sleep(1.0)
@@ -111,7 +110,7 @@ def test_a_killed_client_leaves_shards_and_no_worker_and_resumes(dataset, comple
     output = tmp_path / "m.parquet"
     process = client(dataset, output, "--jobs", "2")
     assert until(lambda: len(shards(output)) >= 4)
-    workers = children(process.pid)
+    workers = workers_of(process.pid)
     kill(process.pid)
     process.communicate()
     assert len(workers) == 2 and until(lambda: not any(map(alive, workers)), 10)
@@ -134,8 +133,9 @@ def test_a_stopped_client_ends_cleanly_and_names_resume(dataset, complete, tmp_p
     output = tmp_path / "m.parquet"
     process = client(dataset, output, "--jobs", "2")
     assert until(lambda: len(shards(output)) >= 2)
-    workers = children(process.pid)
-    process.send_signal(number)
+    workers = descendants(process.pid)
+    # Ctrl-C at a terminal reaches the workers too.
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == status
     assert "with --resume to go on" in errors and "Traceback" not in errors
@@ -156,39 +156,45 @@ def test_a_finished_run_is_not_repeated(dataset, tmp_path):
     assert output.stat().st_mtime_ns == before
 
 
-FATAL = """
-import json, os, sys
-sys.stdin.readline()
-print(json.dumps({"ready": 1}), flush=True)
-for line in sys.stdin:
-    task = json.loads(line)
-    if task["position"] == 3:
-        print("out of memory", file=sys.stderr, flush=True)
-        os._exit(9)
-    print(json.dumps({"position": task["position"]}), flush=True)
-"""
+@pytest.mark.parametrize("deaths", [2, 3])
+def test_a_record_that_ends_its_workers_is_lost_at_the_third_time_and_the_others_are_not(
+    dataset, complete, tmp_path, monkeypatch, deaths
+):
+    monkeypatch.setattr(dehyst.fleet.engine, "run_one", Fatal(3, deaths))
+    fleet = identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=2)
+    lost = {k: row["detail"] for k, row in enumerate(fleet.rows) if row["outcome"] == "lost"}
+    assert lost == ({3: "worker"} if deaths == 3 else {})
+    first, second = same_rows(fleet, complete)
+    assert [row for k, row in enumerate(first) if k not in lost] == [
+        row for k, row in enumerate(second) if k not in lost
+    ]
+    # Rows of others are kept, and the lost one is tried again.
+    monkeypatch.undo()
+    again = identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=2, resume=True)
+    assert same_rows(again, complete)[0] == second and not (tmp_path / "m.parquet.parts").exists()
 
 
-def test_a_task_that_kills_its_workers_is_lost_and_the_others_are_not(dataset, monkeypatch):
-    monkeypatch.setattr(dehyst.fleet.engines, "COMMAND", [sys.executable, "-c", FATAL])
-    done = [one for one in Supervisor({}, 2).run(list(open_dataset(dataset, BY).tasks[:8])) if one]
-    assert sorted(one.task.position for one in done) == list(range(8))
-    reasons = {one.task.position: one.reason for one in done if one.reason}
-    assert reasons == {3: "its worker died 3 times, the last time by status 9: out of memory"}
+def test_workers_that_never_begin_end_the_run(dataset, tmp_path, monkeypatch):
+    (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(9)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(OSError, match="workers cannot be started"):
+        identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=2)
+    assert not workers_of(os.getpid())
 
 
-def test_workers_that_never_begin_end_the_run(dataset, monkeypatch):
-    monkeypatch.setattr(dehyst.fleet.engines, "COMMAND", [sys.executable, "-c", "raise SystemExit('no such library')"])
-    with pytest.raises(OSError, match=r"workers end before their first task \(status 1: no such library"):
-        list(Supervisor({}, 2).run(list(open_dataset(dataset, BY).tasks)))
+def test_a_worker_that_prints_leaves_the_output_to_the_client(dataset, tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(dehyst.fleet.engine, "run_one", noisy)
+    identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=1)
+    out, errors = capfd.readouterr()
+    assert out == "" and "a library prints" in errors
 
 
 def test_a_record_that_takes_too_long_is_lost_and_tried_again_on_resume(tmp_path):
     few, output = write_parquet(tmp_path / "few.parquet", 2), tmp_path / "m.parquet"
     fleet = identify_fleet(few, output, by=BY, jobs=1, time_limit=1e-3)
     assert {row["outcome"] for row in fleet.rows} <= {"lost", "identified"}
-    lost = [row["reason"] for row in fleet.rows if row["outcome"] == "lost"]
-    assert lost and all("no result within the time limit of 0.001 s" in reason for reason in lost)
+    lost = [row["detail"] for row in fleet.rows if row["outcome"] == "lost"]
+    assert lost and set(lost) == {"time limit"}
     again = identify_fleet(few, output, by=BY, jobs=1, resume=True)
     assert [row["outcome"] for row in again.rows] == ["identified"] * 2
 
@@ -204,12 +210,13 @@ def test_nothing_of_one_record_stops_the_others(tmp_path):
 
 def test_options_that_are_impossible(dataset, tmp_path):
     for arguments, words in (
-        ({"jobs": 0}, "jobs: got 0, need 1 at least"),
-        ({"time_limit": 0.0}, "need seconds above 0"),
-        ({"time_limit": 1.0, "dask": "local"}, "Dask cannot end a task"),
+        ({"jobs": 0}, "jobs"),
+        ({"jobs": 2, "dask": "tcp://127.0.0.1:1"}, "jobs"),
+        ({"time_limit": 0.0}, "time_limit"),
     ):
-        with pytest.raises(IdentifyError, match=words):
+        with pytest.raises(IdentifyError) as caught:
             identify_fleet(dataset, tmp_path / "m.parquet", **arguments)
+        assert caught.value.argument == words
     with pytest.raises(FileFormatError, match=r"give a name that ends in \.parquet"):
         identify_fleet(dataset, tmp_path / "m.csv")
     with pytest.raises(IdentifyError, match="'auto' takes neither elements nor a prior"):

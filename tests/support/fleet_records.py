@@ -3,12 +3,16 @@
 import os
 import signal
 import time
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 from dehyst import Record, write_record
+from dehyst.fleet.engine import run_one
+from dehyst.fleet.shards import Shards
 from dehyst.virtual import PlayActuator
 
 
@@ -81,6 +85,39 @@ def children(pid):
 def descendants(pid):
     """Process ids of the children, their children and so on."""
     return [one for child in children(pid) for one in (child, *descendants(child))]
+
+
+def workers_of(pid):
+    """Process ids of the workers of a client."""
+    found = []
+    for one in children(pid):
+        with suppress(OSError):
+            found += [one] if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes() else []
+    return found
+
+
+class Fatal:
+    """The function of tasks, with a record at a position that ends its process in the first trials."""
+
+    def __init__(self, position, deaths):
+        self.position, self.deaths = position, deaths
+
+    def __call__(self, head, task):
+        file = Shards(Path(head["folder"]), head["digest"]).path(task).with_suffix(".tried")
+
+        def fail(*_):
+            os._exit(9)
+
+        if task.position != self.position or (file.exists() and file.stat().st_size >= self.deaths):
+            return run_one(head, task)
+        with patch("dehyst.fleet.task.run_task", fail):
+            return run_one(head, task)
+
+
+def noisy(head, task):
+    """The function of tasks, which prints."""
+    os.write(1, b"a library prints\n")
+    return run_one(head, task)
 
 
 def alive(pid):

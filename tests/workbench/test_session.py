@@ -123,7 +123,7 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 @played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await stage.next(Finished(2, None, ["dehyst: no voltage", "To try:", "  ..."], {"suggestion": {"voltage": "U:V"}}))
+    await stage.next(Finished(2, None, {"message": "no voltage", "suggestion": {"voltage": "U:V"}}))
     assert (entry.status, entry.error) == ("refused", "no voltage")
     assert entry.hint == {"options": {"voltage": "U:V"}}
     assert stage.session.state()["log"] == []
@@ -137,11 +137,11 @@ async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
 async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     columns = {"file_columns": [{"name": "U", "unit": ""}, {"name": "s", "unit": "um"}]}
-    await stage.next(Finished(2, columns, ["dehyst: uploads/a.csv: no voltage"]))
+    await stage.next(Finished(2, columns, {"message": "uploads/a.csv: no voltage"}))
     assert (entry.status, entry.error, entry.columns) == ("refused", "a.csv: no voltage", ["U", "s"])
     assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
     stage.session.read_record(entry.id, {"voltage": "U:kg"})
-    await stage.next(Finished(2, None, ["dehyst: the unit 'kg' is unknown"]))
+    await stage.next(Finished(2, None, {"message": "the unit 'kg' is unknown"}))
     assert (entry.status, entry.columns) == ("refused", ["U", "s"])
     stage.session.read_record(entry.id, {"columns": "voltage:V,displacement"})
     renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
@@ -151,7 +151,7 @@ async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage)
 
 @played
 async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
-    entry = await stage.model(Finished(2, None, ["dehyst: no loop"]))
+    entry = await stage.model(Finished(2, None, {"message": "no loop"}))
     assert (entry.status, entry.error) == ("failed", "no loop")
     with pytest.raises(SessionError, match="upload the file again"):
         stage.session.read_record(entry.train[0], {"time": "t"})

@@ -92,6 +92,8 @@ class Commands(click.Group):
                 error.show(shown)
                 for line in shown.getvalue().removesuffix("\n").split("\n"):
                     echo(line, err=True)
+                if "--json" in self._words:
+                    echo_json({"error": {"kind": type(error).__name__, "message": error.format_message()}})
                 sys.exit(error.exit_code)
             except click.Abort:
                 sys.exit(_INTERRUPTED)
@@ -107,7 +109,7 @@ class Commands(click.Group):
             self._report(command, error, ctx.meta.get(REFUSED, {}))
             sys.exit(2)
         except MemoryError:
-            note("not enough memory; resample the record or cut it")
+            self._report(self, DehystError("not enough memory; resample the record or cut it"), {})
             sys.exit(2)
         except KeyboardInterrupt:
             note("stopped by Ctrl-C")
@@ -116,6 +118,7 @@ class Commands(click.Group):
     def _report(self, command: Any, error: DehystError, known: Mapping[str, Any]) -> None:
         """Print an error, and commands with options that would mend it; with --json as JSON too, beside the known."""
         from dehyst._errors import DecimalSignError
+        from dehyst._text import escaped
         from dehyst.records.tables import ColumnsError, notes_on
 
         options, trials = options_of(command), []
@@ -126,15 +129,17 @@ class Commands(click.Group):
             suggestion = error.options
             trials = [{flag_of(options[name]): value for name, value in suggestion.items()}]
             error.message = error.reason
-        note(error_text(error, command))
+        note(sentence := error_text(error, command))
         if trials:
             echo("To try:" if len(trials) == 1 else "See which numbers are right, with one of:", err=True)
         for trial in trials:
             echo(f"  {shlex.join(['dehyst', *_with_options(self._words, trial)])}", err=True)
-        for sentence in notes_on(suggestion) if suggestion else ():
-            echo(sentence, err=True)
+        for advice in notes_on(suggestion) if suggestion else ():
+            echo(advice, err=True)
         if "--json" in self._words:
-            echo_json({**known, "error": {**error.as_dict(), "suggestion": dict(suggestion)}})
+            echo_json(
+                {**known, "error": {**error.as_dict(), "message": escaped(sentence), "suggestion": dict(suggestion)}}
+            )
 
 
 def _with_options(words: list[str], given: dict[str, str]) -> list[str]:

@@ -48,7 +48,7 @@ def fleet() -> None:
 @click.option("--no-drift", is_flag=True, help="Do not estimate and remove the drift of a record.")
 @click.option("--prior", type=PATH, metavar="TABLE.parquet", help="An identified fleet, for few or noisy data.")
 @click.option("--jobs", type=click.IntRange(1), metavar="N", help="Processes.  [default: one a processor]")
-@click.option("--dask", metavar="ADDRESS", help="Use Dask: local, or a scheduler's tcp://HOST:PORT.")
+@click.option("--dask", metavar="ADDRESS", help="Workers of a Dask scheduler, tcp://HOST:PORT.")
 @click.option("--time-limit", type=float, metavar="SECONDS", help="Most time for a record; then it is lost.")
 @click.option("--resume", is_flag=True, help="Go on with a run that did not end; compute changed records again.")
 @click.option("--time", metavar="NAME", help="Column of the time.  [default: found by its name]")

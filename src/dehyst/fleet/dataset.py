@@ -35,7 +35,7 @@ def zarr() -> Any:
 
 def distributed() -> Any:
     """Return Dask's scheduler library."""
-    return library("distributed", "--dask", "fleet")
+    return library("distributed", "A fleet", "fleet")
 
 
 # Names of the key where none is asked for.
@@ -73,20 +73,6 @@ class Task:
     def code(self) -> str:
         """The name of the files of this record, the same in every run over its dataset."""
         return code_of(self.within)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "position": self.position,
-            "keys": dict(self.keys),
-            "place": list(self.place),
-            "within": self.within,
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Task:
-        """Rebuild from `data`, which `as_dict` returned."""
-        return cls(int(data["position"]), dict(data["keys"]), Place(*data["place"]), data["within"])
 
 
 def code_of(within: str) -> str:

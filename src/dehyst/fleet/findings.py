@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst.fleet.shards import CAUSE
 from dehyst.fleet.table import Fleet
 
 # Deviations in robust standard deviations beyond which a record is listed: a normal distribution of all quantities
@@ -126,8 +126,6 @@ def robust_scores(values: Array, quantity: ScoredQuantity) -> tuple[Array, float
 
 _QUANTILES = (0.01, 0.25, 0.5, 0.75, 0.99)
 _SHOWN = 20
-# Reasons are one if they differ in the record's name and in numbers only.
-_NAME, _NUMBER = re.compile(r"^record '[^']*': |^[^:']{1,80}: "), re.compile(r"\d[\d.e+-]*")
 _REASON = 110
 
 
@@ -243,14 +241,19 @@ def identified(fleet: Fleet) -> list[Mapping[str, Any]]:
 
 
 def _reasons(rows: tuple[Mapping[str, Any], ...], names: list[str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    groups: dict[str, list[int]] = defaultdict(list)
+    """Return the reasons, each as the first of its records has it, and the names: one if their causes are the same."""
+    groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for k, row in enumerate(rows):
         if row["outcome"] in ("refused", "lost"):
-            groups[_NUMBER.sub("#", _NAME.sub("", str(row["reason"])))].append(k)
+            groups[row["outcome"], row["detail"], row.get(CAUSE)].append(k)
     ordered = sorted(groups.values(), key=lambda group: -len(group))
     return tuple(
-        (_NAME.sub("", str(rows[group[0]]["reason"]))[:_REASON], tuple(names[k] for k in group)) for group in ordered
+        (_unnamed(str(rows[group[0]]["reason"]), names[group[0]]), tuple(names[k] for k in group)) for group in ordered
     )
+
+
+def _unnamed(reason: str, name: str) -> str:
+    return reason.removeprefix(f"record '{name}': ").removeprefix(f"{name}: ")[:_REASON]
 
 
 def _copies(rows: tuple[Mapping[str, Any], ...], names: list[str]) -> tuple[tuple[str, ...], ...]:

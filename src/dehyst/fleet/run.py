@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from dehyst._io import PathLike, named
 from dehyst._text import counted
 from dehyst._types import Progress
 from dehyst.fleet.dataset import Dataset, Task, code_of, open_dataset
-from dehyst.fleet.engines import Done, Supervisor, processors
+from dehyst.fleet.engine import run_tasks
 from dehyst.fleet.prior import shape_of
 from dehyst.fleet.reader import STAMP, FleetOptions, Reader, digest_of, is_current, stamp_of
 from dehyst.fleet.shards import COLUMNS, MODEL, PLACE, Shards
@@ -52,11 +52,11 @@ def identify_fleet(
     prior : path, optional
         The table of an identified fleet: records with few or noisy data may take its shape.
     jobs : int, optional
-        Number of processes; default: that of the processors.
+        Number of processes of this machine; default: that of the processors.
     dask : str, optional
-        "local", or the address of a scheduler, as "tcp://host:8786".
+        Address of a Dask scheduler, as "tcp://host:8786", whose workers are taken instead.
     time_limit : float, optional
-        Seconds a record may take.
+        Seconds a record may take; its worker is then ended and replaced.
     resume : bool
         Go on with a run that did not end, or complete its table: only records that are new or whose samples have
         changed are computed. Rows of records that are gone go.
@@ -83,22 +83,15 @@ def identify_fleet(
         The scheduler is lost.
     """
     target, report = Path(output).absolute(), progress or (lambda _: None)
-    _check(jobs, time_limit, dask, target)
-    if named(dataset).resolve() == target.resolve():
-        raise FileFormatError(f"{output}: is the dataset; give another name for the table")
+    _check(dataset, target, jobs, dask, time_limit)
     report("reading the index")
     found = open_dataset(dataset, by)
-    options = _with_prior(options or FleetOptions(), prior)
-    if options.decimal is not None and all(task.place.kind != "file" for task in found.tasks):
-        raise FileFormatError(
-            f"got '{options.decimal}', but {dataset} holds no text files", argument="decimal", hint="leave it out"
-        )
-    digest = options.digest(found.digest)
-    if reserved := [name for name in found.by if name in (*COLUMNS, MODEL, "keys")]:
-        raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
-    shards = Shards.beside(target, digest)
+    options = options or FleetOptions()
+    options = options if prior is None else replace(options, prior=shape_of(load(prior)))
+    _check_dataset(found, options)
+    shards = Shards.beside(target, options.digest(found.digest))
     with shards.held():
-        earlier = _earlier(target, digest, shards) if resume else None
+        earlier = _earlier(target, shards) if resume else None
         if earlier is not None and not shards.begun and _is_complete(earlier, found):
             return earlier
         shards.prepare(len(found), options.as_dict(), resume=resume)
@@ -107,7 +100,7 @@ def identify_fleet(
         for sentence in (*found.remarks, *gone, *run.remarks):
             report("")
             (remark or (lambda _: None))(sentence)
-        run.finish(_engine(dask, jobs, time_limit, run.head))
+        run.finish(jobs, dask, time_limit)
         run.write(target)
         report("")
         return load(target)
@@ -123,15 +116,17 @@ class _Run:
         self.changed: list[Task] = []
         reader = Reader()
         self.left = [task for task in dataset.tasks if not (resume and self._is_done(task, options, reader))]
-        self.lost: dict[int, str] = {}
-        self._began, self._done, self._shown = time.monotonic(), 0, 0.0
+        self._began, self._done, self._lost, self._shown = time.monotonic(), 0, 0, 0.0
 
     def _is_done(self, task: Task, options: FleetOptions, reader: Reader) -> bool:
         """Return whether a record has its row; remove a row of other samples."""
         row = self.shards.read(task)
-        if row is None or is_current(row, task, options, reader):
-            return row is not None
-        self.changed.append(task)
+        if row is None:
+            return False
+        if row["outcome"] != "lost":
+            if is_current(row, task, options, reader):
+                return True
+            self.changed.append(task)
         self.shards.discard(task)
         return False
 
@@ -143,19 +138,19 @@ class _Run:
         count = counted(len(self.changed), "record")
         return (f"{count} changed since the run that is resumed, as {self.changed[0].name}: computed again",)
 
-    def finish(self, engine: Callable[[list[Task]], Generator[Done | None, None, None]]) -> None:
-        """Let an engine do what is left."""
+    def finish(self, jobs: int | None, scheduler: str | None, time_limit: float | None) -> None:
+        """Do what is left."""
         if not self.left:
             return
         self._show()
-        with closing(engine(self.left)) as ended:
-            for done in ended:
-                if done is not None:
-                    if "fault" in done.answer:
-                        raise FileFormatError(f"{done.answer['fault']}; then give the same command with --resume")
+        head = self.head | {"time_limit": time_limit}
+        with closing(run_tasks(head, self.left, jobs=jobs, scheduler=scheduler)) as answers:
+            for answer in answers:
+                if answer is not None:
+                    if "fault" in answer:
+                        raise FileFormatError(f"{answer['fault']}; then give the same command with --resume")
                     self._done += 1
-                    if done.reason:
-                        self.lost[done.task.position] = done.reason
+                    self._lost += answer["outcome"] == "lost"
                 if time.monotonic() - self._shown > _OFTEN:
                     self._show()
 
@@ -169,16 +164,17 @@ class _Run:
         about = {"digest": self.shards.digest, "content": content, "options": self.head["options"]}
         keys = {name: [task.keys[name] for task in tasks] for name in self.dataset.by}
         write_table(output, keys, self._rows(), about, self.shards.folder)
-        if not self.lost:
+        if not self._lost:
             self.shards.remove()
 
     def _rows(self) -> Iterator[Mapping[str, Any]]:
         """Yield the row of each record, in the dataset's order."""
         for task in self.dataset.tasks:
             row = self.shards.read(task)
-            yield (
-                lost_row(task, self.lost.get(task.position, "its shard is missing or damaged")) if row is None else row
-            )
+            if row is None:
+                self._lost += 1
+                row = dict(lost_row(task, "shard", "its shard is missing or damaged"))
+            yield row
 
     def _show(self) -> None:
         self._shown = time.monotonic()
@@ -187,7 +183,7 @@ class _Run:
         if self._done:
             rate = self._done / (self._shown - self._began)
             words += f", {rate:.3g} a second, {duration(left / rate)} left"
-        lost = f", {len(self.lost)} lost" if self.lost else ""
+        lost = f", {self._lost} lost" if self._lost else ""
         self._report(f"{words}{lost}")
 
 
@@ -204,31 +200,28 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
 
 
-def _engine(
-    dask: str | None, jobs: int | None, time_limit: float | None, head: Mapping[str, Any]
-) -> Callable[[list[Task]], Generator[Done | None, None, None]]:
-    if dask is not None:
-        from dehyst.fleet.engines import DaskEngine
-
-        return DaskEngine(head, dask, jobs).run
-    return Supervisor(head, jobs or processors(), time_limit).run
-
-
-def _check(jobs: int | None, time_limit: float | None, dask: str | None, output: Path) -> None:
+def _check(dataset: PathLike, output: Path, jobs: int | None, dask: str | None, time_limit: float | None) -> None:
     if jobs is not None and jobs < 1:
         raise IdentifyError(argument="jobs", got=jobs, need="1 at least")
+    if jobs is not None and dask is not None:
+        raise IdentifyError(argument="jobs", got=jobs, hint="leave it out: a scheduler has workers of its own")
     if time_limit is not None and not time_limit > 0:
         raise IdentifyError(argument="time_limit", got=f"{time_limit:g} s", need="seconds above 0")
-    if time_limit is not None and dask is not None:
-        raise IdentifyError("time_limit: Dask cannot end a task; leave time_limit or dask out")
     if output.suffix.lower() != ".parquet":
         raise FileFormatError(f"{output}: a table of a fleet is Parquet; give a name that ends in .parquet")
     if not output.parent.is_dir():
         raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+    if named(dataset).resolve() == output.resolve():
+        raise FileFormatError(f"{output}: is the dataset; give another name for the table")
 
 
-def _with_prior(options: FleetOptions, prior: PathLike | None) -> FleetOptions:
-    return options if prior is None else replace(options, prior=shape_of(load(prior)))
+def _check_dataset(dataset: Dataset, options: FleetOptions) -> None:
+    if options.decimal is not None and all(task.place.kind != "file" for task in dataset.tasks):
+        raise FileFormatError(
+            f"got '{options.decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
+        )
+    if reserved := [name for name in dataset.by if name in (*COLUMNS, MODEL, "keys")]:
+        raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
 
 
 def refuse_inside(dataset: Path, output: Path) -> None:
@@ -243,7 +236,7 @@ def refuse_inside(dataset: Path, output: Path) -> None:
         )
 
 
-def _earlier(output: Path, digest: str, shards: Shards) -> Fleet | None:
+def _earlier(output: Path, shards: Shards) -> Fleet | None:
     """Return the table of an earlier run with the same dataset, options and version; None if there is no table.
 
     Another table is refused, unless shards are there: the run that is resumed was about to replace it.
@@ -252,7 +245,7 @@ def _earlier(output: Path, digest: str, shards: Shards) -> Fleet | None:
         return None
     try:
         fleet = load(output)
-        if fleet.about.get("digest") == digest:
+        if fleet.about.get("digest") == shards.digest:
             return fleet
         raise FileFormatError(
             f"{output}: is a table of another dataset, other options or another version; repeat the command of that "

@@ -23,17 +23,19 @@ NUMBERS = (
 )
 TEXTS = ("outcome", "detail", "reason")
 PRIORS = ("prior", "held_out_own_percent", "held_out_prior_percent")
-# Where the record lies in the dataset.
-PLACE = "place"
+# Where the record lies in the dataset, and where its refusal was raised.
+PLACE, CAUSE = "place", "cause"
 COLUMNS = (
     *(*TEXTS, *NUMBERS, *PRIORS, "samples", "coefficients", "version", "sha256", "cpu_s", "wall_s", "memory_MB"),
-    PLACE,
+    *(PLACE, CAUSE),
 )
 MODEL = "model"
 
 
 MARKER = ("fleet.json", "dehyst-fleet-parts")
 _ROW, _LOCK = "dehyst-fleet-row", "fleet.lock"
+# Suffix of the file that has a byte for each trial of a record.
+_TRIED = ".tried"
 
 
 class Shards:
@@ -117,6 +119,8 @@ class Shards:
         marker = self.folder / MARKER[0]
         if self.begun:
             self._check(read_json(marker), resume)
+            for path in self.folder.glob(f"*/*{_TRIED}"):
+                path.unlink(missing_ok=True)
             return
         head = {"format": MARKER[1], "version": 1, "digest": self.digest, "records": count, "options": dict(options)}
         write_json(marker, finite(head))
@@ -144,13 +148,29 @@ class Shards:
 
     def write(self, task: Task, row: Mapping[str, Any]) -> None:
         """Write the row of a record, whole or not at all."""
+        path = self._made(task)
+        head = {"format": _ROW, "digest": self.digest, PLACE: task.within}
+        write_atomically(path, json.dumps(finite({**head, **row}), allow_nan=False))
+        path.with_suffix(_TRIED).unlink(missing_ok=True)
+
+    def trial(self, task: Task) -> int:
+        """Count a trial of a record in this run, and return its number: that before it ended with its process."""
+        path = self._made(task).with_suffix(_TRIED)
+        try:
+            with path.open("ab") as stream:
+                stream.write(b".")
+                return stream.tell()
+        except OSError as error:
+            raise unwritten(path, error) from error
+
+    def _made(self, task: Task) -> Path:
+        """Return the file of a record, its folder made if necessary."""
         path = self.path(task)
         try:
             path.parent.mkdir(exist_ok=True)
         except OSError as error:
             raise unwritten(path.parent, error) from error
-        head = {"format": _ROW, "digest": self.digest, PLACE: task.within}
-        write_atomically(path, json.dumps(finite({**head, **row}), allow_nan=False))
+        return path
 
     def read(self, task: Task) -> dict[str, Any] | None:
         """Return the row of a record; None if there is none, or its file is not whole or of another run."""

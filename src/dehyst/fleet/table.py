@@ -14,7 +14,7 @@ from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import PathLike, demand_alike, draft_of, named, reading_errors, settle_file, settle_folder, unwritten
 from dehyst._version import __version__
 from dehyst.fleet.dataset import pyarrow, pyarrow_parquet, text_of
-from dehyst.fleet.shards import COLUMNS, MODEL, NUMBERS, PLACE, PRIORS, TEXTS
+from dehyst.fleet.shards import CAUSE, COLUMNS, MODEL, NUMBERS, PLACE, PRIORS, TEXTS
 from dehyst.model import Actuator
 
 # Name of the metadata, and rows in memory at a time.
@@ -100,8 +100,8 @@ def load(path: PathLike) -> Fleet:
 def _demand_columns(path: Path, schema: Any, by: Sequence[str]) -> None:
     """Raise `FileFormatError` if another program has removed a column or changed its kind."""
     known = _kinds()
-    # Tables of version 0.1 have no places.
-    if missing := [name for name in (*by, *known) if name not in schema.names and name != PLACE]:
+    # Tables of version 0.1 have neither places nor causes.
+    if missing := [name for name in (*by, *known) if name not in (*schema.names, PLACE, CAUSE)]:
         raise FileFormatError(
             f"{path}: has no column '{missing[0]}', which dehyst fleet identify wrote; was the table edited? Keep all "
             "its columns, or identify the dataset again"
@@ -170,7 +170,7 @@ def _kinds() -> dict[str, Any]:
     """Return the columns beside the keys, in their order, and the kind of each."""
     arrow = pyarrow()
     kinds: dict[str, Any] = dict.fromkeys(NUMBERS, arrow.float64()) | dict.fromkeys(PRIORS[1:], arrow.float64())
-    kinds |= dict.fromkeys((*TEXTS, "prior", "version", "sha256", PLACE), arrow.string())
+    kinds |= dict.fromkeys((*TEXTS, "prior", "version", "sha256", PLACE, CAUSE), arrow.string())
     kinds |= dict.fromkeys(("cpu_s", "wall_s", "memory_MB"), arrow.float64())
     kinds |= {"samples": arrow.int64(), "coefficients": arrow.list_(arrow.float64())}
     return {name: kinds[name] for name in COLUMNS} | {MODEL: arrow.string()}

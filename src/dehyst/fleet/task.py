@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,46 +21,81 @@ from dehyst.fleet.dataset import Task
 from dehyst.fleet.drift import widths
 from dehyst.fleet.prior import identified_with_prior
 from dehyst.fleet.reader import STAMP, FleetOptions, Reader, sha256_of, stamp_of
-from dehyst.fleet.shards import MARKER, MODEL, PLACE, Shards
+from dehyst.fleet.shards import CAUSE, MARKER, MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
 from dehyst.model import Actuator
 from dehyst.records import Record
 
+# A task is tried so many times; status of a worker that ends itself at the time limit.
+_TRIALS, _LATE = 3, 75
 # A model that misses a record by this part of its standard deviation explains nothing.
 _DEAD = 0.5
 
 
 class TaskRunner:
-    """The tasks of one run in one thread, with one BLAS thread: `head` names dataset, options and shards."""
+    """The tasks of one run in one thread, with one BLAS thread.
+
+    `head`: dataset, options and folder of the shards with its digest, and the most seconds of a task.
+    """
 
     def __init__(self, head: Mapping[str, Any]) -> None:
-        self._dataset = Path(head["dataset"])
+        self.head, self._dataset = head, Path(head["dataset"])
         self._options, self._reader = FleetOptions(**head["options"]), Reader()
         self._shards = Shards(Path(head["folder"]), head["digest"])
 
-    def run(self, task: Task, *, keep: bool = False) -> dict[str, Any]:
-        """Write the shard of a task; return its outcome. With `keep` one that is there stays as it is.
+    def run(self, task: Task) -> dict[str, Any]:
+        """Write the shard of a task, unless there is one; return its outcome.
 
         A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: it is none of the
         record, and ends the run.
         """
         try:
-            return self._run(task, keep)
+            return self._run(task)
         except FileFormatError as error:
             return {"fault": str(error)}
 
-    def _run(self, task: Task, keep: bool) -> dict[str, Any]:
+    def lose(self, task: Task, detail: str, reason: str) -> dict[str, Any]:
+        """Write the row of a record whose worker died or took too long; return its outcome."""
+        self._shards.write(task, lost_row(task, detail, reason))
+        return {"outcome": "lost"}
+
+    def _run(self, task: Task) -> dict[str, Any]:
         for path in (self._dataset, self._shards.folder / MARKER[0]):
             if not path.exists():
                 raise FileFormatError(f"{path}: is not to be seen on {platform.node()}; workers need the same folders")
-        row = self._shards.read(task) if keep else None
+        row = self._shards.read(task)
         if row is None:
+            # Each of the trials before ended with its process.
+            if self._shards.trial(task) > _TRIALS:
+                return self.lose(task, "worker", f"its worker died {_TRIALS} times")
             # Before the record is read: a later change gives another stamp.
             stamp = stamp_of(task.place)
-            with one_thread():
+            with one_thread(), self._limited(task):
                 row = run_task(task, self._options, self._reader) | {STAMP: stamp}
             self._shards.write(task, row)
         return {name: row.get(name) for name in ("outcome", "cpu_s", "wall_s")} | {"memory_MB": peak_memory()}
+
+    @contextmanager
+    def _limited(self, task: Task) -> Iterator[None]:
+        """End this process, the record being lost, after the most seconds: nothing else ends a computation."""
+        limit = self.head["time_limit"]
+        if limit is None:
+            yield
+            return
+
+        def end() -> None:
+            try:
+                self.lose(task, "time limit", f"no result within the time limit of {limit:g} s")
+            finally:
+                os._exit(_LATE)
+
+        timer = threading.Timer(limit, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
 
 
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
@@ -69,11 +107,12 @@ def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any
     except MissingExtraError:
         raise
     except DehystError as error:
-        row |= {"outcome": "refused", "detail": type(error).__name__, "reason": str(error)}
+        row |= {"outcome": "refused", "detail": type(error).__name__, "reason": str(error), CAUSE: _origin(error)}
     except MemoryError:
         row |= {"outcome": "refused", "detail": "MemoryError", "reason": "not enough memory for this record"}
     except Exception as error:  # nothing in one record stops the others
         row |= {"outcome": "refused", "detail": "error", "reason": f"unexpected {type(error).__name__}: {error}"}
+        row |= {CAUSE: _origin(error)}
     return row | {
         "cpu_s": time.process_time() - began,
         "wall_s": time.perf_counter() - wall,
@@ -121,6 +160,14 @@ def _described(fit: Fit, record: Record) -> dict[str, Any]:
     }
 
 
+def _origin(error: BaseException) -> str:
+    """Return where an error was raised, the same for all records that are refused for one reason: module and line."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f"{trace.tb_frame.f_globals.get('__name__')}:{trace.tb_lineno}"
+
+
 def coefficients_of(actuator: Actuator) -> list[float]:
     """Return the stiffnesses of the slip elements [V/m], then the slopes of the spring's segments [V/m]."""
     slip, spring = actuator.slip, actuator.spring
@@ -139,7 +186,7 @@ def peak_memory() -> float | None:
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def lost_row(task: Task, reason: str) -> Mapping[str, Any]:
+def lost_row(task: Task, detail: str, reason: str) -> Mapping[str, Any]:
     """Return the row of a record whose worker died or took too long."""
     keys = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
-    return {**keys, "outcome": "lost", "detail": "", "reason": reason}
+    return {**keys, "outcome": "lost", "detail": detail, "reason": reason}

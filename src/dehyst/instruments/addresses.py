@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
-from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, limits_of_axes, slew_rates_of_axes
+from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
 
 _Options = dict[str, Any]
 _FORMS = (
@@ -20,11 +20,7 @@ _FORMS = (
 
 
 def open_rig(
-    address: str,
-    axes: Sequence[str] | None = None,
-    *,
-    limits: AxisLimits = None,
-    slew_rate: AxisSlewRates = None,
+    address: str, axes: Sequence[str] | None = None, *, limits: AxisLimits = None, slew_rate: AxisSlewRates = None
 ) -> AbstractRig:
     """Open the rig at an address, of one axis or of several that move together.
 
@@ -72,9 +68,8 @@ def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
     """Return the rig if the limits of its axes lie within the requested ones; raises RigError."""
     if getattr(rig, "axes", None) is None:
         raise RigError(f"{type(rig).__name__}: its __init__ does not call super().__init__(name, limits, ...)")
-    count = len(rig.axes)
-    wanted, rates = limits_of_axes(options["limits"], count), slew_rates_of_axes(options["slew_rate"], count)
-    for one, bounds, rate in zip(rig.rigs, wanted, rates, strict=True):
+    wanted = bounds_of_axes(options["limits"], options["slew_rate"], len(rig.axes))
+    for one, (bounds, rate) in zip(rig.rigs, wanted, strict=True):
         low, high = bounds or (one.limits.low, one.limits.high)
         steepest = rate or one.slew_rate
         if low <= one.limits.low and one.limits.high <= high and one.slew_rate <= steepest:
@@ -173,8 +168,4 @@ def _module(path: Path) -> ModuleType:
     return module
 
 
-_OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {
-    "epics": _epics,
-    "sim": _sim,
-    "ni": _ni,
-}
+_OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {"epics": _epics, "sim": _sim, "ni": _ni}

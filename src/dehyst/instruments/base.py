@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from types import TracebackType
@@ -221,14 +221,10 @@ class AbstractRig(ABC):
         several = self.axes if self._parts else ()
         spans = [one.limits.high - one.limits.low for one in self.rigs]
         inspection = Inspection(self.name, spans if several else spans[0], several)
+        names = [f"the sensor of axis {axis}" for axis in several] or ["the sensor"]
         sensors = [
             SensorWatch(max(float(np.ptp(column)), _LEAST_WATCHED * span), name)
-            for column, span, name in zip(
-                columns_of(excitation.voltage),
-                spans,
-                [f"the sensor of axis {axis}" for axis in several] or ["the sensor"],
-                strict=True,
-            )
+            for column, span, name in zip(columns_of(excitation.voltage), spans, names, strict=True)
         ]
         batches: list[Samples] = []
         with self.safely():
@@ -283,12 +279,15 @@ class AbstractRig(ABC):
         from it. Raise `RigError` if the device fails.
         """
         self._refuse_closed()
-        errors, ramps = [], []
+        errors: list[Exception] = []
+        ramps = []
         with shielded(defer=True):
             for one in self.rigs:
-                if (error := _error_of(one._stop_wave)) is None:
+                try:
+                    with driver_errors(one.name, "_halt"):
+                        one._halt()
                     ramps.append(one._ramping(one.safe, one._last_voltage))
-                else:
+                except Exception as error:  # the other axes go on
                     errors.append(error)
             errors += self._ramped(ramps)
         if errors:
@@ -365,11 +364,6 @@ class AbstractRig(ABC):
             if going:
                 self.rigs[0]._wait(TICK)
         return errors
-
-    def _stop_wave(self) -> None:
-        """Stop the wave, if one is playing; the voltage stays. Raise `DeviceError` if the device fails."""
-        with driver_errors(self.name, "_halt"):
-            self._halt()
 
     def _ramping(self, end: float, fallback: float | None = None) -> Iterator[None]:
         """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
@@ -477,26 +471,25 @@ def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, sle
     return VoltageLimits(low, high, rate)
 
 
-def limits_of_axes(given: AxisLimits, count: int) -> list[tuple[float, float] | None]:
-    """Return the limits [V] that the user allows of each of `count` axes, `given` once or for each; raises RigError."""
-    pairs: list[Any] = [None] * count if given is None else list(given)
-    if len(pairs) == 2 and not any(isinstance(one, Sequence | np.ndarray) or one is None for one in pairs):
-        pairs = [tuple(pairs)]
-    pairs = pairs * count if len(pairs) == 1 else pairs
-    if len(pairs) != count:
-        raise RigError(argument="limits", got=f"{len(pairs)} pairs for {count} axes", need="one, or one for each")
-    return [None if one is None else (float(one[0]), float(one[1])) for one in pairs]
-
-
-def slew_rates_of_axes(given: AxisSlewRates, count: int) -> list[float | None]:
-    """Return the slew rate [V/s] that the user allows of each of `count` axes, `given` once or for each.
+def bounds_of_axes(
+    limits: AxisLimits, slew_rate: AxisSlewRates, count: int
+) -> list[tuple[tuple[float, float] | None, float | None]]:
+    """Return limits [V] and slew rate [V/s] that the user allows of each of `count` axes, given once or for each.
 
     Raise `RigError` if there is another number of them.
     """
-    rates = list(given) if isinstance(given, Sequence | np.ndarray) else [given] * count
-    if len(rates) != count:
-        raise RigError(argument="slew_rate", got=f"{len(rates)} numbers for {count} axes", need="one, or one for each")
-    return [None if one is None else float(one) for one in rates]
+    several = Sequence, np.ndarray
+    pairs: list[Any] = [None] if limits is None else list(limits)
+    if len(pairs) == 2 and not any(one is None or isinstance(one, several) for one in pairs):
+        pairs = [pairs]
+    rates: list[Any] = list(slew_rate) if isinstance(slew_rate, several) else [slew_rate]
+    for name, given, what in (("limits", pairs, "pairs"), ("slew_rate", rates, "numbers")):
+        if len(given) not in (1, count):
+            raise RigError(argument=name, got=f"{len(given)} {what} for {count} axes", need="one, or one for each")
+    return [
+        (None if pair is None else (float(pair[0]), float(pair[1])), None if rate is None else float(rate))
+        for pair, rate in zip(*((given * count)[:count] for given in (pairs, rates)), strict=True)
+    ]
 
 
 def _check_voltage(voltage: Array, rate: float, rig: AbstractRig, name: str) -> None:
@@ -513,11 +506,3 @@ def _check_voltage(voltage: Array, rate: float, rig: AbstractRig, name: str) -> 
             f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
             f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
         )
-
-
-def _error_of(action: Callable[[], None]) -> Exception | None:
-    try:
-        action()
-    except Exception as error:  # a driver's library may raise anything
-        return error
-    return None

@@ -12,15 +12,7 @@ import numpy as np
 from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.instruments import gcs_syntax
-from dehyst.instruments.base import (
-    HIGHEST_RATE,
-    AbstractRig,
-    AxisLimits,
-    AxisSlewRates,
-    host_timed,
-    limits_of_axes,
-    slew_rates_of_axes,
-)
+from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes, host_timed
 from dehyst.instruments.gcs_client import AbstractGcsLink, DeviceLink, GcsClient, TcpLink
 from dehyst.instruments.gcs_syntax import STOPPED
 from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis, WaveTraits, discover
@@ -73,13 +65,13 @@ class PiRig(AbstractRig):
         self._client = link if isinstance(link, GcsClient) else GcsClient(link)
         self._patience, self._clock, self._opened = patience, PiClock(self._client), False
         names = [axis] if axis is None or isinstance(axis, str) else list[str | None](axis)
-        allowed, steepest = limits_of_axes(limits, len(names)), slew_rates_of_axes(slew_rate, len(names))
+        allowed = bounds_of_axes(limits, slew_rate, len(names))
         if len(names) == 1:
-            self._open_axis(names[0], allowed[0], steepest[0])
+            self._open_axis(names[0], *allowed[0])
             return
         self._pi_rigs = [
             PiRig(self._client, axis=name, limits=bounds, slew_rate=rate, patience=patience)
-            for name, bounds, rate in zip(names, allowed, steepest, strict=True)
+            for name, (bounds, rate) in zip(names, allowed, strict=True)
         ]
         longest = min(one.longest or 0 for one in self._pi_rigs)
         super().__init__(self._client.name, self._pi_rigs, longest=longest or None, identity=self._client.identity)

@@ -1,4 +1,4 @@
-"""Datasets of an HDF5 file that contain their own samples; links out of the file are found before data are read."""
+"""HDF5: datasets that contain their own samples, links out of a file, and the record files of dehyst."""
 
 from __future__ import annotations
 
@@ -36,10 +36,7 @@ def nodes(file: Any, h5py: Any, allowance: Allowance) -> Iterator[Node]:
     Soft links are ignored, because their targets are found under their own names; external links are yielded with
     their fault and never followed.
 
-    Raises
-    ------
-    FileFormatError
-        Groups too deep, or too many names: a damaged file.
+    Raise `FileFormatError` for groups too deep, or too many names: a damaged file.
     """
     seen = {_place(file, h5py)}
     left, count = [("", file["/"], iter(file))], 0
@@ -77,10 +74,7 @@ def foreign(dataset: Any) -> str:
 def own_samples(file: Any, h5py: Any, name: str, allowance: Allowance) -> NDArray[np.float64]:
     """Read a dataset of the root by its name.
 
-    Raises
-    ------
-    FileFormatError
-        It is a link, does not contain its own samples, has no numbers, or more than allowed.
+    Raise `FileFormatError` if it is a link, does not contain its own samples, has no numbers, or more than allowed.
     """
     link, where = file.get(name, getlink=True), f"{allowance.path}: dataset '{name}'"
     if not isinstance(link, h5py.HardLink):

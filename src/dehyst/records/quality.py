@@ -1,7 +1,8 @@
-"""Butterfly loops, in which the displacement both falls and rises with rising voltage: a switching ferroelectric."""
+"""The quality of a record: what makes it unusable, and remarks on what is suspicious but allowed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from math import sqrt
 from typing import TYPE_CHECKING, NamedTuple
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, shortened
@@ -20,15 +20,18 @@ from dehyst.records.transients import transients
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Only legs over this share of the range of the voltage count, in so many bins of it.
+# Least share of the voltage range that a leg covers to count, and bins of the voltage.
 _WHOLE = 0.9
 _BINS = 32
-# A fall or a rise counts from this share of the stroke on, and from so many times the noise of a bin's mean on.
+# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
 _LEAST, _LOUD = 0.1, 8.0
 
 
 class Butterfly(NamedTuple):
-    """Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V]."""
+    """A loop whose displacement both falls and rises with rising voltage, as of a switching ferroelectric.
+
+    Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V].
+    """
 
     fall: float
     rise: float
@@ -195,65 +198,85 @@ def _spikes(record: Record) -> NDArray[np.intp]:
     return np.flatnonzero((away > usual) & (np.abs(y[2:] - y[:-2]) < 0.3 * away)) + 1
 
 
-def refuse_unusable(record: Record, min_samples: int, min_cycles: int) -> None:
-    """Raise when no hysteresis loop can be identified from the record, see `Record.check_usable`."""
+def unusable(record: Record, min_samples: int, min_cycles: int) -> str:
+    """Return why no hysteresis loop can be identified from a record, see `Record.check_usable`; empty if one can."""
+    return next(_reasons(record, min_samples, min_cycles), "")
+
+
+def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
+    """Yield the reasons; a later check may rely on the earlier ones."""
     if len(record) < min_samples:
-        raise RecordError(f"record '{record.name}': {len(record)} samples, {min_samples} are needed; record for longer")
-    refuse_constant(record)
-    refuse_other_unit(record)
+        yield f"{len(record)} samples, {min_samples} are needed; record for longer"
+    low, high = record.voltage_range
+    if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
+        yield f"the voltage is constant at {low:.6g} V; drive the actuator up and down"
+    least = max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range)), _LEAST_STROKE)
+    if record.stroke <= least:
+        yield (
+            f"the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, is no more than the range "
+            f"of {len(record)} samples of noise of {record.noise:.3g} m; check the sensor and the column"
+        )
+    if words := other_unit(record):
+        yield words
     cycles = record.cycles()
     if len(cycles) < min_cycles:
-        raise RecordError(
-            f"record '{record.name}': {counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; "
-            "drive it up and back down, for instance with a sine over the whole range"
+        yield (
+            f"{counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; drive it up and back "
+            "down, for instance with a sine over the whole range"
         )
-    refuse_butterfly(record)
-    refuse_inverted(record)
-    least = max(5, round(0.005 * len(record) / max(1, len(cycles))))
-    refuse_clipped(record, least)
-    refuse_leading(record, cycles)
+    if loop := butterfly_of(record.voltage, record.displacement):
+        yield (
+            f"the displacement both rises, by {loop.rise * 1e6:.3g} um, and falls, by {loop.fall * 1e6:.3g} um, with "
+            "rising voltage: a butterfly loop, of an actuator driven beyond its coercive field, or a sensor that folds "
+            f"over; record between {loop.low:.3g} and {loop.high:.3g} V"
+        )
+    if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
+        yield (
+            "displacement falls when voltage rises: the actuator is poled the other way, or the sensor's sign is "
+            "inverted; try multiplying the displacement by -1"
+        )
+    yield from _clipped(record, max(5, round(0.005 * len(record) / max(1, len(cycles)))))
+    yield from _leading(record, cycles)
 
 
-def refuse_not_finite(values: Array, column: str, unit: str, name: str) -> None:
-    """Raise when a value of the `column` is NaN or infinite."""
+def fault_of(values: Array, column: str, unit: str) -> str:
+    """Return which value of a `column` is not finite, or so large that its powers would overflow; empty if none."""
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
-        raise RecordError(
-            f"record '{name}': {column} holds {counted(len(bad), 'value')} not finite, the first is "
-            f"{column}[{bad[0]}] = {values[bad[0]]} {unit}; cut these rows out or fill them in"
+        return (
+            f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
+            f"{values[bad[0]]} {unit}; cut these rows out or fill them in"
         )
+    if (largest := max(-values.min(), values.max())) <= LARGEST:
+        return ""
+    i = int(np.argmax(np.abs(values)))
+    return (
+        f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
+        f"is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
+    )
 
 
-def refuse_implausible(values: Array, column: str, unit: str, name: str) -> None:
-    """Raise when a value of the `column` is larger than any measured: its powers would overflow."""
-    if (largest := max(-values.min(), values.max())) > LARGEST:
-        i = int(np.argmax(np.abs(values)))
-        raise RecordError(
-            f"record '{name}': {column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times "
-            f"the largest number that is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
-        )
+def other_unit(record: Record) -> str:
+    """Return that the stroke is that of no piezo actuator by orders of magnitude: its unit is another; or empty."""
+    if record.stroke <= _LONGEST_STROKE:
+        return ""
+    return (
+        f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
+        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
+    )
 
 
-def refuse_other_unit(record: Record) -> None:
-    """Raise when the stroke is that of no piezo actuator by orders of magnitude: its unit is another."""
-    if record.stroke > _LONGEST_STROKE:
-        raise RecordError(
-            f"record '{record.name}': got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is "
-            'the displacement in micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
-        )
-
-
-def refuse_not_rising(time: Array, name: str) -> None:
-    """Raise when a time [s] is not above the one before."""
+def not_rising(time: Array) -> str:
+    """Return which time [s] is not above the one before; empty if all are."""
     steps = np.diff(time)
     bad = np.flatnonzero(steps < SHORTEST)
     if not len(bad):
-        return
+        return ""
     i = int(bad[0])
     if steps[i] > 0.0:
-        raise RecordError(
-            f"record '{name}': time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need "
-            f"{SHORTEST:g} s at least; drop one of the two rows, or check the time's unit"
+        return (
+            f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {SHORTEST:g} s at "
+            "least; drop one of the two rows, or check the time's unit"
         )
     advice = "sort the rows, drop repeated ones, or check the time unit's digits"
     if (lost := rounding(time)) > 1e-9:
@@ -261,9 +284,9 @@ def refuse_not_rising(time: Array, name: str) -> None:
             f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
             "sample before they are saved, or give a sample rate"
         )
-    raise RecordError(
-        f"record '{name}': time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows "
-        f"time[{i}] = {time[i]:.9g} s; {advice}"
+    return (
+        f"time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s; "
+        f"{advice}"
     )
 
 
@@ -272,43 +295,8 @@ def rounding(time: Array) -> float:
     return float(np.spacing(max(-time.min(), time.max())))
 
 
-def refuse_constant(record: Record) -> None:
-    """Raise when the voltage or, but for the sensor's noise, the displacement stands still."""
-    low, high = record.voltage_range
-    if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
-        raise RecordError(
-            f"record '{record.name}': the voltage is constant at {low:.6g} V; drive the actuator up and down"
-        )
-    least = max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range)), _LEAST_STROKE)
-    if record.stroke <= least:
-        raise RecordError(
-            f"record '{record.name}': the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, "
-            f"is no more than noise of {record.noise:.3g} m makes of so many samples; check the sensor and the column"
-        )
-
-
-def refuse_butterfly(record: Record) -> None:
-    """Raise when the displacement falls on one part of the range of the voltage and rises on another."""
-    loop = butterfly_of(record.voltage, record.displacement)
-    if loop is not None:
-        raise RecordError(
-            f"record '{record.name}': the displacement both rises, by {loop.rise * 1e6:.3g} um, and falls, by "
-            f"{loop.fall * 1e6:.3g} um, with rising voltage: a butterfly loop, of an actuator driven beyond its "
-            f"coercive field, or a sensor that folds over; record between {loop.low:.3g} and {loop.high:.3g} V"
-        )
-
-
-def refuse_inverted(record: Record) -> None:
-    """Raise when the displacement falls as the voltage rises."""
-    if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
-        raise RecordError(
-            f"record '{record.name}': displacement falls when voltage rises: the actuator is poled the other "
-            "way, or the sensor's sign is inverted; try multiplying the displacement by -1"
-        )
-
-
-def refuse_clipped(record: Record, least: int) -> None:
-    """Raise when the sensor stays at its extreme while the voltage goes on in that direction."""
+def _clipped(record: Record, least: int) -> Iterator[str]:
+    """Yield that the sensor stays at its extreme while the voltage goes on in that direction."""
     span_v = float(np.ptp(record.voltage))
     needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * span_v
     for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
@@ -318,15 +306,15 @@ def refuse_clipped(record: Record, least: int) -> None:
         for a, b in zip(edges[::2], edges[1::2], strict=True):
             # A dead zone after a reversal is flat too, but there the voltage only goes back.
             if b - a >= least and v[a:b].max() - v[a] > needed:
-                raise RecordError(
-                    f"record '{record.name}': the sensor is clipped, or the amplifier: the displacement sits at its "
-                    f"{side} {sign * y[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; "
-                    "lower the voltage range or shift the sensor's range"
+                yield (
+                    f"the sensor is clipped, or the amplifier: the displacement sits at its {side} {sign * y[a]:.6g} m "
+                    f"over samples {a} to {b - 1} while the voltage still moves; lower the voltage range or shift the "
+                    "sensor's range"
                 )
 
 
-def refuse_leading(record: Record, cycles: list[Span]) -> None:
-    """Raise when the loops run clockwise in the (voltage, displacement) plane by more than noise can explain."""
+def _leading(record: Record, cycles: list[Span]) -> Iterator[str]:
+    """Yield that the loops run clockwise in the (voltage, displacement) plane by more than noise can explain."""
     area = box = var_y = var_v = 0.0
     for cycle in cycles:
         v, y = record.voltage[cycle], record.displacement[cycle]
@@ -337,7 +325,7 @@ def refuse_leading(record: Record, cycles: list[Span]) -> None:
         var_y, var_v = var_y + float(dv @ dv), var_v + float(dy @ dy)
     doubt = sqrt(record.noise**2 * var_y + white_noise(record.voltage) ** 2 * var_v)
     if area < -(0.005 * box + 5.0 * doubt):
-        raise RecordError(
-            f"record '{record.name}': the displacement leads the voltage (loop area {100 * area / box:.2g} % of its "
-            "box): the columns look swapped (or the displacement's sign is inverted); check which column is which"
+        yield (
+            f"the displacement leads the voltage (loop area {100 * area / box:.2g} % of its box): the columns look "
+            "swapped (or the displacement's sign is inverted); check which column is which"
         )

@@ -19,14 +19,7 @@ from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records.formats.columns import Column, Table, without_groups
-from dehyst.records.quality import (
-    problems,
-    refuse_implausible,
-    refuse_not_finite,
-    refuse_not_rising,
-    refuse_other_unit,
-    refuse_unusable,
-)
+from dehyst.records.quality import fault_of, not_rising, other_unit, problems, unusable
 from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -111,39 +104,39 @@ class Record:
         sizes = {column: len(getattr(self, column)) for column in _COLUMNS}
         if len(set(sizes.values())) > 1:
             got = ", ".join(f"{column} {size}" for column, size in sizes.items())
-            raise RecordError(f"record '{self.name}': columns differ in length ({got}); give one value each per sample")
+            raise self._error(f"columns differ in length ({got}); give one value each per sample")
         if len(self) < 2:
-            raise RecordError(
-                f"record '{self.name}': {counted(len(self), 'sample')}, at least 2 are needed; check the row range"
-            )
+            raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the row range")
         for column, unit in _COLUMNS.items():
-            values = getattr(self, column)
-            several = values.ndim > 1
-            for j, one in enumerate(values.T if several else [values]):
-                name = f"{self.name} ({self.axes[j]})" if several else self.name
-                refuse_not_finite(one, column, unit, name)
-                refuse_implausible(one, column, unit, name)
-        refuse_not_rising(self.time, self.name)
+            for j, values in enumerate(np.atleast_2d(getattr(self, column).T)):
+                name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
+                if words := fault_of(values, column, unit):
+                    raise RecordError(f"record '{name}': {words}")
+        if words := not_rising(self.time):
+            raise self._error(words)
+
+    def _error(self, words: str) -> RecordError:
+        return RecordError(f"record '{self.name}': {words}")
 
     def _named_axes(self) -> tuple[str, ...]:
         """Return the names of the axes; raise if they or the shapes do not fit."""
         shapes = self.voltage.shape, self.displacement.shape
         if self.voltage.ndim == self.displacement.ndim == 1:
             if self.axes:
-                raise RecordError(f"record '{self.name}': axes: got {self.axes!r} for one voltage, need none")
+                raise self._error(f"axes: got {self.axes!r} for one voltage, need none")
             return ()
         if self.voltage.ndim == self.displacement.ndim and (shapes[0][1] > 1 or self.axes):
             if shapes[0] != shapes[1] or len(self.time) != shapes[0][0]:
-                raise RecordError(
-                    f"record '{self.name}': got {self.time.size} times, voltages {shapes[0]} and displacements "
-                    f"{shapes[1]}; need one row a sample and one column an axis in both"
+                raise self._error(
+                    f"got {self.time.size} times, voltages {shapes[0]} and displacements {shapes[1]}; need one row a "
+                    "sample and one column an axis in both"
                 )
             count = shapes[0][1]
             return axis_names(self.axes or DEFAULT_AXES[:count], count, f"record '{self.name}'", RecordError)
         column = "voltage" if self.voltage.ndim > 1 else "displacement"
-        raise RecordError(
-            f"record '{self.name}': {column} has shape {getattr(self, column).shape}; give one dimension, try "
-            ".ravel(), or one column an axis in both voltage and displacement"
+        raise self._error(
+            f"{column} has shape {getattr(self, column).shape}; give one dimension, try .ravel(), or one column an "
+            "axis in both voltage and displacement"
         )
 
     def __len__(self) -> int:
@@ -174,20 +167,12 @@ class Record:
 
     def __getitem__(self, span: Span) -> Record:
         if not isinstance(span, slice) or span.step not in (None, 1):
-            raise RecordError(
-                f"record '{self.name}': got [{span!r}]; a record takes slices of step 1, try record[10:200]"
-            )
+            raise self._error(f"got [{span!r}]; a record takes slices of step 1, try record[10:200]")
         return self.slice(span.start, span.stop)
 
     @classmethod
     def from_arrays(
-        cls,
-        time: ArrayLike,
-        voltage: ArrayLike,
-        displacement: ArrayLike,
-        *,
-        units: str = "um",
-        name: str = "record",
+        cls, time: ArrayLike, voltage: ArrayLike, displacement: ArrayLike, *, units: str = "um", name: str = "record"
     ) -> Record:
         """Make a record from arrays whose displacement is in `units`, by default micrometres.
 
@@ -212,7 +197,8 @@ class Record:
         except (TypeError, ValueError) as error:
             raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
         record = cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
-        refuse_other_unit(record)
+        if words := other_unit(record):
+            raise record._error(words)
         return record
 
     @classmethod
@@ -257,8 +243,8 @@ class Record:
         )
         guesses = {one.quantity: one.guess for one in chosen if one.guess}
         meta = {"guesses": guesses} if guesses else {}
-        when, volts, moved = (one.values for one in chosen)
-        return cls(when, volts, moved, name or str(frame.attrs.get("name", "record")), meta)
+        name = name or str(frame.attrs.get("name", "record"))
+        return cls(chosen[0].values, chosen[1].values, chosen[2].values, name, meta)
 
     @classmethod
     def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
@@ -302,17 +288,13 @@ class Record:
     @property
     def channels(self) -> tuple[Channel, ...]:
         """All measured quantities: the voltage and the displacement of each axis in turn."""
-        if not self.axes:
-            return (
-                Channel("voltage", "V", "drive", "", self.voltage),
-                Channel("displacement", "m", "displacement", "", self.displacement),
-            )
+        voltage, displacement = (values.T if self.axes else [values] for values in (self.voltage, self.displacement))
         return tuple(
             channel
-            for j, axis in enumerate(self.axes)
+            for axis, v, y in zip(self.axes or ("",), voltage, displacement, strict=True)
             for channel in (
-                Channel(f"v{axis}", "V", "drive", axis, self.voltage[:, j]),
-                Channel(axis, "m", "displacement", axis, self.displacement[:, j]),
+                Channel(f"v{axis}" if axis else "voltage", "V", "drive", axis, v),
+                Channel(axis or "displacement", "m", "displacement", axis, y),
             )
         )
 
@@ -321,10 +303,10 @@ class Record:
 
         `lengths`: unit of displacements.
         """
-        counts = per_metre(lengths, error=RecordError)
+        counts = {"V": 1.0, "m": per_metre(lengths, error=RecordError)}
         channels = {
-            f"{one.name}_{lengths if one.unit == 'm' else one.unit}": one.values * counts
-            if one.unit == "m" and counts != 1
+            f"{one.name}_{lengths if one.unit == 'm' else one.unit}": one.values * counts[one.unit]
+            if counts[one.unit] != 1
             else one.values
             for one in self.channels
         }
@@ -349,7 +331,7 @@ class Record:
         j = names.index(axis) if axis in names else axis
         if not isinstance(j, int) or not 0 <= j < len(names):
             words = ", ".join(map(str, self.axes)) if self.axes else "0"
-            raise RecordError(f"record '{self.name}': axis: got {axis!r}, need one of {words}")
+            raise self._error(f"axis: got {axis!r}, need one of {words}")
         if not self.axes:
             return self if displacement is None else replace(self, displacement=displacement)  # type: ignore[arg-type]
         moved = self.displacement[:, j] if displacement is None else displacement
@@ -368,9 +350,9 @@ class Record:
     def one_axis(self) -> Record:
         """Return the record; raise `RecordError` if it has several axes."""
         if self.axes:
-            raise RecordError(
-                f"record '{self.name}': has the axes {', '.join(self.axes)}, need a record of one; take "
-                f"record.axis({self.axes[0]!r}), or the functions for a Stage"
+            raise self._error(
+                f"has the axes {', '.join(self.axes)}, need a record of one; take record.axis({self.axes[0]!r}), or "
+                "the functions for a Stage"
             )
         return self
 
@@ -431,12 +413,12 @@ class Record:
             Unknown signal; band negative or not finite.
         """
         if signal not in ("voltage", "displacement"):
-            raise RecordError(f"record '{self.name}': no signal '{signal}'; try 'voltage' or 'displacement'")
+            raise self._error(f"no signal '{signal}'; try 'voltage' or 'displacement'")
         values: Array = getattr(self.one_axis(), signal)
         if band is None:
             band = max(0.02 * float(np.ptp(values)), noise_span(values))
         if not (isfinite(band) and band >= 0.0):
-            raise RecordError(f"record '{self.name}': band is {band}; give a number >= 0 in the signal's unit")
+            raise self._error(f"band is {band}; give a number >= 0 in the signal's unit")
         return turning_points(values, band)
 
     def cycles(self, band: float | None = None) -> list[Span]:
@@ -475,24 +457,21 @@ class Record:
         """Resample on a uniform grid of step `dt` [s] from the first sample; `kind` is "linear" or "pchip"."""
         span = float(self.time[-1] - self.time[0])
         if not 0.0 < dt <= span:
-            raise RecordError(
-                f"record '{self.name}': dt is {dt} s; give a step above 0 and at most the record's {span:.6g} s"
-            )
+            raise self._error(f"dt is {dt} s; give a step above 0 and at most the record's {span:.6g} s")
         if kind not in ("linear", "pchip"):
-            raise RecordError(f"record '{self.name}': no interpolation '{kind}'; try 'linear' or 'pchip'")
+            raise self._error(f"no interpolation '{kind}'; try 'linear' or 'pchip'")
         grid = np.minimum(self.time[0] + dt * np.arange(int(span / dt + 1e-9) + 1), self.time[-1])
 
-        def moved(values: Array) -> Array:
-            if values.ndim > 1:
-                return np.column_stack([moved(column) for column in values.T])
-            return interpolate(self.time, values, grid, kind)
-
-        return replace(self, time=grid, voltage=moved(self.voltage), displacement=moved(self.displacement))
+        voltage, displacement = (
+            np.apply_along_axis(lambda column: interpolate(self.time, column, grid, kind), 0, values)
+            for values in (self.voltage, self.displacement)
+        )
+        return replace(self, time=grid, voltage=voltage, displacement=displacement)
 
     def delayed(self, delay: float) -> Record:
         """Return the record with voltage(t - `delay`), delay in s: shape-preserving, constant beyond the ends."""
         if not isfinite(delay):
-            raise RecordError(f"record '{self.name}': delay is {delay} s; give a finite number of seconds")
+            raise self._error(f"delay is {delay} s; give a finite number of seconds")
         times = np.clip(self.time - delay, self.time[0], self.time[-1])
         return replace(self, voltage=interpolate(self.time, self.one_axis().voltage, times, "pchip"))
 
@@ -511,16 +490,16 @@ class Record:
             Too few samples or cycles, constant voltage or displacement, a stroke over 0.1 m, inverted or clipped
             sensor, swapped columns.
         """
-        refuse_unusable(self.one_axis(), min_samples, min_cycles)
+        if words := unusable(self.one_axis(), min_samples, min_cycles):
+            raise self._error(words)
 
 
 def _frozen_column(raw: object, column: str, name: str) -> Array:
     try:
         bare = plain(raw, column)
+        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
     except ModelError as error:
         raise RecordError(f"record '{name}': {error}") from error
-    try:
-        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
     if values.ndim != 1 and (values.ndim != 2 or column == "time"):

@@ -51,11 +51,6 @@ class JournalContents(NamedTuple):
     cut_off: str
     damaged: int
 
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return int(self.columns[0].size)
-
 
 class Journal:
     """A journal that this process has locked; the lock ends with the process.
@@ -334,7 +329,7 @@ class Recording:
         self.name = self.path.stem if name is None else name
         self._meta = dict(meta or {})
         self._started = _utc(time.time())
-        self._blocks: list[hdf5.Columns] = []
+        self._blocks: list[hdf5.Columns] = [(np.zeros(0), np.zeros(0), np.zeros(0))]
         self._ended = False
         self.samples = 0
         head = {"name": self.name, "meta": self._meta, "started": self._started}
@@ -408,7 +403,8 @@ class Recording:
             return self.path
         # A second Ctrl-C during writing leaves the journal.
         self._ended = True
-        columns = _columns(record) if record is not None else _join(self._blocks)
+        time, voltage, displacement = map(np.concatenate, zip(*self._blocks, strict=True))
+        columns = (time, voltage, displacement) if record is None else _columns(record)
         meta = {**self._meta, **(record.meta if record is not None else {})}
         try:
             _write(self.path, columns, self.name, meta, why, self._started)
@@ -462,11 +458,11 @@ def _salvage(path: Path) -> Path | None:
         return None
     with contextlib.closing(journal):
         contents = journal.read()
-        if contents.damaged and not contents.samples:
+        if contents.damaged and not contents.columns[0].size:
             journal.set_aside()
             return None
         target = path.with_name(path.name.removesuffix(SUFFIX))
-        if contents.samples and _has_samples(target, hdf5.sha256_of(contents.columns)):
+        if contents.columns[0].size and _has_samples(target, hdf5.sha256_of(contents.columns)):
             # The process may have been killed before the file was on the disk.
             settle_file(target)
             journal.remove()
@@ -476,20 +472,9 @@ def _salvage(path: Path) -> Path | None:
             meta["cut_off"] = contents.cut_off
         if contents.damaged:
             meta["unreadable_lines"] = contents.damaged
-        why = "the process that recorded it ended before it could write it"
-        _write(
-            target,
-            contents.columns,
-            contents.name or target.stem,
-            meta,
-            why,
-            contents.started,
-            _utc(path.stat().st_mtime),
-        )
-        if contents.damaged:
-            journal.set_aside()
-        else:
-            journal.remove()
+        why, ended = "the process that recorded it ended before it could write it", _utc(path.stat().st_mtime)
+        _write(target, contents.columns, contents.name or target.stem, meta, why, contents.started, ended)
+        (journal.set_aside if contents.damaged else journal.remove)()
     return target
 
 
@@ -526,13 +511,6 @@ def _write(
 def _columns(samples: SampleBlock) -> hdf5.Columns:
     columns = samples.time, samples.voltage, samples.displacement
     t, v, y = (np.array(column, dtype=np.float64).ravel() for column in columns)
-    return t, v, y
-
-
-def _join(blocks: list[hdf5.Columns]) -> hdf5.Columns:
-    if not blocks:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    t, v, y = (np.concatenate(columns) for columns in zip(*blocks, strict=True))
     return t, v, y
 
 

@@ -12,13 +12,12 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._units import symbol_of
+from dehyst._units import FACTORS, quantity_of, symbol_of
 from dehyst._validation import axis_names
 from dehyst.records.formats.columns import (
     EXAMPLES,
     GAIN,
     GUESS,
-    UNITS,
     Column,
     ColumnError,
     Selected,
@@ -27,7 +26,6 @@ from dehyst.records.formats.columns import (
     is_small,
     listed,
     plausible_unit,
-    quantity_of,
     scale_of,
     shortened,
 )
@@ -39,10 +37,8 @@ def renamed(table: Table, columns: str) -> Table:
     An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
     entry marks it as a guess.
 
-    Raises
-    ------
-    FileFormatError
-        It is no text, there are more entries than columns, fewer, an unknown unit, a name twice, or no name.
+    Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an unknown unit, a name
+    twice, or no name.
     """
     if not isinstance(columns, str):
         raise FileFormatError(
@@ -125,13 +121,14 @@ def notes_on(options: Mapping[str, str]) -> list[str]:
 
 
 class Choice(NamedTuple):
-    """What selects the columns of a record: names, and scales."""
+    """What selects the columns of a record: names, scales, and a sample rate [Hz] instead of a time."""
 
     time: str | None = None
     voltage: str | None = None
     displacement: str | None = None
     voltage_scale: str | None = None
     displacement_scale: str | None = None
+    sample_rate: float | None = None
 
     def scale(self, quantity: str) -> str | None:
         """Return the scale of a quantity."""
@@ -189,10 +186,7 @@ def _axis_entry(text: str) -> AxisColumns:
 def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Selected]:
     """Return the columns of quantities, whose `values` are known to be numbers in SI units.
 
-    Raises
-    ------
-    ColumnsError
-        Some of them cannot be read: all problems, and options that would solve them.
+    Raise `ColumnsError` if some of them cannot be read: all problems, and options that would solve them.
     """
     found: dict[str, Selected] = {}
     problems: list[ColumnError] = []
@@ -205,9 +199,11 @@ def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[st
     if problems:
         taken = {one.column.name for one in found.values()}
         proposal = _proposal([column for column in table.columns if column.name not in taken], problems)
-        reason, join = _reason(table, problems, proposal), _may_be_joined(table, problems, proposal)
+        # A quantity that no column of this file seems to be may be in a second file.
+        lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
+        join = bool(lacking) and not any(column.unnamed for column in table.columns)
         change = [name for error in problems for name in error.change] + ["join"] * join
-        raise ColumnsError(reason, _options(table, choice, problems, proposal), change)
+        raise ColumnsError(_reason(table, problems, join), _options(table, choice, problems, proposal), change)
     return found
 
 
@@ -218,24 +214,19 @@ def _proposal(free: list[Column], problems: list[ColumnError]) -> dict[str, Colu
     return used | _assigned(left, [error.quantity for error in problems if error.quantity not in used])
 
 
-def _may_be_joined(table: Table, problems: list[ColumnError], proposal: Mapping[str, Column]) -> bool:
-    """Return whether a quantity may be in a second file: no column of this one seems to be it."""
-    lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
-    return bool(lacking) and not any(column.unnamed for column in table.columns)
-
-
-def _reason(table: Table, problems: list[ColumnError], proposal: Mapping[str, Column]) -> str:
-    join = " If it is in a second file, join that one." if _may_be_joined(table, problems, proposal) else ""
+def _reason(table: Table, problems: list[ColumnError], join: bool) -> str:
+    """Return all problems as one message; `join`: whether a quantity may be in a second file."""
+    joining = " If it is in a second file, join that one." if join else ""
     if len({error.problem for error in problems}) == 1:
         reason = f"{table.source}: {problems[0].problem}{problems[0].advice}"
-        return f"{reason}{'' if not join or reason.endswith('.') else '.'}{join}"
+        return f"{reason}{'' if not join or reason.endswith('.') else '.'}{joining}"
     asked = " and ".join(f"that of the {error.quantity}" for error in problems)
     names = ", ".join(f"'{EXAMPLES[error.quantity]}'" for error in problems)
     rate = " Without a time column, give the sample rate in Hz." if any(e.quantity == "time" for e in problems) else ""
     faults = "; ".join(error.problem + error.short for error in problems)
     return (
         f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} "
-        f"are found by themselves.{rate}{join}"
+        f"are found by themselves.{rate}{joining}"
     )
 
 
@@ -246,11 +237,16 @@ def _options(
     wanted = [error.quantity for error in problems]
     if any(column.unnamed and not column.fault for column in table.columns) and len(proposal) == len(wanted):
         units = {quantity: plausible_unit(quantity, column.data) for quantity, column in proposal.items()}
-        names = ",".join(_entry(column, proposal, units) for column in table.columns)
+        entries = {
+            c.name: f"{quantity}:{units[quantity]}{GUESS}" for quantity, c in proposal.items() if units[quantity]
+        }
+        names = ",".join(entries.get(column.name, "-") for column in table.columns)
         return {"columns": names} | _gain(choice, proposal.get("voltage"), units.get("voltage", ""))
-    if any(_refuses(choice.scale(q), q, column) or column.contradiction for q, column in proposal.items()):
-        # No name mends a scale that is wrong, or units that contradict one another.
-        return {}
+    for quantity, column in proposal.items():
+        scale, stated = choice.scale(quantity), column.parts[1]
+        if column.contradiction or (scale is not None and stated and scale_of(quantity, scale).refusal(stated)):
+            # No name mends a scale that is wrong, or units that contradict one another.
+            return {}
     named = {error.quantity for error in problems if error.column and not error.column.fault}
     options: dict[str, str] = {}
     for quantity in wanted:
@@ -296,41 +292,33 @@ def _counts(column: Column) -> bool:
 
 def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> dict[str, str]:
     """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
-    name, stated, scale = column.name, column.parts[1], choice.scale(quantity)
-    mark = GUESS if guessed else ""
-    if stated in UNITS[quantity] or scale is not None:
-        plug = quantity == "voltage" and (guessed or is_plug(name))
-        return {quantity: f"{name}{mark}"} | (_gain(choice, column, stated) if plug else {})
-    if quantity == "displacement" and quantity_of(stated) == "voltage":
-        return {quantity: f"{name}{mark}", "displacement_scale": f"{GAIN} um/{stated}"}
-    unit = "" if quantity_of(stated) else plausible_unit(quantity, column.data)
-    if not unit:
-        return {}
+    name, unit, scale = column.name, column.parts[1], choice.scale(quantity)
+    given = f"{name}{GUESS if guessed else ''}"
+    if unit not in FACTORS[quantity] and scale is None:
+        if quantity == "displacement" and quantity_of(unit) == "voltage":
+            return {quantity: given, "displacement_scale": f"{GAIN} um/{unit}"}
+        unit = "" if quantity_of(unit) else plausible_unit(quantity, column.data)
+        if not unit:
+            return {}
+        given = f"{name}:{unit}{GUESS}"
     plug = quantity == "voltage" and (guessed or is_plug(name))
-    return {quantity: f"{name}:{unit}{GUESS}"} | (_gain(choice, column, unit) if plug else {})
+    return {quantity: given} | (_gain(choice, column, unit) if plug else {})
 
 
 def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
     """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
-    if column is None or choice.voltage_scale is not None or not is_small(column.data * UNITS["voltage"].get(unit, 1)):
+    if (
+        column is None
+        or choice.voltage_scale is not None
+        or not is_small(column.data * FACTORS["voltage"].get(unit, 1))
+    ):
         return {}
     return {"voltage_scale": f"{GAIN} V/V"}
 
 
-def _refuses(scale: str | None, quantity: str, column: Column) -> bool:
-    """Return whether a scale contradicts the unit that the file states for a column."""
-    stated = column.parts[1]
-    return scale is not None and bool(stated) and bool(scale_of(quantity, scale).refusal(stated))
-
-
-def _entry(column: Column, proposal: Mapping[str, Column], units: Mapping[str, str]) -> str:
-    quantity = next((quantity for quantity, other in proposal.items() if other.name == column.name), "")
-    return f"{quantity}:{units[quantity]}{GUESS}" if units.get(quantity) else "-"
-
-
 # Part of a sample by which the times of two files may differ and are still the same.
 _SAME = 0.01
-# A time step above so many usual ones is a gap.
+# A time step above this multiple of the median is a gap.
 _GAP = 2.5
 # Samples of one file for each of the other from which on that is remarked.
 _FEW = 4.0
@@ -346,9 +334,7 @@ class _Timed(NamedTuple):
     seconds: Array
 
 
-def joined(
-    table: Table, other: Table, time: str | None, sample_rate: float | None, displacement: str | None = None
-) -> Table:
+def joined(table: Table, other: Table, choice: Choice) -> Table:
     """Return a table with the columns of both.
 
     Timestamps are aligned by what they state; times without a date are those of one clock. Where both have a time
@@ -357,16 +343,12 @@ def joined(
     samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other
     follow the name of its file: other/displacement_um.
 
-    `time`, `displacement`: names of these columns, by default found. `sample_rate`: given instead of a time column
-    [Hz].
+    `choice`: names of the time and the displacement, by default found, and the sample rate.
 
-    Raises
-    ------
-    FileFormatError
-        Without two time columns: the files differ in length. With them: the times do not rise or do not overlap, or
-        only one of the files has timestamps.
+    Raise `FileFormatError` for without two time columns: the files differ in length. With them: the times do not rise
+    or do not overlap, or only one of the files has timestamps.
     """
-    first, second = (None if sample_rate is not None else _timed(one, time) for one in (table, other))
+    first, second = (None if choice.sample_rate is not None else _timed(one, choice.time) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
     added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
     if first is not None and second is not None:
@@ -388,20 +370,19 @@ def joined(
             raise FileFormatError(
                 f"{one.table.source}: the time does not rise, which joining needs; correct those rows"
             )
-    if table.fitting("displacement", displacement) or not replace(other, columns=tuple(added)).fitting(
-        "displacement", displacement
-    ):
-        inside, remarks = _common(first, second)
-        columns = [_at(c, inside) for c in _as_long(table.columns, first)]
-        columns += [_moved(c, second.seconds, first.seconds[inside]) for c in _as_long(added, second)]
-    else:
-        inside, remarks = _common(second, first)
-        places = second.seconds[inside]
-        clock = replace(first.column, data=places / UNITS["time"][first.unit])
-        columns = [
-            clock if c is first.column else _moved(c, first.seconds, places) for c in _as_long(table.columns, first)
-        ]
-        columns += [_at(c, inside) for c in _as_long(added, second)]
+    own = table.fitting("displacement", choice.displacement)
+    kept, moved = first, second
+    if not own and replace(other, columns=tuple(added)).fitting("displacement", choice.displacement):
+        kept, moved = second, first
+    inside, remarks = _common(kept, moved)
+    places = kept.seconds[inside]
+    columns = [
+        replace(column, data=places / FACTORS["time"][first.unit])
+        if column is first.column and moved is first
+        else _aligned(column, timed.seconds, inside if timed is kept else places)
+        for timed, columns in ((first, table.columns), (second, added))
+        for column in columns
+    ]
     return replace(table, columns=tuple(columns), remarks=(*table.remarks, *remarks))
 
 
@@ -481,20 +462,15 @@ def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
     return inside, remarks
 
 
-def _as_long(columns: Iterable[Column], timed: _Timed) -> list[Column]:
-    """Return columns of a file; those that have not a number for each of its times have a fault."""
-    advice = f"where its time has {timed.seconds.size}, which joining needs; select another column"
-    return [
-        column
-        if column.fault or column.data.size == timed.seconds.size
-        else replace(column, data=np.empty(0), fault=f"it has {counted(column.data.size, 'sample')} {advice}")
-        for column in columns
-    ]
+def _aligned(column: Column, times: Array, places: Array) -> Column:
+    """Return a column of a file at places: which of its samples, or the times [s] of others.
 
-
-def _at(column: Column, inside: Array) -> Column:
-    return column if column.fault else replace(column, data=column.data[inside])
-
-
-def _moved(column: Column, times: Array, places: Array) -> Column:
-    return column if column.fault else replace(column, data=np.interp(places, times, column.data))
+    One that has not a number for each of the file's `times` has a fault.
+    """
+    if column.fault:
+        return column
+    if column.data.size != times.size:
+        had = f"it has {counted(column.data.size, 'sample')} where its time has {times.size}, which joining needs"
+        return replace(column, data=np.empty(0), fault=f"{had}; select another column")
+    data = column.data[places] if places.dtype == bool else np.interp(places, times, column.data)
+    return replace(column, data=data)

@@ -71,11 +71,7 @@ class ScanKind(NamedTuple):
 
 
 def scan_of(
-    kind: str,
-    options: Mapping[str, Any],
-    sample_rate: float | None,
-    *,
-    written: Callable[[str], str] = str,
+    kind: str, options: Mapping[str, Any], sample_rate: float | None, *, written: Callable[[str], str] = str
 ) -> Scan:
     """Return the scan that options define.
 

@@ -41,15 +41,13 @@ class Finished:
         0 done, 1 done but not good enough, 2 wrong input; negative if a signal ended it.
     result : dict or None
         What it printed as JSON.
-    messages : list of str
-        What it printed on standard error, without lines of progress before it.
     refused : dict
-        The error that it printed as JSON.
+        The error that it printed as JSON, as `DehystError.as_dict` has it, and options to try instead; the last line on
+        standard error as its message if it printed no JSON.
     """
 
     status: int
     result: dict[str, Any] | None
-    messages: list[str] = field(default_factory=list)
     refused: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -60,15 +58,7 @@ class Finished:
     @property
     def error(self) -> str:
         """Why it has no result, in a sentence."""
-        sentences = [line.removeprefix(_HEAD) for line in self.messages if line.startswith(_HEAD)]
-        if sentences:
-            return sentences[-1]
-        return self.messages[-1] if self.messages else f"the command ended with status {self.status}"
-
-    @property
-    def suggestion(self) -> dict[str, str]:
-        """Options that the command suggests to try instead, by name."""
-        return dict(self.refused.get("suggestion", {}))
+        return str(self.refused.get("message") or f"the command ended with status {self.status}")
 
 
 class CommandRun:
@@ -106,10 +96,10 @@ class CommandRun:
             self._send(signal.SIGTERM)
         try:
             # Both are pipes, so that both streams are there.
-            output, messages = await asyncio.gather(_all_of(process.stdout), self._messages(process.stderr))
+            output, last = await asyncio.gather(_all_of(process.stdout), self._report(process.stderr))
             printed = _json(output)
-            refused = {} if printed is None else printed.pop("error", {})
-            return Finished(await process.wait(), printed or None, messages, refused)
+            refused = {"message": last} if printed is None else printed.pop("error", {})
+            return Finished(await process.wait(), printed or None, refused)
         finally:
             if process.returncode is None:
                 self._send(signal.SIGTERM)
@@ -132,13 +122,13 @@ class CommandRun:
             with suppress(ProcessLookupError):
                 self._process.send_signal(number)
 
-    async def _messages(self, stream: asyncio.StreamReader | None) -> list[str]:
-        lines = []
+    async def _report(self, stream: asyncio.StreamReader | None) -> str:
+        """Hand lines of progress over; return the last line."""
+        line = ""
         async for line in _lines(stream):
-            lines.append(line)
             if line.startswith(_HEAD):
                 self._progress(line.removeprefix(_HEAD))
-        return lines
+        return line.removeprefix(_HEAD)
 
 
 async def _all_of(stream: asyncio.StreamReader | None) -> bytes:
@@ -253,7 +243,7 @@ class Jobs:
         try:
             async with self._turns:
                 if entry.status == "cancelled":
-                    finished = Finished(-15, None, [])
+                    finished = Finished(-signal.SIGTERM, None)
                 else:
                     entry.progress = ""
                     finished = await _ended(command)
@@ -293,7 +283,8 @@ async def _ended(command: CommandRun) -> Finished:
     try:
         return await command.run()
     except OSError as error:
-        return Finished(2, None, [f"the command cannot be run: {error.strerror}; is the folder still there?"])
+        sentence = f"the command cannot be run: {error.strerror}; is the folder still there?"
+        return Finished(2, None, DehystError(sentence).as_dict())
 
 
 _MICRO = 1e6

@@ -117,7 +117,7 @@ class WorkbenchSession:
             entry.columns = [one["name"] for one in columns[:_MOST_COLUMNS]] or entry.columns
             if finished.result is None or finished.status != 0:
                 entry.status, entry.error = "refused", finished.error.replace(entry.source, Path(entry.source).name)
-                hint = finished.suggestion
+                hint = finished.refused.get("suggestion")
                 entry.hint = {"options": hint} if hint else None
                 return
             entry.file = file

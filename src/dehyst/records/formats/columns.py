@@ -13,13 +13,8 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
-from dehyst._units import COUNTS, symbol_of
+from dehyst._units import FACTORS, quantity_of, symbol_of
 
-# SI units in one of each unit.
-UNITS: dict[str, dict[str, float]] = {
-    quantity: {unit: 1 / count for unit, count in COUNTS[si].items()}
-    for quantity, si in {"time": "s", "voltage": "V", "displacement": "m"}.items()
-}
 _SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
 _EXAMPLES = {"voltage": "100 V/V", "displacement": "10 um/V"}
 # Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
@@ -36,12 +31,6 @@ _PLUG = re.compile(
     r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
 )
 _PLUG_RANGE = 10.5
-
-
-def quantity_of(unit: str) -> str:
-    """Return the quantity of a unit; "" if it is unknown."""
-    symbol = symbol_of(unit)
-    return next((quantity for quantity, known in UNITS.items() if symbol in known), "")
 
 
 def is_small(volts: Array) -> bool:
@@ -71,17 +60,15 @@ class Scale(NamedTuple):
 
     def apply(self, unit: str) -> float:
         """Return what one `unit` of the column means in SI units of the quantity."""
-        known = UNITS[quantity_of(self.per)]
+        known = FACTORS[quantity_of(self.per)]
         return self.factor * known[symbol_of(unit)] / known[self.per]
 
 
 def scale_of(quantity: str, text: str) -> Scale:
     """Parse a scale as "100 V/V" or "10 um/V".
 
-    Raises
-    ------
-    FileFormatError
-        It is no number with two units, its first unit is not of the quantity, or the number is 0 or not finite.
+    Raise `FileFormatError` if it is no number with two units, its first unit is not of the quantity, or the number is
+    0 or not finite.
     """
     got = f"'{text}'" if isinstance(text, str) else repr(text)
     what = f"{quantity}_scale: got {got}, need a number with two units, as in '{_EXAMPLES[quantity]}'"
@@ -96,18 +83,18 @@ def scale_of(quantity: str, text: str) -> Scale:
         raise FileFormatError(what) from error
     if not isfinite(number) or number == 0:
         raise FileFormatError(f"{what}; the number is finite and not 0")
-    if unit not in UNITS[quantity]:
-        raise FileFormatError(f"{what}; the first unit is one of {', '.join(UNITS[quantity])}")
+    if unit not in FACTORS[quantity]:
+        raise FileFormatError(f"{what}; the first unit is one of {', '.join(FACTORS[quantity])}")
     if not per:
         raise FileFormatError(f"{what}; the second unit is that of the file, V or mV for instance")
-    return Scale(number * UNITS[quantity][unit], per, f"{match[1]} {match[2]}/{match[3]}")
+    return Scale(number * FACTORS[quantity][unit], per, f"{match[1]} {match[2]}/{match[3]}")
 
 
 def plausible_unit(quantity: str, data: Array) -> str:
     """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
     with np.errstate(all="ignore"):
         size = float(np.ptp(data)) if quantity == "displacement" else float(np.abs(data).max(initial=0.0))
-    sizes = {unit: size * UNITS[quantity][unit] for unit in _USUAL[quantity]}
+    sizes = {unit: size * FACTORS[quantity][unit] for unit in _USUAL[quantity]}
     low, high = {"displacement": STROKES, "voltage": (0.0, HIGHEST_VOLTAGE), "time": (0.0, 1e7)}[quantity]
     plausible = [unit for unit, value in sizes.items() if low <= value <= high]
     if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
@@ -223,7 +210,7 @@ class Column:
     def parts(self) -> tuple[str, str]:
         """Quantity and unit of the column: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
         word, unit = self._named
-        if any(self.unit in known for known in UNITS.values()):
+        if any(self.unit in known for known in FACTORS.values()):
             return word, self.unit
         return word, symbol_of(unit) or symbol_of(self.unit) or unit or self.unit
 
@@ -234,7 +221,7 @@ class Column:
         A word is no contradiction: LabVIEW states "Volts" for every channel.
         """
         named, quantity = symbol_of(self._named[1]), quantity_of(self.unit)
-        known = UNITS.get(quantity, {})
+        known = FACTORS.get(quantity, {})
         return named if self.unit in known and known.get(named) != known[self.unit] else ""
 
     @property
@@ -288,7 +275,7 @@ class Selected:
     @property
     def usable(self) -> bool:
         """Whether it has numbers in a known unit."""
-        return self.unit in UNITS[self.quantity] and not self.column.fault
+        return self.unit in FACTORS[self.quantity] and not self.column.fault
 
     @cached_property
     def values(self) -> Array:
@@ -310,8 +297,8 @@ class Selected:
                     usable=False,
                 )
             factor = scale.apply(unit)
-        elif self.unit in UNITS[self.quantity]:
-            factor = UNITS[self.quantity][self.unit]
+        elif self.unit in FACTORS[self.quantity]:
+            factor = FACTORS[self.quantity][self.unit]
         else:
             raise self._unknown_unit()
         # The record refuses overflow and NaN, with the row.
@@ -338,7 +325,7 @@ class Selected:
     def _unknown_unit(self) -> ColumnError:
         quantity, unit, example = self.quantity, self.unit, EXAMPLES[self.quantity]
         stated = f" has the unit '{shortened(unit)}', unknown for {quantity}" if unit else " has no unit"
-        advice, hint = f"; known are {', '.join(UNITS[quantity])}. ", ""
+        advice, hint = f"; known are {', '.join(FACTORS[quantity])}. ", ""
         sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
         if sensor:
             hint = f", give its scale, {_option('displacement_scale', f'{GAIN} um/{unit}')} with a number for {GAIN}"
@@ -359,7 +346,7 @@ class Selected:
         `given`: the unit that the user gives; without one, two units of the column contradict one another. With one,
         nobody takes volts for micrometres, or for millivolts, without a scale.
         """
-        quantity, known, stated = self.quantity, UNITS[self.quantity], self.column.parts[1]
+        quantity, known, stated = self.quantity, FACTORS[self.quantity], self.column.parts[1]
         scale = f"{quantity}_scale" if quantity != "time" else ""
         if not given:
             if named := self.column.contradiction:
@@ -418,10 +405,7 @@ class Table:
         A "?" at its end marks it as a guess.
         `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
 
-        Raises
-        ------
-        FileFormatError
-            No such column, several of them, contradicting units, or an invalid scale.
+        Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid scale.
         """
         if not isinstance(wanted, str | None):
             need = f"the name of a column, as '{EXAMPLES[quantity]}'"
@@ -466,9 +450,9 @@ class Table:
     def _candidates(self, quantity: str) -> list[Column]:
         fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_QUANTITY_WORDS[quantity])]
         fits = [c for c in fits if not c.foreign] or fits
-        fits = [c for c in fits if c.parts[1] in UNITS[quantity]] or fits
+        fits = [c for c in fits if c.parts[1] in FACTORS[quantity]] or fits
         more = (c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_MORE_WORDS[quantity]))
-        return fits or [c for c in more if c.parts[1] in UNITS[quantity]]
+        return fits or [c for c in more if c.parts[1] in FACTORS[quantity]]
 
     def _named(self, name: str) -> list[Column]:
         name = name.strip().strip("/")

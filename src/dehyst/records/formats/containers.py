@@ -1,4 +1,4 @@
-"""The guesses with which a record was read, kept in the record files that dehyst writes."""
+"""Columns of binary files: NumPy, HDF5, Parquet, TDMS and MATLAB; guesses that record files of dehyst keep."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError
-from dehyst._units import symbol_of
+from dehyst._units import COUNTS, quantity_of, symbol_of
 from dehyst.records import hdf5 as hdf5_nodes
-from dehyst.records.formats.columns import Column, listed, quantity_of, shortened
+from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance, library
 
 # Name of the array of an NPZ, and the beginning of the first line of a text.
@@ -126,10 +126,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowa
 def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Allowance) -> _Array:
     """Read the header of an array of `size` bytes.
 
-    Raises
-    ------
-    FileFormatError
-        It holds Python objects, or may hold series and declares more than it has or is allowed.
+    Raise `FileFormatError` if it holds Python objects, or may hold series and declares more than it has or is allowed.
     """
     what = f"array '{shortened(name)}'"
     with opened() as stream:
@@ -286,10 +283,9 @@ def _elapsed(ticks: Any, resolution: str, *, dates: bool) -> NDArray[np.float64]
     """Return dates as seconds since the first, and durations in seconds."""
     missing = ticks == np.iinfo(np.int64).min
     first = ticks[~missing][:1] if dates else ticks[:0]
-    a_second = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[resolution]
     with np.errstate(all="ignore"):
         # Whole numbers are subtracted first: a double resolves nanoseconds since 1970 to 0.2 us only.
-        elapsed = (ticks - first if first.size else ticks) / a_second
+        elapsed = (ticks - first if first.size else ticks) / COUNTS["s"][resolution]
     elapsed[missing] = np.nan
     return np.asarray(elapsed, dtype=np.float64)
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import DecimalSignError, FileFormatError
-from dehyst._units import symbol_of
-from dehyst.records.formats.columns import UNITS, Column, shortened, without_groups
+from dehyst._units import FACTORS, symbol_of
+from dehyst.records.formats.columns import Column, shortened, without_groups
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.table_layout import (
     ERROR,
@@ -48,7 +48,7 @@ _KINDS = {
 }
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
 _NUMBER = r"[-+]?(?:\d{1,3}(?:[.,]\d{3})+(?:[.,]\d*)?|\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
-# A number with three decimals, or with a group of digits; and what a comma between cells makes of one: 10 and 000.
+# A number with three decimals, or with a group of digits; and one that a comma between cells cuts into 10 and 000.
 _DOUBTFUL = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
 _CUT = re.compile(r"\d,0\d")
 _VALUE = re.compile(rf"\s*({_NUMBER})\s*([^\W\d]+(?:/[^\W\d]+)?)?\s*")
@@ -77,7 +77,7 @@ def with_clock_of_header(
     another, or their decimal sign is unknown, the time has a fault. A step without a unit is taken for seconds, as a
     guess. `delimiter`: the separator of the table. `notation`: function that returns that of its numbers.
     """
-    if not columns or any(column.parts[1] in UNITS["time"] for column in columns):
+    if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
     place = next((k for k, column in enumerate(columns) if _counts(column)), None)
     lines = [line for line in header.split("\n")[-_LINES:] if len(line) <= _LONGEST]
@@ -162,7 +162,7 @@ def _stated(entries: list[_Entry], floats: dict[str, float]) -> tuple[list[_Cloc
     start = 0.0
     for one in entries:
         for text, written in one.numbers:
-            number, factor = floats[text], UNITS["time"].get(symbol_of(written or common))
+            number, factor = floats[text], FACTORS["time"].get(symbol_of(written or common))
             in_seconds = number * (factor or 1.0) if factor or not written else 0.0
             hertz = number * _HERTZ.get(written.lower(), 0.0 if written else 1.0)
             if one.kind == "step" and in_seconds > 0:
@@ -220,10 +220,7 @@ def read_text(data: bytes, allowance: Allowance, decimal: str | None = None) -> 
 
     `decimal`: the decimal sign, by default that of the allowance, or the one that the file shows.
 
-    Raises
-    ------
-    FileFormatError
-        No text, no rows, rows that differ in length from the header, or more than allowed.
+    Raise `FileFormatError` for no text, no rows, rows that differ in length from the header, or more than allowed.
     """
     text = text_of(data, allowance)
     layout = layout_of(text.data, len(codecs.BOM_UTF8) * text.data.startswith(codecs.BOM_UTF8), text.encoding)
@@ -239,12 +236,8 @@ def read_text(data: bytes, allowance: Allowance, decimal: str | None = None) -> 
         return notation_of(cells, decimal or allowance.decimal)
 
     columns = with_clock_of_counts(columns, layout)
-    return with_clock_of_header(columns, _above(text, layout), layout.delimiter, notation)
-
-
-def _above(text: Text, layout: Layout) -> str:
-    """Return the end of the lines above a table."""
-    return text.data[max(layout.start - _CHUNK, 0) : layout.start].decode(text.encoding, errors="replace")
+    above = text.data[max(layout.start - _CHUNK, 0) : layout.start].decode(text.encoding, errors="replace")
+    return with_clock_of_header(columns, above, layout.delimiter, notation)
 
 
 def _ends(text: Text, layout: Layout, count: int) -> list[tuple[str, str]]:
@@ -308,7 +301,10 @@ def with_clock_of_counts(columns: list[Column], layout: Layout) -> list[Column]:
 def _layout_of_first_line(text: Text, allowance: Allowance) -> Layout:
     """Return the layout of a table whose header is the first line."""
     delimiter = next((d for d in ";\t," if d in re.sub(r'"[^"]*"', "", text.header)), None)
-    names = _names(text, delimiter, allowance)
+    names = cells_of(UNIT_BEHIND.sub("", text.header) if delimiter is None else text.header, delimiter)
+    if len(names) > 1 and not names[-1]:
+        names.pop()
+    _refuse_wide(names, allowance)
     if all(_is_number(name.replace(",", ".") if delimiter != "," else name) for name in names):
         row = text.header.strip()
         raise FileFormatError(f"{allowance.path}: {_unnamed(Layout(0, text.first - 1, delimiter, (), (), row))}")
@@ -359,15 +355,6 @@ def _refuse_long_lines(data: bytes, allowance: Allowance) -> None:
                 "measurement; check that this is a table with a line for each sample"
             )
         start = end + 1
-
-
-def _names(text: Text, delimiter: str | None, allowance: Allowance) -> list[str]:
-    header = text.header
-    names = cells_of(UNIT_BEHIND.sub("", header) if delimiter is None else header, delimiter)
-    if len(names) > 1 and not names[-1]:
-        names.pop()
-    _refuse_wide(names, allowance)
-    return names
 
 
 def _refuse_wide(names: list[str], allowance: Allowance) -> None:

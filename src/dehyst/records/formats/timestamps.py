@@ -93,11 +93,8 @@ def is_moment(cell: str) -> bool:
 def clock_of(moments: list[Moment]) -> Elapsed:
     """Return the times of timestamps; a time of day that jumps back by half a day is the next day's.
 
-    Raises
-    ------
-    ValueError
-        With the reason: they count from different origins, the order of day and month changes the times between them,
-        or the local time changes by an hour.
+    Raise `ValueError` with the reason if they count from different origins, the order of day and month changes the
+    times between them, or the local time changes by an hour.
     """
     if origins := sorted({one.origin for one in moments} - {moments[0].origin}):
         raise ValueError(

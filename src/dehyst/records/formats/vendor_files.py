@@ -45,10 +45,8 @@ def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
 
     The header states no units.
 
-    Raises
-    ------
-    FileFormatError
-        The separator is unknown, the sample time is no positive number, or the rows are no table.
+    Raise `FileFormatError` if the separator is unknown, the sample time is no positive number, or the rows are no
+    table.
     """
     text = text_of(data, allowance)
     end = _END.search(text.data)
@@ -98,11 +96,8 @@ def is_labview(data: bytes) -> bool:
 def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the segment of a LabVIEW measurement file: its channels with their units, and their time.
 
-    Raises
-    ------
-    FileFormatError
-        A header without its end, more than one segment, channels with clocks of their own, or fewer samples than the
-        header states.
+    Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
+    fewer samples than the header states.
     """
     text = text_of(data, allowance)
     parts = text.data.split(_LABVIEW_END)
@@ -261,10 +256,8 @@ def _text(sheet: Any, allowance: Allowance) -> bytes:
 
     The range that a sheet declares is not believed: programs write a wrong one.
 
-    Raises
-    ------
-    FileFormatError
-        More rows than Excel has, or more cells than allowed; empty cells before one with content count.
+    Raise `FileFormatError` for more rows than Excel has, or more cells than allowed; empty cells before one with
+    content count.
     """
     sheet.reset_dimensions()
     table: list[list[Any]] = []
