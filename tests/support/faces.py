@@ -51,12 +51,12 @@ FACES = {
         """,
         "report": """
             render write_calibration write_check_history write_comparison write_insight write_record_page write_report
+            write_stage_report
         """,
         "stages": """
-            Stage StageCompensator StageExcitation StageFit StageInsight
-            StageRecheck StageTrace check_stage export_stage
+            Stage StageCompensator StageFit StageInsight
+            StageRecheck StageTrace check_stage
             home_stage_before identify_stage plan_stage_path plan_stage_voltage stage_excitation stage_insight
-            write_stage_report
         """,
         "studies.paper": """
             Paper
