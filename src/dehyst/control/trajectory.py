@@ -16,7 +16,7 @@ from dehyst._units import per_metre
 from dehyst._validation import vector
 from dehyst._views import html, tables
 from dehyst._views.lines import length, span_of
-from dehyst.control.limits import TIME_NEEDED, VoltageLimits
+from dehyst.control.limits import TIME_NEEDED, VoltageLimits, outside_identified
 from dehyst.model import Actuator, Motion, State
 from dehyst.model.evaluator import PathData
 
@@ -161,7 +161,7 @@ def follow(
     warnings = [*_clamp_warning(limits, voltage, missed, clamped)]
     if not followed and not clamped.any():
         warnings.append(_miss_warning(missed))
-    warnings += _extrapolation_warning(actuator, voltage)
+    warnings += outside_identified(actuator, voltage, refuse=False).warnings
     return Command(voltage, reached, clamped, state, tuple(warnings), missed, followed)
 
 
@@ -171,16 +171,6 @@ def _miss_warning(missed: float) -> str:
         f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
         "actuator's state, or moves too fast for its sample rate"
     )
-
-
-def _extrapolation_warning(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
-    if actuator.limits is None:
-        return ()
-    low, high = actuator.limits
-    count = int(np.count_nonzero((voltage < low) | (voltage > high)))
-    if not count:
-        return ()
-    return (f"{count} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated",)
 
 
 def _clamp_warning(limits: VoltageLimits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._threads import one_thread
-from dehyst._types import Progress
+from dehyst._types import Array, Progress
 from dehyst._validation import interval, vector
-from dehyst.control import Compensator, PossibleStart, StartError, shortest_homing
-from dehyst.model import Actuator
+from dehyst.control import Command, Compensator, PossibleStart, StartError, shortest_homing
+from dehyst.model import Actuator, State
 from dehyst.records import Record
-from dehyst.trust.bootstrap import LEAST_REPEATS, resample
+from dehyst.trust.bootstrap import LEAST_REPEATS, Intervals, resample
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.experiment_design import advise
-from dehyst.trust.feasible_set import feasible_set
+from dehyst.trust.feasible_set import FeasibleSet, feasible_set
 from dehyst.trust.identifiability import StateKnowledge, part_identifiability
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.model_error import HeldOut
@@ -86,32 +87,17 @@ def insight(
     clock = None if time is None else vector(time, "time")
     with one_thread():
         evidence = Evidence.from_records(actuator, records)
-        intervals = free = band = known = loop = begin = opened = None
+        intervals = free = band = known = loop = path = None
         if repeats:
             intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
-            command = first = state = None
-            if wanted is not None:
-                begin = None if start is None else start(actuator)
-                state = top_start(actuator, allowed) if start is None else lambda one: start(one).within(one, allowed)
-                first = state(actuator)
-                command = Compensator(actuator, allowed).trajectory(wanted, time=clock, state=first)
-                if begin is not None and not begin.known:
-                    opened = StartError.along(actuator, begin.states, command.voltage, time=clock)
+            path = None if wanted is None else _Path.followed(actuator, wanted, clock, start, allowed)
             if not actuator.wide:
                 progress("looking for models that the records do not contradict")
-                free = feasible_set(evidence, None if command is None else command.displacement, first)
-            if wanted is not None and command is not None and state is not None:
+                moved = (None, None) if path is None else (path.command.displacement, path.first)
+                free = feasible_set(evidence, *moved)
+            if path is not None:
                 progress("identifying parts of the records")
-                band = PredictionBand.of(
-                    wanted,
-                    command,
-                    intervals,
-                    free,
-                    state,
-                    misfit=evidence.misfit,
-                    time=clock if actuator.needs_time else None,
-                    held_out=HeldOut.of(evidence, intervals),
-                )
+                band = path.band(evidence, intervals, free)
             loop = None if allowed is None else MajorLoopWidth.from_intervals(evidence, intervals, allowed)
         progress("judging each part")
         parts = part_identifiability(evidence)
@@ -132,8 +118,55 @@ def insight(
             parts=parts,
             loop=loop,
             precision=known,
-            start=begin,
-            opened=opened,
+            start=None if path is None else path.start,
+            opened=None if path is None else path.opened,
+        )
+
+
+class _Path(NamedTuple):
+    """A trajectory (n,) [m] with its time [s], the command that follows it, and its start.
+
+    `state` gives the state of a model before it, `first` that of the actuator.
+    """
+
+    wanted: Array
+    time: Array | None
+    command: Command
+    state: Callable[[Actuator], State]
+    first: State
+    start: PossibleStart | None
+    opened: StartError | None
+
+    @classmethod
+    def followed(
+        cls,
+        actuator: Actuator,
+        wanted: Array,
+        time: Array | None,
+        start: Callable[[Actuator], PossibleStart] | None,
+        limits: tuple[float, float] | None,
+    ) -> _Path:
+        """Follow a trajectory from its start, or from the top of the limits."""
+        begin = None if start is None else start(actuator)
+        state = top_start(actuator, limits) if start is None else lambda one: start(one).within(one, limits)
+        first = state(actuator)
+        command = Compensator(actuator, limits).trajectory(wanted, time=time, state=first)
+        opened = None
+        if begin is not None and not begin.known:
+            opened = StartError.along(actuator, begin.states, command.voltage, time=time)
+        return cls(wanted, time, command, state, first, begin, opened)
+
+    def band(self, evidence: Evidence, intervals: Intervals, free: FeasibleSet | None) -> PredictionBand:
+        """Return where the displacement may be."""
+        return PredictionBand.of(
+            self.wanted,
+            self.command,
+            intervals,
+            free,
+            self.state,
+            misfit=evidence.misfit,
+            time=self.time if evidence.actuator.needs_time else None,
+            held_out=HeldOut.of(evidence, intervals),
         )
 
 
