@@ -19,7 +19,7 @@ from dehyst.identification import Structure
 from dehyst.trust.bootstrap import resample
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.model_error import HeldOut
-from dehyst.trust.prediction_band import PredictionBand, rise_excitation, state_after_rise
+from dehyst.trust.prediction_band import PredictionBand, top_start
 from dehyst.virtual import BoucWenActuator
 
 CLASSES = {
@@ -101,8 +101,8 @@ def repeat(name: str, structure: Structure, kind: str, seed: int) -> Repeat:
     actuator = dehyst.identify(record, structure=structure, norm="l2", delay=0.0, drift=False).actuator
     evidence = Evidence.from_records(actuator, record)
     intervals = resample(evidence, level=LEVEL, repeats=RESAMPLES, seed=seed)
-    played = rise_excitation(actuator, limits)
-    start = state_after_rise(actuator, limits, played)
+    state = top_start(actuator, limits)
+    start = state(actuator)
     turns = [1.0, *(1 - turn for turn in random_turns(rng, 16, 0.04, 0.97))]
     lowest = float(actuator.spring.displacement[0])
     wanted = lowest + (start.displacement - lowest) * through(turns, leg_samples(turns, SAMPLES))
@@ -111,9 +111,8 @@ def repeat(name: str, structure: Structure, kind: str, seed: int) -> Repeat:
         Compensator(actuator, limits).trajectory(wanted, state=start),
         intervals,
         None,
+        state,
         misfit=evidence.misfit,
-        limits=limits,
-        played=played,
         held_out=HeldOut.of(evidence, intervals),
     )
     stage.play(stage.voltage(through([0.0, 1.0], [SAMPLES // 2])[1:]))

@@ -18,7 +18,7 @@ from playwright.sync_api import sync_playwright
 
 from dehyst import Compensator
 from dehyst.exports import export_wasm, wasm_module
-from dehyst.exports.shipped import shipped, shipped_bytes
+from dehyst.exports.naming import shipped, shipped_bytes
 
 OUTPUT = Path(__file__).parent / "wasm.json"
 REPEATS = 15

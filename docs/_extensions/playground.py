@@ -28,7 +28,7 @@ def model() -> bytes:
 
 def script() -> str:
     """Return the page's script, with the model inside."""
-    from dehyst.exports.shipped import shipped
+    from dehyst.exports.naming import shipped
     from dehyst.report.html import asset
 
     own = ((HERE / name).read_text(encoding="utf-8") for name in ("play_actuator.js", "playground.js"))

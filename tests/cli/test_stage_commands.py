@@ -1,6 +1,7 @@
 """Commands with several axes: identify --axes, and the others with a stage file."""
 
 import json
+from itertools import pairwise
 
 import coupled_stage
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from dehyst.cli import main
-from dehyst.records import read, read_table, write_columns
+from dehyst.records import Record, read, read_table, write_columns
 from dehyst.stages import Stage
+from dehyst.trust import start_of
 
 AXES = "vx_V:x_um vy_V:y_um"
 
@@ -110,6 +112,36 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     assert "y: the start top needs 120" in named["warnings"][0]
     assert named["start"]["x"]["name"] == "top"
     assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
+
+
+def test_each_axis_starts_as_a_record_began(folder):
+    """Coupled axes begin in the states that the record of each actuator alone determines, nearer than any name."""
+    stage = Stage.load(folder / "stage.json")
+
+    def played(*turns):
+        legs = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(turns)])
+        return np.column_stack([legs, 0.9 * legs + 0.05]) * np.array([100.0, 120.0])
+
+    lead = stage.simulate(played(0, 1, 0.25, 0.6)).states
+    voltage = played(0.6, 0.1, 0.9, 0.1, 0.9, 0.3, 0.6)
+    record = Record(np.arange(600) * 0.05, voltage, stage.simulate(voltage, states=lead).displacement)
+    write(folder / "began.csv", record)
+    missed = {}
+    for start in (f"as:{folder / 'began.csv'}", "top", "bottom"):
+        words = ["simulate", folder / "stage.json", folder / "began.csv", "--start", start, "--json"]
+        result = result_of(run(*words, "-o", folder / "from.csv"))
+        assert {one["name"] for one in result["start"].values()} == {start.replace(f"{folder}/", "")}
+        table = read_table(folder / "from.csv")
+        came = np.column_stack([table.column("displacement", f"{axis}_expected_um") for axis in "xy"])
+        missed[start] = (np.abs(came - record.displacement).max(axis=0) / np.ptp(record.displacement, axis=0)).max()
+        if start.startswith("as:"):
+            own = zip(stage.actuators, record.voltage.T, (record.displacement @ stage.decoupling.T).T, strict=True)
+            states = [start_of(one, Record(record.time, v, y), began=True).state for one, v, y in own]
+            alone = stage.simulate(voltage, states=states).displacement
+            np.testing.assert_allclose(came, alone, atol=1e-9 * np.ptp(alone))
+    began, *named = missed.values()
+    assert min(named) > 5e-3
+    assert began < 0.5 * min(named)
 
 
 def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):

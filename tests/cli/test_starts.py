@@ -66,10 +66,21 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
 
 def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
     status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew", "none", cwd=folder)
-    first, slew, second = out.splitlines()
+    first, slew, second, promised = out.splitlines()
     assert slew == "slew rate: not limited"
     assert status == 0 and "(homed first, " in first and " samples, " in first
     assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
+    assert promised.startswith("expect a path like the records ")
+
+
+def test_compensate_promises_what_identify_promised(folder):
+    """One judgement: the numbers of the verdict, and what an unknown start leaves open."""
+    _, got = answer("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew", "none", cwd=folder)
+    known, judged = Actuator.load(folder / "model.json").identification, got["judgement"]
+    assert (judged["rms_m"], judged["largest_m"]) == (known.expected_rms, known.expected_largest)
+    assert 100 * judged["start_m"] == pytest.approx(
+        got["start"]["largest_difference_percent"] * np.ptp(Actuator.load(folder / "model.json").reach)
+    )
 
 
 def test_a_path_without_time_is_homed_without_time(folder):
@@ -179,6 +190,28 @@ def test_a_record_is_a_start_as_it_began(folder, model):
     assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
     status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", "as:same.csv", cwd=folder)
     assert status == 2, err
+
+
+def test_insight_predicts_a_path_from_a_start(folder):
+    """From the state in which a record began, the voltages are those of compensate."""
+    given = ("insight", "model.json", "loops.csv", "--trajectory", "path.csv", "--repeats", "20", "-o", "band.csv")
+    plan = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew", "none")
+    voltages = {}
+    for start in ("as:loops.csv", "loops.csv", "bottom"):
+        _, got = answer(*given, "--start", start, cwd=folder)
+        assert got["start"] == start and got["judgement"]["start_m"] == 0
+        answer(*plan, "--start", start, cwd=folder)
+        voltages[start] = column(folder, "band.csv", "voltage_V")
+        np.testing.assert_allclose(voltages[start], column(folder, "v.csv", "voltage_V"), atol=1e-9)
+    assert np.abs(voltages["as:loops.csv"] - voltages["bottom"]).max() > 1
+    _, got = answer(*given, cwd=folder)
+    assert got["start"] is None
+    # Voltages alone may leave the state open.
+    write_columns(folder / "few.csv", {"voltage_V": np.array([0.0, 40.0, 10.0, 30.0])})
+    _, got = answer(*given, "--start", "few.csv", cwd=folder)
+    assert got["judgement"]["start_m"] > 0 and any("few.csv leaves" in one for one in got["warnings"])
+    status, _, err = run("insight", "model.json", "loops.csv", "--repeats", "0", "--start", "top", cwd=folder)
+    assert status == 2 and "--start: has no effect" in err
 
 
 def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):

@@ -14,12 +14,10 @@ from compiled_exports import need
 from dehyst import FileFormatError, ModelError, Stage, StageCompensator, export
 from dehyst.cli import main
 from dehyst.exports import sizes
-from dehyst.exports.firmware import CONFIG, CORE
+from dehyst.exports.firmware import CONFIG, CORE, code
 from dehyst.exports.footprint import STRICT
-from dehyst.exports.shipped import shipped
-from dehyst.stages import export_stage
-from dehyst.stages.firmware import stage_code
-from dehyst.stages.golden import StageCall, stage_golden_trace
+from dehyst.exports.golden_trace import Call, golden_trace
+from dehyst.exports.naming import shipped
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -99,7 +97,7 @@ def make(folder, *targets):
 
 def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
     need("gcc", "make")
-    export_stage(compensator, tmp_path / "c", measure=False)
+    export(compensator, tmp_path / "c", measure=False)
     status, words = make(tmp_path / "c", "check", "symbols")
     assert status == 0, words
     assert "double: 0 of" in words
@@ -107,13 +105,13 @@ def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
 
 
 def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
-    rows = [row for row in stage_golden_trace(compensator).rows if row.what is StageCall.STEP]
+    rows = [row for row in golden_trace(compensator).rows if row.what is Call.STEP]
     loop, patterns = compensator.afresh(), set()
     for row in rows:
         loop.step(row.given)
         patterns.add(loop.clamped)
     assert len(patterns) >= 2 ** len(loop.clamped)
-    assert set(StageCall) == {row.what for row in stage_golden_trace(compensator).rows}
+    assert set(Call) == {row.what for row in golden_trace(compensator).rows}
 
 
 def told_by_python(compensator, middle, half):
@@ -140,7 +138,7 @@ def test_random_steps_have_the_same_bits(compensator, tmp_path):
         f"static const double {name}[] = {{{', '.join(value.hex() for value in values)}}};\n"
         for name, values in (("middle", middle), ("half", half))
     )
-    for name, text in stage_code(compensator).items():
+    for name, text in code(compensator).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "driver.c").write_text(DRIVER.replace("int main", f"{constants}\nint main"))
     command = ["gcc", *STRICT, "-O2", f"-DSTEPS={STEPS}L", "driver.c", "stage.c", "dehyst.c", "-o", "driver"]
@@ -149,14 +147,14 @@ def test_random_steps_have_the_same_bits(compensator, tmp_path):
 
 
 def test_the_core_is_the_one_that_python_runs():
-    files = stage_code(plain_stage())
+    files = code(plain_stage())
     assert set(files) == {"stage.c", "stage.h", *CORE, CONFIG}
     assert all(files[name] == shipped(name) for name in CORE)
 
 
 def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
     need("gcc")
-    files = stage_code(plain_stage(), "scanner") | compiled_exports.plain_code("focus")
+    files = code(plain_stage(), name="scanner") | compiled_exports.plain_code("focus")
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     (tmp_path / "both.c").write_text(
@@ -182,13 +180,13 @@ def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
 def test_axes_of_any_names_compile(axes, tmp_path):
     need("gcc", "make")
     stage = Stage(plain_stage().stage.actuators, COUPLING, axes)
-    export_stage(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", measure=False, name="table")
+    export(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", measure=False, name="table")
     assert make(tmp_path / "c", "check")[0] == 0
 
 
 def test_c_plus_plus_reads_the_header(tmp_path):
     need("g++")
-    for name, text in stage_code(plain_stage()).items():
+    for name, text in code(plain_stage()).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "a.cpp").write_text('#include "stage.h"\nstage s;\nint main() { return stage_begin(&s); }\n')
     compiled_exports.must_run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "a.cpp"], tmp_path)
@@ -197,7 +195,7 @@ def test_c_plus_plus_reads_the_header(tmp_path):
 def test_bytes_are_measured(tmp_path):
     need("gcc")
     stage = plain_stage()
-    exported = export_stage(stage, tmp_path / "c")
+    exported = export(stage, tmp_path / "c")
     axes = [export(one, tmp_path / str(k)).footprints for k, one in enumerate(stage.compensators)]
     here = exported.footprints["this computer, -O2"]
     assert exported.unmeasured is None
@@ -209,24 +207,24 @@ def test_bytes_are_measured(tmp_path):
 
 def test_an_earlier_export_is_replaced_only_by_force_and_other_files_never(tmp_path):
     folder = tmp_path / "c"
-    export_stage(plain_stage(), folder, measure=False)
+    export(plain_stage(), folder, measure=False)
     with pytest.raises(FileFormatError, match="holds an earlier export"):
-        export_stage(plain_stage(), folder, measure=False)
-    export_stage(plain_stage(), folder, measure=False, force=True)
+        export(plain_stage(), folder, measure=False)
+    export(plain_stage(), folder, measure=False, force=True)
     (folder / "own.c").write_text("")
     with pytest.raises(FileFormatError, match=r"holds other files \(own.c\)"):
-        export_stage(plain_stage(), folder, measure=False, force=True)
+        export(plain_stage(), folder, measure=False, force=True)
 
 
 @pytest.mark.parametrize("name", ["int", "dehyst_x", "2x", "a b"])
 def test_a_name_that_is_none_in_c_is_refused(name):
     with pytest.raises(ModelError, match="name: got"):
-        stage_code(plain_stage(), name)
+        code(plain_stage(), name=name)
 
 
 def test_what_is_no_compensator_of_a_stage_is_refused():
-    with pytest.raises(ModelError, match="need a StageCompensator"):
-        stage_code(plain_stage().stage)
+    with pytest.raises(ModelError, match="got Stage, need a Compensator"):
+        code(plain_stage().stage)
 
 
 class TestCommand:

@@ -8,7 +8,7 @@ from compiled_exports import KINDS
 
 from dehyst import Compensator
 from dehyst.exports import export
-from dehyst.exports.start import ExportedStart
+from dehyst.exports.model_header import ExportedStart
 
 
 @pytest.mark.parametrize("kind", ["plain", "all", "moving"])

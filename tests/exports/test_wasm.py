@@ -21,7 +21,7 @@ from dehyst import Compensator, FileFormatError, ModelError
 from dehyst.cli import main
 from dehyst.exports import export_wasm, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
-from dehyst.exports.shipped import shipped, shipped_bytes
+from dehyst.exports.naming import shipped, shipped_bytes
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -158,8 +158,8 @@ write("answers", what.map((call, i) => answers[call](given[i])));
 """
     )
     rows = trace.rows
-    node(folder, program, what=[row.what for row in rows], given=[row.given for row in rows])
-    assert np.array_equal(column(folder, "answers"), np.array([row.answer for row in rows]).view(np.uint64))
+    node(folder, program, what=[row.what for row in rows], given=[row.given[0] for row in rows])
+    assert np.array_equal(column(folder, "answers"), np.array([row.answer[0] for row in rows]).view(np.uint64))
 
 
 def test_limits_and_slew_rate_may_be_others(tmp_path):

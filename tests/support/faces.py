@@ -51,18 +51,18 @@ FACES = {
         """,
         "report": """
             render write_calibration write_check_history write_comparison write_insight write_record_page write_report
+            write_stage_report
         """,
         "stages": """
-            Stage StageCompensator StageExcitation StageFit StageInsight
-            StageRecheck StageTrace check_stage export_stage
+            Stage StageCompensator StageFit StageInsight
+            StageRecheck StageTrace check_stage
             home_stage_before identify_stage plan_stage_path plan_stage_voltage stage_excitation stage_insight
-            write_stage_report
         """,
         "studies.paper": """
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Judgement Recheck Standing check insight judge
+            Change CheckHistory Insight Judgement Recheck Standing check insight judge start_of
         """,
         "virtual": """
             BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench

@@ -40,4 +40,4 @@ def test_the_band_of_the_path_wins_over_the_promise():
 def test_an_unknown_start_is_what_it_leaves_open():
     states = PossibleStart.unknown(PLANT, 50.0, (0.0, plain_records.VOLTS)).states
     start = StartError.along(PLANT, states, np.linspace(50.0, 60.0, 20))
-    assert judge(PLANT, start=start).start == start.largest > 0
+    assert judge(PLANT, path=start).start == start.largest > 0

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.records import Record, read_table
 from dehyst.records.files import time_of
 from dehyst.records.formats.file_content import MOST
-from dehyst.stages import StageExcitation, stage_excitation
+from dehyst.stages import stage_excitation
 from dehyst.waveforms import Excitation, Leg, Sampling, descending_tops, raised_cosine, staircase
 from dehyst.waveforms.excitation import positive
 
@@ -161,7 +161,7 @@ class AxesExcitations:
         """Samples between two turns of a path of the first axis: half a cycle, or what slew rates need."""
         return max(one.leg for one in self.each)
 
-    def _played(self, height: float, faster: float, seed: int) -> StageExcitation:
+    def _played(self, height: float, faster: float, seed: int) -> Excitation:
         return stage_excitation(
             [one.low + height * (one.high - one.low) for one in self.each],
             drive=[one.sampling(faster) for one in self.each],

@@ -179,8 +179,8 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     from dehyst.calibration import calibrate as run
     from dehyst.calibration.plan import entries
     from dehyst.cli.output.live import display
-    from dehyst.report import write_calibration
-    from dehyst.stages import StageFit, write_stage_report
+    from dehyst.report import write_calibration, write_stage_report
+    from dehyst.stages import StageFit
 
     if len(rig.axes) > 1:
         for line in _plan_lines(entries(rig, plan)):

@@ -33,8 +33,10 @@ from dehyst.cli.start import (
     error_lines,
     given_starts,
     home_option,
+    left_open,
     path_start_dict,
     planned,
+    promise_lines,
     start_option,
 )
 from dehyst.cli.wave_table import refuse_cycles, tabulate
@@ -248,6 +250,8 @@ def _follow(
     remarks: list[str],
 ) -> None:
     """Write the voltages of a path, and exit."""
+    from dehyst.trust import judge
+
     wanted, time, derivatives = path
     if "time_s" not in time:
         requests = [
@@ -273,6 +277,7 @@ def _follow(
     clamped = [int(answer.clamped.sum()) for answer in answers]
     misses = [float(abs(answer.expected - answer.displacement).max(initial=0.0)) for answer in answers]
     spans = [(float(answer.voltage.min()), float(answer.voltage.max())) for answer in answers]
+    judged = [judge(one.actuator, path=left_open(path)) for one, path in zip(requests, answers, strict=True)]
     result = {
         "samples": samples,
         "clamped": known.by_axis(clamped),
@@ -281,6 +286,7 @@ def _follow(
         "highest_V": known.by_axis(high for _, high in spans),
         **known.merged([slew.as_dict() for slew in slews]),
         **known.merged([path_start_dict(answer) for answer in answers]),
+        "judgement": known.by_axis(one.as_dict() for one in judged),
         "warnings": warnings,
         "state": known.by_axis(answer.state.as_dict() for answer in answers),
         "output": str(output),
@@ -293,6 +299,7 @@ def _follow(
     lines = [f"{counted(samples, 'sample')}, {', '.join(known.prefixed(words))}: {output}"]
     lines += known.prefixed([slew.words] for slew in slews)
     lines += known.prefixed(error_lines(answer) for answer in answers)
+    lines += known.prefixed(promise_lines(*each) for each in zip(requests, judged, strict=True))
     conclude(first.as_json, result, lines, warnings)
     certified = all(answer.certified for answer in answers)
     sys.exit(0 if all(answer.followed for answer in answers) and (certified or not first.home) else 1)

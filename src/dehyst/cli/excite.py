@@ -21,7 +21,6 @@ from dehyst.cli.common import (
 from dehyst.cli.output.terminal import echo, echo_json, note
 
 if TYPE_CHECKING:
-    from dehyst.stages import StageExcitation
     from dehyst.waveforms import Excitation, Sampling
 
 # A negative voltage is not an option.
@@ -160,7 +159,7 @@ def stage(
 
     refuse_overwriting([], options["output"])
 
-    def make(frequency: float) -> StageExcitation:
+    def make(frequency: float) -> Excitation:
         return stage_excitation(
             highest,
             drive=_drive(options, frequency),

@@ -131,13 +131,8 @@ def export(
         conclude(as_json, {**result, "warnings": remarks}, [line, *begin_words()], remarks)
         return
     from dehyst.exports import export as run
-    from dehyst.stages import StageCompensator, export_stage
 
-    named = {} if name is None else {"name": name}
-    if isinstance(compensator, StageCompensator):
-        exported = export_stage(compensator, directory, force=force, measure=measure, **named)
-    else:
-        exported = run(compensator, directory, number, force=force, measure=measure, **named)
+    exported = run(compensator, directory, number, force=force, measure=measure, name=name)
     if measure and exported.unmeasured is not None:
         remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
     result = {
@@ -242,14 +237,14 @@ def _limit_warnings(compensator: Compensator, state: State) -> list[str]:
 
 
 def _begins(compensator: Compensator) -> dict[str, Any]:
-    from dehyst.exports.start import ExportedStart
+    from dehyst.exports.model_header import ExportedStart
 
     begin = ExportedStart.of(compensator)
     return {"begins": {"displacement_m": begin.displacement, "voltage_V": begin.voltage, "way": begin.way}}
 
 
 def _begin_words(compensator: Compensator, actuator: Actuator, start: PossibleStart, kind: str | None = None) -> str:
-    from dehyst.exports.start import ExportedStart
+    from dehyst.exports.model_header import ExportedStart
 
     begin = ExportedStart.of(compensator)
     sentence = f"memory begins at {begin.words} {start_words(actuator, start, compensator.state)}"

@@ -199,7 +199,7 @@ def _report(path: Path, fit: Fit | StageFit, training: list[Record], held_out: l
     from dehyst.identification import Fit
 
     if not isinstance(fit, Fit):
-        from dehyst.stages import write_stage_report
+        from dehyst.report import write_stage_report
 
         write_stage_report(path, fit, [*training, *held_out], command=command_line())
         return

@@ -25,7 +25,7 @@ from dehyst.cli.output.printing import print_insight
 from dehyst.cli.output.terminal import echo, echo_json, note, progress_line
 from dehyst.cli.record_files import AXES_COLUMNS, COLUMNS, columns_options, path_of, read_records
 from dehyst.cli.slew import Slew
-from dehyst.cli.start import Request
+from dehyst.cli.start import Request, StartFile, path_start_option, start_reader
 from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _ASKED = ("limits", "seconds", "level", "precision", "repeats")
 @click.option("--trajectory", type=PATH, help="Predict the error along this path: a file with a displacement.")
 @click.option("--wanted", metavar="NAME", help="Column of the trajectory's displacement.  [default: found by its name]")
 @zero_option("From where the trajectory is counted, as in compensate.")
+@path_start_option
 @limits_option("the model's")
 @click.option("--seconds", type=float, help="Longest excitation to suggest.")
 @click.option("--level", type=float, default=0.9, show_default=True, help="Confidence level of the intervals.")
@@ -64,6 +65,7 @@ def insight(
     trajectory: Path | None,
     wanted: str | None,
     zero: str | float | None,
+    start: str | StartFile | None,
     output: Path | None,
     report: Path | None,
     axes: str | None,
@@ -78,14 +80,16 @@ def insight(
 
     if not options["repeats"]:
         refuse_given("with --repeats 0, which leaves out the intervals", "level", "precision")
-    of_path = ("trajectory", "wanted", "zero", "output") if trajectory is not None else ()
+    of_path = ("trajectory", "wanted", "zero", "start", "output") if trajectory is not None else ()
     several = is_stage(model)
     if several:
         refuse_unused("with a stage", "axes", *_ASKED, *AXES_COLUMNS)
     else:
         beside = "with the model of one axis" if of_path else "without --trajectory"
         refuse_unused(beside, "report", "force", *of_path, *_ASKED, *COLUMNS)
-    refuse_overwriting([model, *records, *([trajectory] if trajectory else [])], output, report)
+    before = [trajectory] if trajectory else []
+    before += [start.path] if isinstance(start, StartFile) else []
+    refuse_overwriting([model, *records, *before], output, report)
     known, progress = AxesModel.read(model), progress_line()
     path, time = (None, {}) if trajectory is None else _path(known.actuators[0], trajectory, wanted, zero, options)
     training = read_records(records, options, trajectory is not None, known.stored_columns(axes))
@@ -95,10 +99,11 @@ def insight(
         from dehyst.stages import stage_insight
 
         whole = stage_insight(known.stage, training, **asked)
-    when = time.get("time_s")
-    assessments = (
-        (run(known.actuators[0], training, trajectory=path, time=when, **asked),) if whole is None else whole.insights
-    )
+        assessments = whole.insights
+    else:
+        of_start = None if start is None else start_reader(start, options, options["limits"])
+        given: dict[str, Any] = {"trajectory": path, "time": time.get("time_s"), "start": of_start}
+        assessments = (run(known.actuators[0], training, **given, **asked),)
     assessment = assessments[0]
     if output is not None and assessment.band is not None:
         write_output(output, {**time, **assessment.band.columns()})

@@ -29,7 +29,6 @@ from dehyst.cli.start import (
     homed_words,
     lagging,
     left_open,
-    outside_warnings,
     path_start_dict,
     period_of,
     start_option,
@@ -71,6 +70,7 @@ def simulate(
     import numpy as np
 
     from dehyst._errors import ModelError
+    from dehyst.control.limits import outside_identified
 
     taken = ["axes", *(name for name in columns if name != "voltage")] if is_stage(model) else columns
     beside = "with a stage" if is_stage(model) else "with the model of one axis"
@@ -89,21 +89,22 @@ def simulate(
     clock = clock_columns(runs[0], time)
     volts = np.column_stack([run.voltage for run in runs])
     write_output(output, {**clock, **known.columns("voltage", volts), **_displacements(known, runs, clock, lag)})
-    outsides = [outside_warnings(*each) for each in zip(known.actuators, voltage.T, strict=True)]
+    pairs = zip(known.actuators, voltage.T, strict=True)
+    outsides = [outside_identified(*each, refuse=False) for each in pairs]
     late = [
         f"the measured displacement lagged by {one.delay * 1e3:.4g} ms, which is left out here; add --lag"
         for one in known.actuators
     ]
     own = [
-        [*outside[2], *run.warnings, *([words] if one.delay and not lag else [])]
+        [*outside.warnings, *run.warnings, *([words] if one.delay and not lag else [])]
         for outside, run, one, words in zip(outsides, runs, known.actuators, late, strict=True)
     ]
     warnings = [*remarks, *known.prefixed(own)]
-    far = any(outside[1] for outside in outsides)
+    far = any(outside.far for outside in outsides)
     result = {
         "samples": len(volts),
-        "outside": known.by_axis(outside[0] for outside in outsides),
-        "far_outside": known.by_axis(outside[1] for outside in outsides),
+        "outside": known.by_axis(outside.count for outside in outsides),
+        "far_outside": known.by_axis(outside.far for outside in outsides),
         **known.merged([path_start_dict(run) for run in runs]),
         "warnings": warnings,
         "state": known.by_axis(run.state.as_dict() for run in runs),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -18,11 +17,9 @@ if TYPE_CHECKING:
     from dehyst.cli.slew import Slew
     from dehyst.control import HomedPath, PossibleStart, StartError
     from dehyst.model import Actuator, State
-    from dehyst.records import Record
     from dehyst.records.formats.columns import Table
+    from dehyst.trust import Judgement
 
-# Voltages farther outside of a model's limits than this part of their range were not covered by its records.
-_FAR = 0.1
 # Least share of the stroke that is printed as a number [%].
 _SMALL = 1e-3
 # Of the displacements in an output of dehyst.
@@ -94,6 +91,12 @@ def start_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("--start", type=_StartType(), help=words)(command)
 
 
+def path_start_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the option that selects the state before a trajectory; without it a rise through the limits leads to it."""
+    words = f"State before the trajectory: {_STATES}  [default: the top of the limits, after a rise through them]"
+    return click.option("--start", type=_StartType(), help=words)(command)
+
+
 def start_or_top_option(command: Callable[..., None]) -> Callable[..., None]:
     """Add the option that selects the state in which a memory begins."""
     words = f"State in which memory begins: {_STATES}"
@@ -114,38 +117,34 @@ def given_starts(
     *,
     rests: bool = True,
 ) -> tuple[list[PossibleStart | None], list[str]]:
-    """Return the start of each axis, see `given_start`, and remarks; None if none was given.
+    """Return the start of each axis, see `start_reader`, and remarks; None if none was given.
 
     `axes`: columns of several axes in a file of what was played before; by default those of the records.
     """
     if start is None:
         return [None] * len(model.axes), []
-    starts, remarks = [], []
-    for j, (axis, actuator, allowed) in enumerate(zip(model.axes, model.actuators, limits, strict=True)):
-        columns = {} if isinstance(start, str) else _columns(model, j, axes)
-        begin, own = given_start(actuator, start, allowed, options, rests=rests, columns=columns)
-        if model.stage is not None and isinstance(start, str):
-            begin, own = _played_within(actuator, begin, allowed)
-        starts.append(begin)
-        remarks += model.prefixed_one(axis, own)
-    return [*starts], remarks
+    starts = []
+    columns = [{} if isinstance(start, str) else _columns(model, j, axes) for j in range(len(model.axes))]
+    for j, (actuator, allowed) in enumerate(zip(model.actuators, limits, strict=True)):
+        reader = start_reader(start, options, allowed, rests=rests, columns=columns, axis=j, targets=model.targets)
+        begin = reader(actuator)
+        starts.append(_played_within(actuator, begin, allowed) if model.stage and isinstance(start, str) else begin)
+    return [*starts], model.prefixed(start.remarks for start in starts)
 
 
-def _played_within(
-    actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None
-) -> tuple[PossibleStart, list[str]]:
+def _played_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> PossibleStart:
     """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
     from dehyst.stages.compensator import start_within
 
     allowed = limits or actuator.limits
     state = start.state if allowed is None else start_within(actuator, start.state, allowed)
     if allowed is None or state is start.state:
-        return start, []
+        return start
     remark = (
         f"the start {start.name} needs {actuator.voltage(start.state):.6g} V, outside the limits {allowed[0]:.6g} to "
         f"{allowed[1]:.6g} V: it begins at {actuator.voltage(state):.6g} V, after loops between the limits"
     )
-    return replace(start, states=(state,)), [remark]
+    return replace(start, states=(state,), remarks=(remark,))
 
 
 def _columns(model: AxesModel, j: int, axes: str | None) -> dict[str, str]:
@@ -160,89 +159,62 @@ def _columns(model: AxesModel, j: int, axes: str | None) -> dict[str, str]:
     return {} if one is None else {"voltage": one.voltage, "displacement": one.displacement, "computed": computed}
 
 
-def given_start(
-    actuator: Actuator,
+def start_reader(
     start: str | StartFile,
-    limits: tuple[float, float] | None,
     options: dict[str, Any],
+    limits: tuple[float, float] | None,
     *,
     rests: bool = True,
-    columns: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[PossibleStart, list[str]]:
-    """Return the start that the option names or the file determines, and remarks on it.
+    columns: Sequence[Mapping[str, str]] = ({},),
+    axis: int = 0,
+    targets: Callable[[Any], Any] = lambda displacement: displacement,
+) -> Callable[[Actuator], PossibleStart]:
+    """Return what gives the start of an actuator that the option names, or that the file, read once, determines.
 
     Displacements that dehyst wrote are no measurement: of such a file only the voltages count. `rests`: whether the
     actuator rests at the voltage of the start, which is still applied: the file's last one, or its first if it is the
-    beginning that counts. `columns`: those of its voltage and displacement, and of a computed one, by default
-    as one axis has them.
+    beginning that counts. `columns`: the voltage, displacement and computed displacement of each axis, by default as
+    one axis has them. `axis`: number of that of the actuator. `targets`: gives the displacements (n, axes) of the
+    actuators for those of the axes.
     """
+    import numpy as np
+
     from dehyst._errors import ModelError
     from dehyst._io import COMPUTED
     from dehyst.control import PossibleStart
     from dehyst.records import Record
+    from dehyst.trust import start_of
 
     if isinstance(start, str):
-        return PossibleStart.named(actuator, start), []  # type: ignore[arg-type]
-    file = start.path
-    table = table_in(file, options)
-    own, voltage = columns.get("computed", COMPUTED) in table.names, table.column("voltage", columns.get("voltage"))
-    measured = _has_displacement(table, columns) and not own
-    time = table.column("time") if actuator.needs_time or measured else None
-    outside = _outside_words(actuator, file.name, voltage, limits)
+        return lambda actuator: PossibleStart.named(actuator, start)  # type: ignore[arg-type]
+    name, table = start.path.name, table_in(start.path, options)
+    own = columns[axis].get("computed", COMPUTED) in table.names
+    voltage = table.column("voltage", columns[axis].get("voltage"))
+    measured = all(_has_displacement(table, one) for one in columns) and not own
     if start.began and not measured:
-        raise ModelError(f"--start {start}: has no measured displacement; the state in which a record began needs it")
-    if own:
-        outside.append(f"{file.name}: {_COMPUTED}")
-    if time is not None and measured:
-        moved = table.column("displacement", columns.get("displacement"))
-        record = Record(time, voltage, moved, file.name)
-        found, beside = _of_record(actuator, record, start.began)
-        outside += beside
-    else:
-        found = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=file.name)
-    return found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found, outside
+        raise ModelError(
+            argument="start",
+            got=f"{start}, without a measured displacement",
+            need="a record with one: it determines the state in which the record began",
+        )
+    remarks = (f"{name}: {_COMPUTED}",) if own else ()
+
+    def determined(actuator: Actuator) -> PossibleStart:
+        time = table.column("time") if actuator.needs_time or measured else None
+        if time is not None and measured:
+            moved = np.column_stack([table.column("displacement", one.get("displacement")) for one in columns])
+            record = Record(time, voltage, targets(moved)[:, axis], name)
+            found = start_of(actuator, record, began=start.began, limits=limits)
+        else:
+            found = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=name)
+        found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
+        return replace(found, remarks=(*found.remarks, *remarks))
+
+    return determined
 
 
 def _has_displacement(table: Table, columns: Mapping[str, str]) -> bool:
     return columns["displacement"] in table.names if "displacement" in columns else table.has("displacement")
-
-
-def _outside_words(actuator: Actuator, name: str, voltage: Any, limits: tuple[float, float] | None) -> list[str]:
-    """Return a remark on earlier voltages outside the identified range; refuse those far outside of what is allowed."""
-    from dehyst._errors import ModelError
-    from dehyst.model.checks import Range, voltage_error
-
-    if actuator.limits is None:
-        return []
-    identified = Range(*actuator.limits)
-    far = identified.joined(*([] if limits is None else [limits])).far_ends(voltage)
-    if far is not None:
-        raise ModelError(f"{name}: {voltage_error(far, identified)}")
-    return [f"{name}: {words}" for words in outside_warnings(actuator, voltage)[2]]
-
-
-def _of_record(actuator: Actuator, record: Record, began: bool) -> tuple[PossibleStart, list[str]]:
-    """Return the state after a record or in which it began, and a remark if its voltages lie beside the model's."""
-    import numpy as np
-
-    from dehyst._errors import ModelError
-    from dehyst.control import PossibleStart
-    from dehyst.control.planning.start import model_error
-    from dehyst.identification import initial_state, state_after
-
-    if reason := actuator.implausibility(record.displacement):
-        raise ModelError(f"{record.name}: {reason}")
-    state, offset = (initial_state if began else state_after)(actuator, record)
-    start = PossibleStart(f"{_AS if began else ''}{record.name}", (state,))
-    low, high = actuator.voltage_range
-    share = abs(offset) / (high - low)
-    if share * float(np.ptp(actuator.reach)) <= model_error(actuator):
-        return start, []
-    remark = (
-        f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the range: "
-        "expect displacements to lie beside the sensor's by as much"
-    )
-    return start, [remark]
 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
@@ -338,33 +310,6 @@ def delay_warnings(actuator: Actuator) -> list[str]:
     return [f"the measured displacement lagged by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
 
 
-def outside_warnings(actuator: Actuator, voltage: Any) -> tuple[int, bool, list[str]]:
-    """Count the voltages [V] outside the identified range; return whether one lies far outside, and warnings.
-
-    Far is more than a tenth of the range away: there the model is a straight line without any measurement behind it.
-    """
-    import numpy as np
-
-    if actuator.limits is None:
-        return 0, False, []
-    low, high = actuator.limits
-    beyond = np.maximum(low - voltage, voltage - high)
-    count = int(np.count_nonzero(beyond > 0))
-    if not count:
-        return 0, False, []
-    warning = (
-        f"{count} of {voltage.size} voltages lie outside the identified range {low:.6g} to {high:.6g} V: extrapolated"
-    )
-    far = float(beyond.max()) > _FAR * (high - low)
-    if far:
-        warning += (
-            f", and far: {float(voltage[int(np.argmax(beyond))]):.6g} V lies {float(beyond.max()):.6g} V beyond, "
-            f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
-            "identify again"
-        )
-    return count, far, [warning]
-
-
 # Wanted displacement [m], columns of time, and derivatives.
 WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
@@ -438,6 +383,12 @@ def error_lines(path: HomedPath) -> list[str]:
     """Return a line on what the start of a path leaves open; none if it is known."""
     error = left_open(path)
     return [] if error is None else [error_line(path.start.name, error, homed=path.homing is not None)]
+
+
+def promise_lines(request: Request, judged: Judgement) -> list[str]:
+    """Return a line on the error that the identification promised of a path like the records, if it is known."""
+    words = judged.words(float(request.actuator.reach[1] - request.actuator.reach[0]))
+    return [f"expect a path like the records {words}"] if words else []
 
 
 def path_start_dict(path: HomedPath) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from dehyst.cli.start import (
     error_line,
     file_warnings,
     path_columns,
+    promise_lines,
     start_dict,
 )
 
@@ -34,6 +35,8 @@ def tabulate(
     remarks: Iterable[str] = (),
 ) -> None:
     """Write the wave table of a scan with its homing and start-up, and exit."""
+    from dehyst.trust import judge
+
     refuse_cycles(scan, cycles)
     start, progress = _start(request, scan, axis), progress_line()
     table = _table(request, start, scan, axis, options)
@@ -52,12 +55,14 @@ def tabulate(
     if not start.known:
         error = start.error_along(actuator, played.voltage, limits, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
+    judged = judge(actuator, path=error)
     result = {
         "samples": played.voltage.size,
         **_table_dict(table, scan, start_dict(start.name, error)),
         "lowest_V": low,
         "highest_V": high,
         **request.slew.as_dict(),
+        "judgement": judged.as_dict(),
         "warnings": warnings,
         "state": table.state.as_dict(),
         "output": str(outputs[0]),
@@ -74,7 +79,7 @@ def tabulate(
     lines.append(request.slew.words)
     if error is not None:
         lines.append(error_line(start.name, error, homed=_homes(request)))
-    conclude(request.as_json, result, lines, warnings)
+    conclude(request.as_json, result, [*lines, *promise_lines(request, judged)], warnings)
     sys.exit(0 if table.settled and table.certified and not table.clamped else 1)
 
 

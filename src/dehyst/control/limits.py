@@ -15,11 +15,14 @@ from dehyst._errors import DehystError, ModelError
 from dehyst._types import Array
 from dehyst._validation import interval, keep, number, untimely, vector
 from dehyst.model import Actuator
+from dehyst.model.checks import Range, voltage_error
 
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 # Share of the reach: a path in another unit than metres that is smaller is likely one in metres.
 _TINY = 1e-6
+# Voltages farther outside of the identified range than this part of it were not covered by the records.
+_FAR = 0.1
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,55 @@ class VoltageLimits:
         previous = np.concatenate([[before], voltage[:-1]])
         # Limits come last: the slew rate must not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Voltages outside of the identified range: their number, whether one lies far outside, and warnings."""
+
+    count: int = 0
+    far: bool = False
+    warnings: tuple[str, ...] = ()
+
+
+def outside_identified(
+    actuator: Actuator,
+    voltage: Array,
+    limits: tuple[float, float] | None = None,
+    *,
+    name: str = "",
+    refuse: bool = True,
+) -> Outside:
+    """Return which voltages (n,) [V] lie outside of the range that a model was identified from.
+
+    One lies far outside if that is by more than a tenth of the range: there the model is a straight line without any
+    measurement behind it. With `refuse`, raise `ModelError` if one lies farther outside of that range and of `limits`
+    than they are wide. `name`: of the voltages, before the sentences.
+    """
+    head = f"{name}: " if name else ""
+    if actuator.limits is None or not voltage.size:
+        return Outside()
+    low, high = actuator.limits
+    identified = Range(low, high)
+    ends = identified.joined(*([] if limits is None else [limits])).far_ends(voltage) if refuse else None
+    if ends is not None:
+        raise ModelError(f"{head}{voltage_error(ends, identified)}")
+    beyond = np.maximum(low - voltage, voltage - high)
+    count = int(np.count_nonzero(beyond > 0))
+    if not count:
+        return Outside()
+    warning = (
+        f"{head}{count} of {voltage.size} voltages lie outside the identified range {low:.6g} to {high:.6g} V: "
+        "extrapolated"
+    )
+    far = float(beyond.max()) > _FAR * (high - low)
+    if far:
+        warning += (
+            f", and far: {float(voltage[int(np.argmax(beyond))]):.6g} V lies {float(beyond.max()):.6g} V beyond, "
+            f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
+            "identify again"
+        )
+    return Outside(count, far, (warning,))
 
 
 class ClampWarning(UserWarning):

@@ -1,19 +1,19 @@
-"""A compensator as a folder of C for a microcontroller: the core that Python runs, and the numbers of the model."""
+"""A compensator of one axis or of several as a folder of C: the core that Python runs, and the numbers of the model."""
 
 from __future__ import annotations
 
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from string import Template
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
 from dehyst.control import Compensator
+from dehyst.exports.coupling import coupled_sources, labels
 from dehyst.exports.footprint import (
     CORTEX_M4,
     CORTEX_M4_SMALL,
@@ -24,24 +24,23 @@ from dehyst.exports.footprint import (
     run,
     sizes,
 )
-from dehyst.exports.golden_trace import GoldenTrace, golden_trace, trace_header
+from dehyst.exports.golden_trace import GoldenTrace, Loop, golden_trace, trace_header
 from dehyst.exports.model_header import (
     NUMBERS,
     SIZES,
+    ExportedStart,
     Number,
     config_header,
     demand_compensator,
     numbers,
     size_macros,
-    title,
 )
-from dehyst.exports.naming import DEFAULT, demand_name, file_of, name_in, printable, text_of
-from dehyst.exports.shipped import shipped
-from dehyst.exports.start import ExportedStart
+from dehyst.exports.naming import DEFAULT, demand_name, file_of, in_comment, name_in, printable, shipped, text_of
+from dehyst.stages import StageCompensator
 
 __all__ = ["SOURCES", "Exported", "Footprint", "code", "export", "sizes"]
 
-_Result = TypeVar("_Result")
+STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
 CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
 CONFIG = "dehyst_config.h"
@@ -93,52 +92,71 @@ class Exported(NamedTuple):
     unmeasured: str | None
 
 
-def code(compensator: Compensator, number: Number = "double", name: str = DEFAULT) -> dict[str, str]:
+def code(compensator: Loop, number: Number = "double", name: str | None = None) -> dict[str, str]:
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
     Raise `ModelError` if it is no Compensator, the number type is another one, floats cannot hold this model, or the
     name is no name in C or has a meaning there.
     """
-    demand_compensator(compensator)
-    if number not in ("double", "float"):
-        raise ModelError(argument="number", got=repr(number), need="'double' or 'float'")
-    demand_name(name)
-    files = {file: shipped(file) for file in (*CORE, "piezo.c", "piezo.h")} | {CONFIG: config_header(number)}
-    for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros)):
-        text = text_of(files[file].replace(place, generated(compensator, number)), name)
-        # The actuator's name is not to be renamed.
-        files[file] = f"{title(compensator)}\n{text}"
-    return {file_of(file, name): text for file, text in files.items()}
+    coupled = isinstance(compensator, StageCompensator)
+    if not coupled:
+        demand_compensator(compensator)
+    if number not in ("double", "float") or (coupled and number == "float"):
+        need = "'double', of coupled axes" if coupled else "'double' or 'float'"
+        raise ModelError(argument="number", got=repr(number), need=need)
+    own = _name(compensator, name)
+    demand_name(own)
+    files = {file: shipped(file) for file in CORE} | {CONFIG: config_header(number)}
+    if isinstance(compensator, StageCompensator):
+        title = f"stage '{in_comment(compensator.stage.name)}'"
+        source, header = coupled_sources(compensator, own)
+    else:
+        title = f"actuator '{in_comment(compensator.actuator.name)}'"
+        source, header = (
+            text_of(shipped(file).replace(place, generated(compensator, number)), own)
+            for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros))
+        )
+    # The actuator's name is not to be renamed.
+    title = f"/* The {title}, made by dehyst {__version__}. Units: V, m, s. Do not edit. */\n"
+    return files | {f"{own}.c": title + source, f"{own}.h": title + header}
+
+
+def _name(compensator: Loop, name: str | None) -> str:
+    """Return the name in C: the one given, or the usual one."""
+    if name is not None:
+        return name
+    return STAGE_NAME if isinstance(compensator, StageCompensator) else DEFAULT
 
 
 def export(
-    compensator: Compensator,
+    compensator: Loop,
     directory: PathLike,
     number: Number = "double",
     *,
     force: bool = False,
-    name: str = DEFAULT,
+    name: str | None = None,
     measure: bool = True,
 ) -> Exported:
     """Write a compensator as C: the whole folder, or nothing.
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
     Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
-    Beside them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
+    Those of a stage, `stage.c` and `stage.h`, have the coupling matrix and the numbers and calls of each axis. Beside
+    them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
 
     Parameters
     ----------
-    compensator : Compensator
+    compensator : Compensator or StageCompensator
         The export has the state in which it was made or last reset. It does not change.
     directory : path
         A new or an empty folder.
     number : {'double', 'float'}, optional
-        float: every number is rounded once; the error is measured if there is a compiler.
+        float: every number is rounded once; the error is measured if there is a compiler. Coupled axes have double.
     force : bool, optional
         Replace an earlier export. A folder with other files is always refused.
     name : str, optional
-        Name in C of the type and the calls, so that several models fit into one firmware: the files of the model are
-        then NAME.c and NAME.h, and macros begin with it.
+        Name in C of the type and the calls, by default piezo, or stage, so that several models fit into one firmware:
+        the files of the model are then NAME.c and NAME.h, and macros begin with it.
     measure : bool, optional
         Compile the export to measure bytes and the error of floats, which takes seconds.
 
@@ -155,74 +173,55 @@ def export(
         If it is no path, the folder holds other files, or it cannot be written.
     """
     folder = path_of(directory)
-    files = code(compensator, number, name)
-    files |= {file: text_of(shipped(file), name) for file in ("check.c", "Makefile")} | {"LICENSE": shipped("LICENSE")}
-
-    def fill(draft: Path) -> Exported:
-        write_files(draft, files)
-        return _complete(draft, compensator, number, name, measure)
-
-    return fill_folder(folder, fill, force)._replace(folder=folder)
-
-
-def fill_folder(folder: Path, fill: Callable[[Path], _Result], force: bool) -> _Result:
-    """Write the `folder` of an export, whole or not at all; return what `fill`, called with a draft of it, returns.
-
-    With `force` an earlier export is replaced. Raise `FileFormatError` if the folder holds other files, or cannot be
-    written.
-    """
+    files, own = code(compensator, number, name), _name(compensator, name)
+    check = "stage_check.c" if isinstance(compensator, StageCompensator) else "check.c"
+    files |= {"check.c": text_of(shipped(check), own), "Makefile": text_of(shipped("Makefile"), own)}
     target = folder.resolve()
     draft = draft_of(target)
     try:
         _demand_free(folder, force)
         draft.mkdir()
-        result = fill(draft)
+        _write(draft, {**files, "LICENSE": shipped("LICENSE")})
+        result = _complete(draft, compensator, number, own, measure)
         _put(draft, target)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return result
+    return result._replace(folder=folder)
 
 
-def _complete(draft: Path, compensator: Compensator, number: Number, name: str, measure: bool) -> Exported:
+def _complete(draft: Path, compensator: Loop, number: Number, name: str, measure: bool) -> Exported:
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
-    write_files(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
+    _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
     result = Exported(draft, {}, None, None if measure else _UNASKED)
     if measure:
         result = _measured(result, number, name)
     if number == "float":
         most = _UNMEASURED if result.error is None else _MARGIN * result.error
-        write_files(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    write_files(draft, {"README.md": _readme(compensator, number, trace, result, name)})
+        _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
+    _write(draft, {"README.md": _readme(compensator, number, trace, result, name)})
     return result
 
 
 def _measured(result: Exported, number: Number, name: str) -> Exported:
     """Add sizes and error by the compilers at hand, or the reason why they are missing."""
-    error, reason = None, None
+    error, reason, footprints = None, None, {}
     if number == "float":
         try:
             error = _float_error(result.folder, name)
         except FileFormatError as failure:
             reason = _reason(failure)
-    footprints, unmeasured = footprints_of(result.folder, number)
-    return result._replace(footprints=footprints, error=error, unmeasured=unmeasured or reason)
-
-
-def footprints_of(folder: Path, number: Number) -> tuple[dict[str, Footprint], str | None]:
-    """Return the bytes of an export in a `folder` by processor, and why they are missing, if they are."""
-    footprints, reason = {}, None
     for processor, (compiler, flags) in _PROCESSORS.items():
         # Its floating-point unit has floats only.
         if processor.startswith("Cortex-M4F") and number == "double":
             continue
         try:
-            footprints[processor] = sizes(folder, compiler, flags)
+            footprints[processor] = sizes(result.folder, compiler, flags)
         except FileFormatError as failure:
             reason = _reason(failure) if compiler == _COMPILER else reason
-    return footprints, reason
+    return result._replace(footprints=footprints, error=error, unmeasured=reason)
 
 
 def _reason(failure: FileFormatError) -> str:
@@ -269,7 +268,7 @@ def _put(draft: Path, target: Path) -> None:
     settle_folder(target.parent)
 
 
-def write_files(folder: Path, files: dict[str, str]) -> None:
+def _write(folder: Path, files: dict[str, str]) -> None:
     """Write `files`, their texts by name, into a `folder`."""
     for name, text in files.items():
         with (folder / name).open("w", encoding="utf-8", newline="\n") as stream:
@@ -289,34 +288,56 @@ def _float_error(folder: Path, name: str) -> float:
     return float(error[1])
 
 
-def _readme(compensator: Compensator, number: Number, trace: GoldenTrace, result: Exported, own: str) -> str:
+def _readme(compensator: Loop, number: Number, trace: GoldenTrace, result: Exported, own: str) -> str:
+    period = compensator.period
+    common = {
+        "version": __version__,
+        "every": "a sample" if period is None else f"every {period:.9g} s",
+        "bytes": text_of(_bytes(result), own),
+        "rows": len(trace.rows),
+    }
+    if isinstance(compensator, StageCompensator):
+        template, more = "stage_README.md", _axes_words(compensator, own)
+    else:
+        template, more = "README.md", _axis_words(compensator, number, result, own)
+    return Template(text_of(shipped(template), own)).substitute(common | more)
+
+
+def _axes_words(compensator: StageCompensator, own: str) -> dict[str, object]:
+    rows = []
+    for axis, loop in zip(compensator.stage.axes, compensator.compensators, strict=True):
+        low, high = loop.limits
+        slew = "not limited" if loop.slew_rate is None else f"{loop.slew_rate:.9g} V/s"
+        start = ExportedStart.of(loop)
+        rows.append(f"| {axis} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |")
+    return {
+        "name": printable(compensator.stage.name),
+        "count": len(rows),
+        "axes": ", ".join(compensator.stage.axes),
+        "table": "\n".join(rows),
+        "example": f"{own}_{labels(compensator)[0]}_step",
+    }
+
+
+def _axis_words(compensator: Compensator, number: Number, result: Exported, own: str) -> dict[str, object]:
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    start, tables = ExportedStart.of(compensator), compensator.tables()
-    text = shipped("README.md")
-    if own != DEFAULT:
-        # The variable of the example must not have the name of its type.
-        text = text_of(re.sub(r"\bstage\b", "piezo_1", text), own)
-    return Template(text).substitute(
-        name=printable(compensator.actuator.name),
-        version=__version__,
-        number=number,
-        every="a sample" if period is None else f"every {period:.9g} s",
-        timer="this model does not depend on time"
-        if period is None
-        else text_of(f"every {period:.9g} s, MODEL_PERIOD", own),
-        low=f"{low:.9g}",
-        high=f"{high:.9g}",
-        slew="" if slew is None else f" and change by {slew:.9g} V/s at most",
-        ahead=text_of(_AHEAD.format(ahead=ahead), own) if ahead else "",
-        smooth=_SMOOTH if tables["tap"].size > 1 or compensator.actuator.lag else "",
-        begins=start.words,
-        way=start.way,
-        bytes=text_of(_bytes(result), own),
-        rows=len(trace.rows),
-        error=_error_words(number, result),
-        config="" if number == "double" else ", with floats in `dehyst_config.h`",
-    )
+    start = ExportedStart.of(compensator)
+    timed = "this model does not depend on time"
+    return {
+        "name": printable(compensator.actuator.name),
+        "number": number,
+        "timer": timed if period is None else text_of(f"every {period:.9g} s, MODEL_PERIOD", own),
+        "low": f"{low:.9g}",
+        "high": f"{high:.9g}",
+        "slew": "" if slew is None else f" and change by {slew:.9g} V/s at most",
+        "ahead": text_of(_AHEAD.format(ahead=ahead), own) if ahead else "",
+        "smooth": _SMOOTH if compensator.tables()["tap"].size > 1 or compensator.actuator.lag else "",
+        "begins": start.words,
+        "way": start.way,
+        "error": _error_words(number, result),
+        "config": "" if number == "double" else ", with floats in `dehyst_config.h`",
+    }
 
 
 def _error_words(number: Number, result: Exported) -> str:
@@ -331,18 +352,16 @@ def _error_words(number: Number, result: Exported) -> str:
 
 
 def _bytes(result: Exported) -> str:
-    return bytes_table(result.footprints, result.unmeasured)
-
-
-def bytes_table(footprints: dict[str, Footprint], unmeasured: str | None) -> str:
-    """Return the bytes of an export by processor as Markdown, and why some are `unmeasured`."""
-    if unmeasured is not None:
-        left_out = (
-            f"Not measured on this computer: {unmeasured}. To measure it later: "
-            "`dehyst.exports.sizes(folder, compiler)`."
-        )
-        return left_out if not footprints else f"{left_out}\n\n{_table(footprints)}"
-    return _table(footprints)
+    """Return the bytes by processor as Markdown, and why some are not measured."""
+    left_out = (
+        f"Not measured on this computer: {result.unmeasured}. To measure it later: "
+        "`dehyst.exports.sizes(folder, compiler)`."
+    )
+    parts = [] if result.unmeasured is None else [left_out]
+    footprints = result.footprints
+    if footprints or not parts:
+        parts.append(_table(footprints))
+    return "\n\n".join(parts)
 
 
 def _table(footprints: dict[str, Footprint]) -> str:

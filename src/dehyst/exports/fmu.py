@@ -24,7 +24,7 @@ from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.fmu_description import Description, Kind, Version
 from dehyst.exports.footprint import run
 from dehyst.exports.model_header import demand_compensator
-from dehyst.exports.shipped import shipped
+from dehyst.exports.naming import shipped
 
 _WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
 _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 
 from dehyst._version import __version__
 from dehyst.control import Compensator
+from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.naming import printable
-from dehyst.exports.start import ExportedStart
 
 Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterator
 from contextlib import suppress
 from enum import IntEnum
 from itertools import pairwise
 from string import Template
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import ClampWarning, Compensator
 from dehyst.control.limits import Clamps
+from dehyst.stages import StageCompensator
+from dehyst.stages.stage import apply
+
+Loop: TypeAlias = Compensator | StageCompensator
 
 # How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
 _BEYOND = 0.25
@@ -29,9 +33,9 @@ _HEADER = Template("""/* What Python computed with this model. */
 ${macros}
 typedef struct trace_row {
     int what;
-    double given, answer;
+    double $columns;
 } trace_row;
-
+$counts
 static const trace_row trace[TRACE_SIZE] = {
 $rows
 };
@@ -54,128 +58,162 @@ class Call(IntEnum):
 
 
 class TraceRow(NamedTuple):
-    """A call, its argument [m or V] and its result: a voltage [V], or the displacement [m] of the actuator after it."""
+    """A call, its arguments [m or V] and its results, one an axis: voltages [V], or displacements [m] after it."""
 
     what: Call
-    given: float
-    answer: float
+    given: tuple[float, ...]
+    answer: tuple[float, ...]
 
 
 class GoldenTrace(NamedTuple):
     """A trace.
 
-    `clamps`: of the steps. `refused`: number of wanted displacements that are not a number. `volts`, `stroke`: ranges
-    to which errors are referred: the width of the limits [V] and of the reach [m].
+    `clamps`: of the steps, one an axis. `refused`: number of wanted displacements that are not a number. `volts`,
+    `stroke`: ranges to which errors are referred: the largest width of limits [V] and of a reach [m]. `coupled`:
+    whether it is that of a stage, whose calls have arrays.
     """
 
     rows: tuple[TraceRow, ...]
-    clamps: Clamps
+    clamps: tuple[Clamps, ...]
     refused: int
     volts: float
     stroke: float
+    coupled: bool
 
 
-def golden_trace(compensator: Compensator) -> GoldenTrace:
+def golden_trace(compensator: Loop) -> GoldenTrace:
     """Play a trace on compensators like this one, from their start; this one does not change.
 
-    It has wanted displacements within the reach and beyond it, slow and in jumps, and some that are not a number;
-    offers that are dropped, committed, or committed with another voltage; periods in which nothing is sent; and at the
-    end voltages on the actuator alone.
+    It has wanted displacements within the reach and beyond it, slow and in jumps, and some that are not a number, so
+    that of several axes one, several and all are clamped; offers that are dropped, committed, or committed with other
+    voltages; periods in which nothing is sent; and at the end voltages on the actuators alone.
     """
-    compensator = compensator.afresh("m")
-    low, high = compensator.limits
-    bottom, top = compensator.reach
+
+    def new() -> Loop:
+        return compensator.afresh("m") if isinstance(compensator, Compensator) else compensator.afresh()
+
+    loop, body = new(), new()
+    axes = axes_of(loop)
+    limits, reach = np.array([one.limits for one in axes]), np.array([one.reach for one in axes])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClampWarning)
-        loop = compensator.afresh()
-        rows = tuple(_played(loop, _path(compensator)))
-        actuator = compensator.afresh()
-        for voltage in _voltages(low, high).tolist():
-            actuator.commit(voltage)
-            rows += (TraceRow(Call.SIMULATE, voltage, _place(actuator)),)
+        rows = tuple(_played(loop, _path(loop, limits, reach), limits))
+        for voltage in _voltages(limits):
+            body.commit(_given(body, voltage))
+            rows += (TraceRow(Call.SIMULATE, tuple(voltage.tolist()), _place(body)),)
     refused = sum(row.what is Call.NONSENSE for row in rows)
-    return GoldenTrace(rows, loop.clamps, refused, high - low, top - bottom)
+    clamps = tuple(one.clamps for one in axes)
+    volts, stroke = (float(np.ptp(table, axis=1).max()) for table in (limits, reach))
+    return GoldenTrace(rows, clamps, refused, volts, stroke, not isinstance(loop, Compensator))
+
+
+def axes_of(compensator: Loop) -> tuple[Compensator, ...]:
+    """Return the compensator of each axis."""
+    return (compensator,) if isinstance(compensator, Compensator) else compensator.compensators
 
 
 def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     """Return the text of `trace.h`; the error of floats must lie between two shares of the range."""
     # C has no literal for NaN; check.c makes one.
-    rows = [f"    {{{int(row.what)}, {_hex(row.given)}, {_hex(row.answer)}}}" for row in trace.rows]
-    macros = {call.name: int(call) for call in Call} | {
-        "SIZE": len(rows),
-        "LIMITED": f"{trace.clamps.limited}UL",
-        "SLEWED": f"{trace.clamps.slewed}UL",
-        "REFUSED": f"{trace.refused}UL",
-        "VOLTS": trace.volts.hex(),
-        "STROKE": trace.stroke.hex(),
-        "LEAST": repr(least),
-        "MOST": repr(most),
-    }
+    words = [
+        (int(row.what), *(", ".join(v.hex() if math.isfinite(v) else "0" for v in some) for some in (row[1], row[2])))
+        for row in trace.rows
+    ]
+    form = "    {{{}, {{{}}}, {{{}}}}}" if trace.coupled else "    {{{}, {}, {}}}"
+    rows = [form.format(*row) for row in words]
+    macros = {call.name: str(int(call)) for call in Call} | {"SIZE": str(len(rows))}
+    limited, slewed = [[f"{count}UL" for count in counts] for counts in zip(*trace.clamps, strict=True)]
+    columns, counts = "given, answer", ""
+    if not trace.coupled:
+        macros |= {
+            "LIMITED": limited[0],
+            "SLEWED": slewed[0],
+            "REFUSED": f"{trace.refused}UL",
+            "VOLTS": trace.volts.hex(),
+            "STROKE": trace.stroke.hex(),
+            "LEAST": repr(least),
+            "MOST": repr(most),
+        }
+    else:
+        size = f"[{len(limited)}]"
+        columns = f"given{size}, answer{size}"
+        counts = "".join(
+            f"\nstatic const unsigned long trace_{name}{size} = {{{', '.join(values)}}};\n"
+            for name, values in (("limited", limited), ("slewed", slewed))
+        )
     defined = "".join(f"#define TRACE_{name} {value}\n" for name, value in macros.items())
-    return _HEADER.substitute(macros=defined, rows=",\n".join(rows))
+    return _HEADER.substitute(macros=defined, columns=columns, counts=counts, rows=",\n".join(rows))
 
 
-def _hex(value: float) -> str:
-    return value.hex() if math.isfinite(value) else "0"
-
-
-def _path(compensator: Compensator) -> Array:
-    """Return wanted displacements [m]: half cosines, slow enough for most slew rates, then jumps."""
-    rng = np.random.default_rng(20)
-    bottom, top = compensator.reach
-    low, high = compensator.limits
-    slew, period = compensator.slew_rate, compensator.period
-    needed = 0.0 if slew is None or period is None else 4 * (high - low) / (slew * period)
-    leg = int(np.clip(needed, _LEAST_LEG, _MOST_LEG))
-    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, _LEGS)
+def _path(loop: Loop, limits: Array, reach: Array) -> Array:
+    """Return wanted displacements (n, axes) [m]: half cosines, slow enough for most slew rates, then jumps."""
+    rng, count = np.random.default_rng(20), len(limits)
+    slews = [one.slew_rate for one in axes_of(loop)]
+    needed = [
+        4 * (high - low) / (slew * loop.period)
+        for (low, high), slew in zip(limits.tolist(), slews, strict=True)
+        if slew is not None and loop.period is not None
+    ]
+    leg = int(np.clip(max(needed, default=0.0), _LEAST_LEG, _MOST_LEG))
+    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, (_LEGS, count))
     shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
-    legs = [a + (b - a) * shape for a, b in pairwise(turns)]
-    share = np.concatenate([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, _JUMPS)])
-    return np.asarray(bottom + (top - bottom) * share)
+    legs = [a + (b - a) * shape[:, None] for a, b in pairwise(turns)]
+    share = np.vstack([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, count))])
+    moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * share
+    return moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
 
 
-def _voltages(low: float, high: float) -> Array:
-    rng = np.random.default_rng(21)
+def _voltages(limits: Array) -> Array:
+    rng, (low, high) = np.random.default_rng(21), limits.T
     ramp = np.linspace(low, high, _VOLTAGES // 2)
-    return np.concatenate([ramp, rng.uniform(low, high, _VOLTAGES // 2)])
+    return np.concatenate([ramp, rng.uniform(low, high, (_VOLTAGES // 2, len(limits)))])
 
 
-def _played(loop: Compensator, path: Array) -> Iterable[TraceRow]:
+def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:
     """Yield the rows of a path, with every kind of call mixed in."""
-    low, high = loop.limits
-    for t, wanted in enumerate(path.tolist()):
+    low, high = limits.T
+    nothing = (0.0,) * len(limits)
+    for t, wanted in enumerate(path):
+        given = tuple(wanted.tolist())
         if t % _OFFERED == 3:
-            other = float(path[-1 - t])
-            yield TraceRow(Call.OFFER, other, loop.offer(other))
+            yield TraceRow(Call.OFFER, tuple(path[-1 - t].tolist()), _row(loop.offer(_given(loop, path[-1 - t]))))
         if t % _COMMITS in (5, 9):
-            offered = loop.offer(wanted)
-            yield TraceRow(Call.OFFER, wanted, offered)
+            offered = np.atleast_1d(loop.offer(_given(loop, wanted)))
+            yield TraceRow(Call.OFFER, given, _row(offered))
             if t % _COMMITS == 9:
-                loop.commit(offered)
-                yield TraceRow(Call.ACCEPT, 0.0, _place(loop))
+                loop.commit(_given(loop, offered))
+                yield TraceRow(Call.ACCEPT, nothing, _place(loop))
                 continue
-            # As a converter with few bits sends it.
-            sent = low + (high - low) * round(_STEPS * (offered - low) / (high - low)) / _STEPS
-            loop.commit(sent)
-            yield TraceRow(Call.COMMIT, sent, _place(loop))
+            # As converters with few bits send it, but for the first of several axes.
+            sent = low + (high - low) * np.round(_STEPS * (offered - low) / (high - low)) / _STEPS
+            if len(sent) > 1:
+                sent[0] = offered[0]
+            loop.commit(_given(loop, sent))
+            yield TraceRow(Call.COMMIT, _row(sent), _place(loop))
         elif t % _HELD == 7:
             loop.hold()
-            yield TraceRow(Call.HOLD, 0.0, _place(loop))
+            yield TraceRow(Call.HOLD, nothing, _place(loop))
         elif t % _NONSENSE == 11:
-            yield TraceRow(Call.NONSENSE, math.nan, _refused(loop))
+            with suppress(ModelError):
+                loop.offer(_given(loop, np.full(len(limits), math.nan)))
+            loop.hold()
+            yield TraceRow(Call.NONSENSE, (math.nan,) * len(limits), _row(loop.voltage))
         else:
-            yield TraceRow(Call.STEP, wanted, loop.step(wanted))
+            yield TraceRow(Call.STEP, given, _row(loop.step(_given(loop, wanted))))
 
 
-def _refused(loop: Compensator) -> float:
-    """Return the voltage that acts on when the wanted displacement is not a number."""
-    with suppress(ModelError):
-        loop.offer(math.nan)
-    loop.hold()
-    return loop.voltage
+def _given(loop: Loop, values: Array) -> Any:
+    """Return values (axes,) as a loop takes them: of one axis as a number."""
+    return float(values[0]) if isinstance(loop, Compensator) else values
 
 
-def _place(loop: Compensator) -> float:
-    """Return the displacement of the actuator [m]."""
+def _row(values: float | Array) -> tuple[float, ...]:
+    return tuple(np.atleast_1d(values).tolist())
+
+
+def _place(loop: Loop) -> tuple[float, ...]:
+    """Return the displacements of the body [m]: of one actuator that of its mass."""
+    if not isinstance(loop, Compensator):
+        return _row(loop.displacement)
     state = loop.state
-    return float(state.motion[0]) if state.motion.size else state.displacement
+    return (float(state.motion[0]) if state.motion.size else state.displacement,)

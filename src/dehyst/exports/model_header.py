@@ -1,4 +1,4 @@
-"""The numbers of a compensator as C: what `piezo.c` and `piezo.h` hold of a model."""
+"""The numbers of a compensator as C: what `piezo.c` and `piezo.h` hold of a model, and where its memory begins."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.naming import in_comment
-from dehyst.exports.start import ExportedStart
+from dehyst.model import Actuator, State
+from dehyst.stages.compensator import NEAR, looped
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
@@ -21,6 +20,8 @@ Tables: TypeAlias = Mapping[str, Array]
 # Lines of the templates in whose place the generated text comes.
 SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
 _A_LINE = 4
+# Slider positions [m] of one state, but for rounding.
+_SAME = 1e-13
 _LARGEST = float(np.finfo(np.float64).max)
 # Tables that must strictly increase or be positive, and what they hold, for messages.
 _INCREASING = {
@@ -38,6 +39,48 @@ _POSITIVE = {
     "tau_inverse": "slope of the transformer's inverse",
     "length": "length of a smooth element",
 }
+
+
+class ExportedStart(NamedTuple):
+    """Displacement [m] and voltage [V] of the memory at the start, and the way there as a sentence."""
+
+    displacement: float
+    voltage: float
+    way: str
+
+    @classmethod
+    def of(cls, compensator: Compensator) -> ExportedStart:
+        """Return the start of a loop like this one, as it was made or last reset."""
+        loop, actuator = compensator.afresh(), compensator.actuator
+        state, (low, high), asked = loop.state, loop.limits, loop.asked_start
+        place = float(state.motion[0]) if state.motion.size else state.displacement
+        # A little beyond the limits, the requested state has the same way.
+        near = abs(actuator.voltage(asked) - loop.voltage) <= NEAR * (high - low)
+        return cls(place, loop.voltage, _way(actuator, asked if near else state, loop.voltage, loop.limits))
+
+    @property
+    def words(self) -> str:
+        """Displacement and voltage."""
+        return f"{self.displacement * 1e6:.6g} um, {self.voltage:.6g} V"
+
+
+def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, float]) -> str:
+    """Describe how the voltage leads to the state; slowly, because the words have no time in them."""
+    strain, most = state.displacement - state.carts, actuator.slip.breakaway
+    end = f"{voltage:.6g} V"
+    rest = " and wait until creep has come to rest" if actuator.creep is not None else ""
+    if np.allclose(strain, most, rtol=1e-9, atol=0):
+        return f"raise the voltage slowly from its lowest, never back, to {end}{rest}"
+    if np.allclose(strain, -most, rtol=1e-9, atol=0):
+        return f"lower the voltage slowly from its highest, never back, to {end}{rest}"
+    if not strain.any():
+        return f"swing the voltage about {end}, each swing smaller than the one before, until it rests there{rest}"
+    low, high = limits
+    for limit, rising in ((low, False), (high, True)):
+        near = abs(voltage - limit) <= NEAR * (high - low)
+        if near and np.allclose(looped(actuator, limits, rising=rising).carts, state.carts, rtol=0, atol=_SAME):
+            return f"swing the voltage slowly between {low:.6g} and {high:.6g} V, twice, and end at {limit:.6g} V{rest}"
+    return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"
 
 
 def demand_compensator(value: object) -> None:
@@ -84,12 +127,6 @@ def config_header(number: Number) -> str:
 
 #endif
 """
-
-
-def title(compensator: Compensator) -> str:
-    """Return the first line of `piezo.c` and `piezo.h`: the name of the actuator, as a comment."""
-    name = in_comment(compensator.actuator.name)
-    return f"/* The actuator '{name}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */"
 
 
 def size_macros(compensator: Compensator, number: Number) -> str:

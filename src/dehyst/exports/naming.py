@@ -1,12 +1,12 @@
-"""Names of the files, symbols and macros of a model, so that several models fit into one firmware."""
+"""Files that come with the package, and their names, symbols and macros: several models fit into one firmware."""
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
-from dehyst._errors import ModelError
-from dehyst.exports.shipped import shipped
+from dehyst._errors import FileFormatError, ModelError
 
 DEFAULT = "piezo"
 # Files with symbols of the model; the core is the same for all.
@@ -59,15 +59,16 @@ def demand_name(name: object) -> None:
 
 def file_of(file: str, name: str) -> str:
     """Return the name of a file of an export: by default piezo.c and piezo.h."""
-    return re.sub(r"^piezo\.", f"{name}.", file)
+    return f"{name}{file.removeprefix(DEFAULT)}" if file.startswith(f"{DEFAULT}.") else file
 
 
 def text_of(text: str, name: str) -> str:
-    """Rename the symbols, macros and files in a text."""
+    """Rename the symbols, macros and files in a template, where `piezo`, PIEZO and MODEL_ are nothing else."""
     if name == DEFAULT:
         return text
-    text = re.sub(r"\bpiezo(?=\b(?! actuator)|_)", name, text)
-    return re.sub(r"\bMODEL_", f"{name.upper()}_MODEL_", text.replace("PIEZO_H", f"{name.upper()}_H"))
+    # What is put in must not be renamed again.
+    parts = text.replace("MODEL_", "\0_MODEL_").replace("PIEZO", "\0").split("piezo")
+    return name.join(parts).replace("\0", name.upper())
 
 
 def printable(name: str) -> str:
@@ -94,3 +95,18 @@ def _first_line(path: Path) -> str:
 def _words() -> frozenset[str]:
     """Return the identifiers of the files with symbols of the model, without members of structures."""
     return frozenset(word for file in _RENAMED for word in _CODE_WORD.findall(_NOT_CODE.sub(" ", shipped(file))))
+
+
+def shipped(name: str) -> str:
+    """Return a text file that comes with the package."""
+    return shipped_bytes(name).decode("utf-8")
+
+
+def shipped_bytes(name: str) -> bytes:
+    """Return a file that comes with the package; in a checkout the core's headers are where the core has them."""
+    roots = [Path(root) for root in sys.modules["dehyst"].__path__]
+    folders = [root / "exports" / "templates" for root in roots]
+    for folder in [*(root.parents[1] / "core" / "include" for root in roots), *folders]:
+        if (folder / name).is_file():
+            return (folder / name).read_bytes()
+    raise FileFormatError(f"exports/templates/{name}: not found beside the package; install dehyst again")

@@ -10,9 +10,8 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.model_header import demand_compensator
-from dehyst.exports.shipped import shipped, shipped_bytes
-from dehyst.exports.start import ExportedStart
+from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.exports.naming import shipped, shipped_bytes
 
 _MAGIC = b"\0asm\1\0\0\0"
 _PLAIN_NAME = re.compile(r"[\w.-]+")

@@ -2,6 +2,7 @@
 
 from dehyst.report.comparison_section import write_comparison
 from dehyst.report.report import render, write_calibration, write_check_history, write_record_page, write_report
+from dehyst.report.stage_page import write_stage_report
 from dehyst.report.uncertainty_section import write_insight
 
 __all__ = [
@@ -12,4 +13,5 @@ __all__ = [
     "write_insight",
     "write_record_page",
     "write_report",
+    "write_stage_report",
 ]

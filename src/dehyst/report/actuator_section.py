@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PossibleStart
 from dehyst.exports import wasm_module
-from dehyst.exports.shipped import shipped
+from dehyst.exports.naming import shipped
 from dehyst.identification import Fit
 from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
 from dehyst.model.summary import parts_of
@@ -177,7 +177,7 @@ def path_trial(fit: Fit) -> Applet | str:
 
 
 def _duration(fit: Fit) -> float:
-    """Return how long a path may take [s]: so many legs of the first record, rounded to one digit."""
+    """Return how long a path may take [s]: a multiple of the legs of the first record, rounded to one digit."""
     trace = fit.traces[0] if fit.traces else None
     if trace is None or not trace.time.size:
         return _SECONDS

@@ -11,7 +11,7 @@ from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
 
 _NONE = "–"
-# Bars of one model are no comparison; the longest is so many times the middle one.
+# Bars of one model are no comparison; largest ratio of the longest to the median.
 _FEWEST_BARS, _LONGEST = 2, 6.0
 
 

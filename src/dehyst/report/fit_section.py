@@ -94,7 +94,7 @@ def structures(fit: Fit) -> list[str | Charts]:
     ]
     head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
     why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
-    if best is not first and first.structure.plain:
+    if best is not first and first.structure.is_maxwell_slip:
         times = number(first.held_out / best.held_out)
         why += (
             f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
@@ -210,7 +210,7 @@ _DEVIATIONS = 2.0
 
 
 def before_and_after(fit: Fit) -> Charts | str:
-    """Return the error of a straight scale factor beside that of the model, on the first record not trained on."""
+    """Return the error of a straight scale factor and that of the model, on the first record not trained on."""
     shown = _shown(fit)
     if not shown:
         return ""
@@ -392,7 +392,7 @@ def _broken(trace: Trace, values: Array) -> Array:
 
 
 def _drawn(trace: Trace, records: int) -> Indices:
-    """Return the samples of one of so many records that are drawn."""
+    """Return the samples of a record that are drawn, of `records` that share the limit."""
     most = MOST_SAMPLES // records
     size = trace.time.size
     return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))

@@ -23,7 +23,7 @@ from dehyst.report.plots import inline, length_unit
 
 # Names of colours in page.css, where each has a light and a dark form.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink"]
-# A 16-bit column has so many steps from its least to its largest value, and one code for a missing value.
+# Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
 
 
@@ -313,7 +313,7 @@ def _with_contents(body: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write `value` with so many significant digits, as plainly as its size allows."""
+    """Write `value` with `digits` significant digits, as plainly as its size allows."""
     if not math.isfinite(value):
         return "not known"
     if value == 0:

@@ -2,29 +2,24 @@
 
 from dehyst.stages.assessment import StageInsight, StageRecheck, check_stage, stage_insight
 from dehyst.stages.compensator import StageCompensator
-from dehyst.stages.excitation import StageExcitation, stage_excitation
-from dehyst.stages.firmware import export_stage
+from dehyst.stages.excitation import stage_excitation
 from dehyst.stages.fit import StageFit
 from dehyst.stages.homing import home_stage_before, plan_stage_path, plan_stage_voltage
 from dehyst.stages.identify import identify_stage
-from dehyst.stages.page import write_stage_report
 from dehyst.stages.stage import Stage, StageTrace
 
 __all__ = [
     "Stage",
     "StageCompensator",
-    "StageExcitation",
     "StageFit",
     "StageInsight",
     "StageRecheck",
     "StageTrace",
     "check_stage",
-    "export_stage",
     "home_stage_before",
     "identify_stage",
     "plan_stage_path",
     "plan_stage_voltage",
     "stage_excitation",
     "stage_insight",
-    "write_stage_report",
 ]

@@ -11,10 +11,11 @@ from scipy.stats import norm
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.records import Record
 from dehyst.stages.coupling import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
 from dehyst.stages.regressors import PlayColumns
-from dehyst.stages.stage import Stage, apply, matrix_lines
+from dehyst.stages.stage import Stage, apply, by_axis, matrix_lines
 from dehyst.trust import Insight, Recheck, check, insight
 
 # Of the range of a voltage in a hundredth of the record: it moves if it moves by more.
@@ -63,16 +64,8 @@ class StageInsight:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "axes": list(self.axes),
-            "coupling": self.coupling.tolist(),
-            "lowest": self.low.tolist(),
-            "highest": self.high.tolist(),
-            "level": self.level,
-            "own_motion": self.own_motion.tolist(),
-            "remarks": list(self.remarks),
-            "insights": {axis: one.as_dict() for axis, one in zip(self.axes, self.insights, strict=True)},
-        }
+        keys = "axes coupling lowest=low highest=high level own_motion remarks"
+        return json_values(self, keys) | {"insights": by_axis(self.axes, self.insights)}
 
 
 def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9, **options: Any) -> StageInsight:
@@ -128,13 +121,7 @@ class StageRecheck:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "good": self.good,
-            "axes": {axis: one.as_dict() for axis, one in zip(self.axes, self.rechecks, strict=True)},
-            "coupling": self.coupling.tolist(),
-            "uncertainty": self.uncertainty.tolist(),
-            "changes": list(self.changes),
-        }
+        return json_values(self, "good coupling uncertainty changes") | {"axes": by_axis(self.axes, self.rechecks)}
 
 
 def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageRecheck:

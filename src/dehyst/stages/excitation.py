@@ -3,57 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import DEFAULT_AXES, axis_names, keep
-from dehyst.waveforms import Sampling, descending_tops, homing
+from dehyst._validation import DEFAULT_AXES, axis_names
+from dehyst.waveforms import Excitation, Sampling, descending_tops, homing
 
 # Periods of the axes moving together, in those of the first one: powers of the plastic number repeat never.
 RATIO = 1.3247179572447460
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class StageExcitation:
-    """Voltages to play on all axes of a stage at once.
-
-    Attributes
-    ----------
-    voltage : (n, axes) array
-        [V].
-    sample_rate : float
-        [Hz].
-    axes : tuple of str
-    parts : tuple of (str, int, int)
-        What is played from one sample to the one before the other: "x alone", "together".
-    """
-
-    voltage: Array
-    sample_rate: float
-    axes: tuple[str, ...]
-    parts: tuple[tuple[str, int, int], ...]
-
-    def __post_init__(self) -> None:
-        keep(self, voltage=np.array(self.voltage, dtype=np.float64))
-
-    def __len__(self) -> int:
-        return len(self.voltage)
-
-    def __repr__(self) -> str:
-        return f"<StageExcitation: {len(self)} samples, {self.duration:.6g} s, {', '.join(p[0] for p in self.parts)}>"
-
-    @property
-    def time(self) -> Array:
-        """Time of each sample (n,) [s], from 0."""
-        return np.arange(len(self)) / self.sample_rate
-
-    @property
-    def duration(self) -> float:
-        """Time from the first sample to the last [s]."""
-        return (len(self) - 1) / self.sample_rate
 
 
 def stage_excitation(
@@ -65,11 +25,11 @@ def stage_excitation(
     cycles: int = 12,
     axes: Sequence[str] | None = None,
     seed: int = 0,
-) -> StageExcitation:
+) -> Excitation:
     """Return descending tops on each axis in turn, the others at their base, then turns of all axes together.
 
     Moving together, the axes turn at levels of their own, and their periods are powers of an irrational ratio: no
-    combination of states repeats.
+    combination of states repeats. The excitation has the `axes`, and as its `parts` "x alone", ... and "together".
 
     Parameters
     ----------
@@ -117,7 +77,7 @@ def stage_excitation(
         for j, row in enumerate(together):
             voltage[first:, j] = np.concatenate([row, np.full(most - len(row), row[-1])])
         parts.append(("together", first, first + most))
-    return StageExcitation(voltage, drives[0].rate, names, tuple(parts))
+    return Excitation("stage", voltage, drives[0].rate, axes=names, parts=tuple(parts))
 
 
 def _turns(highest: float, drive: Sampling, cycles: int, seed: int) -> Array:

@@ -10,9 +10,14 @@ import numpy as np
 
 from dehyst._text import escaped
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.identification import Fit, Readiness
-from dehyst.stages.stage import Stage, matrix_lines
+from dehyst.stages.stage import Stage, by_axis, matrix_lines
 
+_KEYS = (
+    "verdict good axes coupling uncertainty condition rank_one_share is_matrix own_motion passes errors remarks "
+    "residual_coupling_certainty=cross_talk.certainty"
+)
 # Coupling beyond a matrix, as a share of the stroke (RMS), with which a stage may still be used.
 _SMALL = 0.003
 
@@ -54,18 +59,8 @@ class AxisError:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "record": self.record,
-            "role": self.role,
-            "axis": self.axis,
-            "rms_percent": self.rms_percent,
-            "largest_percent": self.largest_percent,
-            "rms_nm": 1e9 * self.rms,
-            "largest_nm": 1e9 * self.largest,
-            "stroke_um": 1e6 * self.stroke,
-            "samples": self.samples,
-            "left_out": self.left_out,
-        }
+        lengths = {"rms_nm": 1e9 * self.rms, "largest_nm": 1e9 * self.largest, "stroke_um": 1e6 * self.stroke}
+        return json_values(self, "record role axis rms_percent largest_percent samples left_out") | lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,24 +189,10 @@ class StageFit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
-        talk = self.cross_talk
-        return {
-            "verdict": self.verdict,
-            "good": self.good,
-            "axes": list(self.axes),
-            "coupling": self.coupling.tolist(),
-            "uncertainty": self.uncertainty.tolist(),
-            "condition": self.condition,
-            "rank_one_share": self.rank_one_share.tolist(),
-            "is_matrix": self.is_matrix,
-            "residual_coupling_percent": (100 * talk.size).tolist(),
-            "residual_coupling_floor_percent": (100 * talk.floor).tolist(),
-            "residual_coupling_certainty": talk.certainty.tolist(),
-            "own_motion": self.own_motion.tolist(),
-            "passes": self.passes,
-            "errors": [error.as_dict() for error in self.errors],
-            "remarks": list(self.remarks),
-            "fits": {axis: fit.as_dict() for axis, fit in zip(self.axes, self.fits, strict=True)},
+        return json_values(self, _KEYS) | {
+            "residual_coupling_percent": (100 * self.cross_talk.size).tolist(),
+            "residual_coupling_floor_percent": (100 * self.cross_talk.floor).tolist(),
+            "fits": by_axis(self.axes, self.fits),
         }
 
 

@@ -15,6 +15,7 @@ from dehyst._io import PathLike, read_json, write_json
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
+from dehyst._views.fields import json_values
 from dehyst.model import Actuator, State
 from dehyst.model.serialization import demand_keys, numbers
 
@@ -328,17 +329,9 @@ class Stage:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "name": self.name,
-            "axes": list(self.axes),
-            "coupling": self.coupling.tolist(),
-            "actuators": [one.as_dict() for one in self.actuators],
-            "is_matrix": self.is_matrix,
-            "recorded_columns": list(self.recorded_columns),
-            "provenance": dict(self.provenance),
-        }
+        keys = "name axes coupling actuators is_matrix recorded_columns"
+        described = {"format": FORMAT, "version": VERSION, **json_values(self, keys)}
+        return described | {"provenance": dict(self.provenance)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Stage:
@@ -412,6 +405,11 @@ class Stage:
                 need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
             )
         return table
+
+
+def by_axis(axes: Sequence[str], results: Sequence[Any]) -> dict[str, Any]:
+    """Return the JSON values of results, one an axis, by its name."""
+    return {axis: one.as_dict() for axis, one in zip(axes, results, strict=True)}
 
 
 def matrix_lines(axes: tuple[str, ...], matrix: Array, uncertainty: Array | None = None) -> Iterator[str]:

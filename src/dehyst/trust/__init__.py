@@ -6,5 +6,17 @@ from dehyst.trust.history import CheckHistory
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.judgement import Judgement, judge
 from dehyst.trust.recheck import Recheck, Standing, check
+from dehyst.trust.start import start_of
 
-__all__ = ["Change", "CheckHistory", "Insight", "Judgement", "Recheck", "Standing", "check", "insight", "judge"]
+__all__ = [
+    "Change",
+    "CheckHistory",
+    "Insight",
+    "Judgement",
+    "Recheck",
+    "Standing",
+    "check",
+    "insight",
+    "judge",
+    "start_of",
+]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from numpy.typing import ArrayLike
 
@@ -10,7 +10,7 @@ from dehyst._errors import ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst._validation import interval, vector
-from dehyst.control import Compensator, shortest_homing
+from dehyst.control import Compensator, PossibleStart, StartError, shortest_homing
 from dehyst.model import Actuator
 from dehyst.records import Record
 from dehyst.trust.bootstrap import LEAST_REPEATS, resample
@@ -21,7 +21,7 @@ from dehyst.trust.identifiability import StateKnowledge, part_identifiability
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.model_error import HeldOut
 from dehyst.trust.precision import PRECISION, known_numbers
-from dehyst.trust.prediction_band import MajorLoopWidth, PredictionBand, rise_excitation, state_after_rise, state_at_top
+from dehyst.trust.prediction_band import MajorLoopWidth, PredictionBand, top_start
 
 
 def insight(
@@ -30,6 +30,7 @@ def insight(
     *,
     trajectory: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    start: Callable[[Actuator], PossibleStart] | None = None,
     limits: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: float = 0.9,
@@ -48,10 +49,12 @@ def insight(
     records : Record or sequence of Record
         Those it was identified from.
     trajectory : (n,) array_like, optional
-        A displacement to follow [m], on the model's axis: how wrong may it come out? It is followed from the top of
-        the limits on, where the state is known.
+        A displacement to follow [m], on the model's axis: how wrong may it come out?
     time : (n,) array_like, optional
         Of the trajectory [s]; needed by a model that moves in time.
+    start : callable, optional
+        Gives a model's start of the trajectory, such as ``lambda one: start_of(one, record, began=True)``; default: the
+        top of the limits after a rise through them, where the state is known.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     seconds : float, optional
@@ -83,28 +86,30 @@ def insight(
     clock = None if time is None else vector(time, "time")
     with one_thread():
         evidence = Evidence.from_records(actuator, records)
-        intervals = free = band = known = loop = None
+        intervals = free = band = known = loop = begin = opened = None
         if repeats:
             intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
-            command = start = played = None
+            command = first = state = None
             if wanted is not None:
-                played = None if allowed is None else rise_excitation(actuator, allowed)
-                start = state_at_top(actuator, None) if allowed is None else state_after_rise(actuator, allowed, played)
-                command = Compensator(actuator, allowed).trajectory(wanted, time=clock, state=start)
+                begin = None if start is None else start(actuator)
+                state = top_start(actuator, allowed) if start is None else lambda one: start(one).within(one, allowed)
+                first = state(actuator)
+                command = Compensator(actuator, allowed).trajectory(wanted, time=clock, state=first)
+                if begin is not None and not begin.known:
+                    opened = StartError.along(actuator, begin.states, command.voltage, time=clock)
             if not actuator.wide:
                 progress("looking for models that the records do not contradict")
-                free = feasible_set(evidence, None if command is None else command.displacement, start)
-            if wanted is not None and command is not None:
+                free = feasible_set(evidence, None if command is None else command.displacement, first)
+            if wanted is not None and command is not None and state is not None:
                 progress("identifying parts of the records")
                 band = PredictionBand.of(
                     wanted,
                     command,
                     intervals,
                     free,
+                    state,
                     misfit=evidence.misfit,
-                    limits=allowed,
                     time=clock if actuator.needs_time else None,
-                    played=played,
                     held_out=HeldOut.of(evidence, intervals),
                 )
             loop = None if allowed is None else MajorLoopWidth.from_intervals(evidence, intervals, allowed)
@@ -114,11 +119,8 @@ def insight(
             known = known_numbers(evidence, intervals, parts, free, precision)
         progress("ranking excitations")
         return Insight(
-            actuator,
             evidence,
-            evidence.identifiability,
             tuple(StateKnowledge.of(actuator, item) for item in evidence.comparisons),
-            evidence.misfit,
             allowed,
             homing=None
             if allowed is None
@@ -130,6 +132,8 @@ def insight(
             parts=parts,
             loop=loop,
             precision=known,
+            start=begin,
+            opened=opened,
         )
 
 

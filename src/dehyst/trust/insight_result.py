@@ -12,7 +12,7 @@ from dehyst._text import counted, escaped
 from dehyst._types import Array
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
-from dehyst.control import Homing
+from dehyst.control import Homing, PossibleStart, StartError
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.model import Actuator
 from dehyst.trust.bootstrap import Intervals
@@ -86,13 +86,8 @@ class Insight:
 
     Attributes
     ----------
-    actuator : Actuator
     evidence : Evidence
-    identifiability : Identifiability
-        Of the stiffnesses; of ten plain elements if the model has more parts: whether there are inner loops enough.
     knowledge : tuple of StateKnowledge
-    misfit : float
-        The largest error of the model on these records [m].
     limits : (float, float) or None
         Voltages allowed [V].
     homing : Homing or None
@@ -111,13 +106,14 @@ class Insight:
         The major loop, with the intervals.
     precision : Precision or None
         Which numbers are known to the precision that was asked for; None without intervals.
+    start : PossibleStart or None
+        Of the trajectory; None: the top of the limits, after a rise through them.
+    opened : StartError or None
+        What the start leaves open of the trajectory; None if it is known.
     """
 
-    actuator: Actuator
     evidence: Evidence
-    identifiability: Identifiability
     knowledge: tuple[StateKnowledge, ...]
-    misfit: float
     limits: tuple[float, float] | None
     homing: Homing | None = None
     intervals: Intervals | None = None
@@ -127,6 +123,23 @@ class Insight:
     parts: tuple[PartIdentifiability, ...] = ()
     loop: MajorLoopWidth | None = None
     precision: Precision | None = None
+    start: PossibleStart | None = None
+    opened: StartError | None = None
+
+    @property
+    def actuator(self) -> Actuator:
+        """The model."""
+        return self.evidence.actuator
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """Of the stiffnesses; of ten plain elements if the model has more parts: whether inner loops are enough."""
+        return self.evidence.identifiability
+
+    @property
+    def misfit(self) -> float:
+        """The largest error of the model on these records [m]."""
+        return self.evidence.misfit
 
     def __repr__(self) -> str:
         return one_line(self)
@@ -206,7 +219,7 @@ class Insight:
     @property
     def judgement(self) -> Judgement:
         """How far the trajectory is expected to be missed; without one a path like the records."""
-        return judge(self.actuator, band=self.band)
+        return judge(self.actuator, self.band, self.opened)
 
     def warnings(self) -> tuple[str, ...]:
         """Return what must be heeded before the model is used."""
@@ -217,7 +230,8 @@ class Insight:
             beyond(self.actuator, self.limits),
         ]
         if self.band is not None:
-            remarks += [*self.band.warnings, self._open_on(self.band), not_homed(self.homing)]
+            remarks += [*self.band.warnings, self._open_on(self.band)]
+            remarks += [not_homed(self.homing)] if self.start is None else [*self.start.remarks, self._open_start()]
         return tuple(remark for remark in remarks if remark)
 
     def _open(self) -> str | None:
@@ -249,6 +263,15 @@ class Insight:
         return (
             f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
             f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound it."
+        )
+
+    def _open_start(self) -> str | None:
+        """Return what the start leaves open of the trajectory, where that is more than the model's error."""
+        if self.start is None or self.opened is None or not self.opened.matters:
+            return None
+        return (
+            f"The start after {self.start.name} leaves {self.opened.percent(self.opened.largest):.2g} % of the stroke "
+            "open on this trajectory, which the band does not hold."
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -292,6 +315,7 @@ class Insight:
             "known": None if self.precision is None else self.precision.as_dict(),
             "state": [item.as_dict() for item in self.knowledge],
             "homing": self._homing_dict(),
+            "start": None if self.start is None else self.start.name,
             "trajectory": None
             if self.band is None
             else {f"{name}_m": error for name, error in self.band.errors().items()},
@@ -362,11 +386,8 @@ def lines(found: Insight) -> Iterator[str]:
         yield ""
     misfit = 100 * found.misfit / found.evidence.stroke
     yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
-    judged = found.judgement
-    if found.band is None and judged.rms is not None and judged.largest is not None:
-        rms, largest = (100 * error / found.evidence.stroke for error in (judged.rms, judged.largest))
-        tested = "tested on validation records" if judged.tested else "not tested on validation records"
-        yield f"Expect a path like them to be missed by {rms:.2g} % RMS and {largest:.2g} % at most ({tested})."
+    if found.band is None and (words := found.judgement.words(found.evidence.stroke)):
+        yield f"Expect a path like them {words}."
     if found.precision is not None:
         yield found.precision.sentence
     yield from _directions(found)

@@ -1,4 +1,4 @@
-"""How far a path is expected to be missed: one judgement, of which insight, check, command line and page are views.
+"""How far a path is expected to be missed: the one judgement of identify, insight, check, compensate and the page.
 
 A path of its own is judged by its prediction band, which wins over what the identification promised for paths like its
 records; that promise, from held-out data, wins over the error on the training records.
@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._units import per_metre
 from dehyst.control import StartError
 from dehyst.model import Actuator, Identification
 from dehyst.trust.prediction_band import PredictionBand
+
+_LENGTHS = ("rms", "largest", "half_width", "start")
 
 
 @dataclass(frozen=True)
@@ -47,34 +50,41 @@ class Judgement:
     start: float
     tested: bool
 
+    def words(self, stroke: float) -> str:
+        """Return the errors of a path like the records in parts of a stroke [m]; empty if they are not known."""
+        if self.rms is None or self.largest is None:
+            return ""
+        rms, largest = (100 * error / stroke for error in (self.rms, self.largest))
+        tested = "tested on validation records" if self.tested else "not tested on validation records"
+        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most ({tested})"
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
-        lengths = {"rms", "largest", "half_width", "start"}
-        values = {f"{key}_m" if key in lengths else key: value for key, value in asdict(self).items()}
+        values = {f"{key}_m" if key in _LENGTHS else key: value for key, value in asdict(self).items()}
         return {**values, "parts": {f"{name}_m": error for name, error in self.parts.items()}}
 
 
-def judge(actuator: Actuator, *, band: PredictionBand | None = None, start: StartError | None = None) -> Judgement:
+def judge(actuator: Actuator, evidence: PredictionBand | None = None, path: StartError | None = None) -> Judgement:
     """Judge how far a path is expected to be missed.
 
     Parameters
     ----------
     actuator : Actuator
         Its `identification` has the errors found then.
-    band : PredictionBand, optional
-        Of the path by the records as evidence, as `insight(..., trajectory=...)` makes it; default: a path like the
+    evidence : PredictionBand, optional
+        What the records show of the path, as `insight(..., trajectory=...)` returns it; default: the path is like the
         records.
-    start : StartError, optional
-        What an unknown start leaves open of the path, in metres; default: the start is known.
+    path : StartError, optional
+        What the start leaves open of the path, such as `HomedPath.error`; default: the start is known.
     """
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}
     largest = known.largest_error if known.expected_largest is None else known.expected_largest
     half = coverage = None
-    if band is not None:
-        parts |= {name: error for name, error in band.errors().items() if name != "all"}
-        largest = band.error
-        if (likely := band.likely) is not None:
-            half, coverage = float(0.5 * np.mean(likely[1] - likely[0])), band.level
-    opened = 0.0 if start is None else start.largest
+    if evidence is not None:
+        parts |= {name: error for name, error in evidence.errors().items() if name != "all"}
+        largest = evidence.error
+        if (likely := evidence.likely) is not None:
+            half, coverage = float(0.5 * np.mean(likely[1] - likely[0])), evidence.level
+    opened = 0.0 if path is None else path.largest / per_metre(path.units)
     return Judgement(known.expected_rms, largest, half, coverage, parts, opened, known.tested)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,26 +70,17 @@ class PredictionBand:
         command: Command,
         intervals: Intervals,
         free: FeasibleSet | None,
+        state: Callable[[Actuator], State],
         *,
         misfit: float,
-        limits: tuple[float, float] | None,
         time: Array | None = None,
-        played: Excitation | None = None,
         held_out: HeldOut | None = None,
     ) -> PredictionBand:
-        """Play a command on every model that might be the true one, each homed by a rise through the limits.
+        """Play a command on every model that might be the true one, from its own `state`.
 
-        With `played`, the rise in time, and the command's `time` [s], where time matters. With `held_out`, models of
-        parts of the records, the error of the model class is judged as well.
+        With the command's `time` [s], where time matters. With `held_out`, models of parts of the records, the error of
+        the model class is judged as well.
         """
-
-        def state(model: Actuator) -> State:
-            return (
-                state_at_top(model, limits)
-                if played is None or limits is None
-                else state_after_rise(model, limits, played)
-            )
-
         noise = intervals.prediction(command.voltage, state, time)
         free_ = None if free is None else free.prediction(command.voltage, state)
 
@@ -193,6 +185,14 @@ class PredictionBand:
             "clamped": largest(self.displacement - self.wanted),
             "all": self.error,
         }
+
+
+def top_start(actuator: Actuator, limits: tuple[float, float] | None) -> Callable[[Actuator], State]:
+    """Return what gives the state of a model after the rise through the limits that suits the `actuator`."""
+    played = None if limits is None else rise_excitation(actuator, limits)
+    if limits is None or played is None:
+        return lambda model: state_at_top(model, limits)
+    return lambda model: state_after_rise(model, limits, played)
 
 
 def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> State:

@@ -36,6 +36,10 @@ class Excitation:
         Samples a second [Hz].
     warnings : tuple of str
         Sentences about what takes longer than requested; empty if nothing does.
+    axes : tuple of str
+        Names of several axes.
+    parts : tuple of (str, int, int)
+        What is played from one sample to the one before the other, if it has parts.
 
     Raises
     ------
@@ -47,6 +51,8 @@ class Excitation:
     voltage: Array
     sample_rate: float
     warnings: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
+    parts: tuple[tuple[str, int, int], ...] = ()
 
     def __post_init__(self) -> None:
         several = getattr(self.voltage, "ndim", 1) == 2
@@ -99,8 +105,10 @@ class Excitation:
         """
         if other.sample_rate != self.sample_rate:
             raise RecordError(
-                f"sample rates: got {self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz, need one; "
-                "make both with the same sampling"
+                argument="sample rates",
+                got=f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz",
+                need="one",
+                hint="make both with the same sampling",
             )
         end, begin = float(self.voltage[-1]), float(other.voltage[0])
         if begin != end:
@@ -123,7 +131,7 @@ def refuse_long(samples: int, rate: float) -> None:
 
 
 def voltages(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError if they are none."""
+    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
     try:
         array = vector(values, what, "V")
     except ModelError as error:
@@ -136,12 +144,12 @@ def voltages(values: ArrayLike, what: str) -> Array:
 
 
 def volts(value: object, what: str) -> float:
-    """Return `value` as a finite voltage [V]; raise RecordError if it is none."""
+    """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
     return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
 
 
 def positive(value: object, what: str) -> float:
-    """Return `value` as a number from 1e-12 to 1e12; raise RecordError if it is none."""
+    """Return `value` as a number from 1e-12 to 1e12; raise RecordError for anything else."""
     result = number(value, what, error=RecordError)
     if not _LEAST <= result <= _MOST:
         raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, gcd, pi
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -67,6 +67,8 @@ class Raster(Scan):
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+
     low: float
     high: float
     frequency: float
@@ -99,11 +101,6 @@ class Raster(Scan):
     def fast(self) -> Triangle:
         """The triangle along x."""
         return Triangle(**{name: getattr(self, name) for name in _FAST})
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
 
     @property
     def rate(self) -> float:
@@ -172,7 +169,7 @@ class Raster(Scan):
         return Travel(y, np.full(count, self._slope), np.zeros(count))
 
     def _return(self, back: int) -> Bridge:
-        """Return y on its way back to the first line, in so many periods of x and the rest of the last line."""
+        """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
         (low, high), line = self._ends, self.fast.samples
         if self.slow == "staircase":
             return Bridge(PathPoint(high), PathPoint(low), (back * line + self.fast.legs[1]) / self.rate)
@@ -233,6 +230,8 @@ class Lissajous(Scan):
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+
     amplitude: tuple[float, float]
     frequency: float
     ratio: tuple[int, int] = (1, 1)
@@ -266,11 +265,6 @@ class Lissajous(Scan):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
             limits = MotionLimits(self.speed, self.acceleration)
             limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
 
     @property
     def rate(self) -> float:
@@ -346,6 +340,8 @@ class Spiral(Scan):
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+
     radius: float
     revolutions: int
     frequency: float
@@ -370,11 +366,6 @@ class Spiral(Scan):
         if self.speed is not None or self.acceleration is not None:
             limits = MotionLimits(self.speed, self.acceleration)
             limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
 
     @property
     def rate(self) -> float:
@@ -432,7 +423,7 @@ class Spiral(Scan):
         return Travel(r, np.where(back, -slope, slope), bend)
 
     def _travel(self, count: int) -> tuple[Travel, Travel]:
-        """Return both axes at so many equal parts of a period."""
+        """Return both axes at `count` equal parts of a period."""
         angle, rate, acceleration = self._angles(count)
         r, slope, bend = self._radius(angle)
         axes = []

@@ -20,7 +20,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
 from dehyst._io import read_json
-from dehyst.exports.shipped import shipped
+from dehyst.exports.naming import shipped
 from dehyst.waveforms.named import OPTIONS, SCANS
 from dehyst.workbench import folder as places
 from dehyst.workbench.folder import Folder

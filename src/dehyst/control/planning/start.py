@@ -13,6 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import choice, vector
+from dehyst.control.limits import outside_identified
 from dehyst.control.planning.bounds import middle_of, possible_states
 from dehyst.control.planning.homing import shortest_homing
 from dehyst.model import Actuator, State
@@ -35,10 +36,13 @@ class PossibleStart:
         "top", "bottom", "relaxed", "homed", "unknown", or the name of what led there.
     states : tuple of State
         One if the state is known; else states that bound all possible ones.
+    remarks : tuple of str
+        On the voltages that led there.
     """
 
     name: str
     states: tuple[State, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def known(self) -> bool:
@@ -142,16 +146,16 @@ class PossibleStart:
         Raises
         ------
         ModelError
-            If there is no voltage, it is not finite, or the time does not fit.
+            If there is no voltage, it is not finite or far outside of the model's, or the time does not fit.
         """
         v = vector(voltage, "voltage")
+        outside = outside_identified(actuator, v, limits, name=name)
         if not v.size:
             raise ModelError(argument="voltage", got="no samples", need="those that were played before")
         when = time if actuator.needs_time else None
         before = possible_states(actuator, float(v[0]), limits)
-        return cls(
-            name, tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
-        )
+        reached = tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
+        return cls(name, reached, outside.warnings)
 
 
 def _homed(actuator: Actuator) -> State:

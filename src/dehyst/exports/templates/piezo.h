@@ -1,4 +1,4 @@
-/* A piezo actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every MODEL_PERIOD seconds.
+/* An actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every MODEL_PERIOD seconds.
  *
  * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin and
  * piezo_restore can fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */

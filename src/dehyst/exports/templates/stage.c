@@ -5,6 +5,35 @@
 /* axes */
 /* numbers */
 
+/* Return where a voltage on offer leads: it is committed on a copy, number by number, which needs no library. */
+static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
+{
+    const dehyst_loop *from = piezo_loop(p, axis);
+    const dehyst_real *numbers = memory_of(p, axis);
+    const unsigned long size = dehyst_memory_size(models[axis]);
+    dehyst_loop loop;
+    unsigned long i;
+    loop.w = from->w;
+    loop.y = from->y;
+    loop.rate = from->rate;
+    loop.input = from->input;
+    loop.sent = from->sent;
+    loop.acting = from->acting;
+    loop.intended[0] = from->intended[0];
+    loop.intended[1] = from->intended[1];
+    loop.wanted = from->wanted;
+    loop.target = from->target;
+    loop.candidate = from->candidate;
+    loop.voltage = from->voltage;
+    loop.offer = from->offer;
+    loop.segment = from->segment;
+    loop.half = from->half;
+    loop.limited = loop.slewed = loop.refused = 0;
+    for (i = 0; i < size; i++) p->spare[i] = numbers[i];
+    dehyst_loop_commit(models[axis], &loop, p->spare, voltage);
+    return loop.w;
+}
+
 /* Return the sum of products, from the first axis to the last. */
 static dehyst_real dot(const dehyst_real row[MODEL_AXES], const dehyst_real values[MODEL_AXES])
 {

@@ -18,6 +18,11 @@ static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real g
     case TRACE_STEP: piezo_step(loop, given, got); return;
     case TRACE_OFFER: piezo_offer(loop, given, got); return;
     case TRACE_COMMIT: piezo_commit(loop, given); piezo_displacement(loop, got); return;
+    case TRACE_ACCEPT:
+        for (j = 0; j < MODEL_AXES; j++) given[j] = piezo_loop(loop, j)->voltage;
+        piezo_commit(loop, given);
+        piezo_displacement(loop, got);
+        return;
     case TRACE_HOLD: piezo_hold(loop); piezo_displacement(loop, got); return;
     case TRACE_NONSENSE: given[0] = (dehyst_real)NAN; piezo_step(loop, given, got); return;
     default: piezo_simulate(body, given, got); return;

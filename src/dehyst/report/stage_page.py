@@ -12,7 +12,7 @@ from dehyst._types import Array
 from dehyst.records import Record
 from dehyst.report.html import bullets, document, escape, figure, panel, reproduction, spelled, table
 from dehyst.report.plots import MEASURED, line
-from dehyst.stages.fit import StageFit
+from dehyst.stages import StageFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

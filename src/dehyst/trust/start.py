@@ -1,0 +1,58 @@
+"""The start that a record determines: the state at its end, or in which it began."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst.control import PossibleStart
+from dehyst.control.limits import outside_identified
+from dehyst.control.planning.start import model_error
+from dehyst.identification import initial_state, state_after
+from dehyst.model import Actuator
+from dehyst.records import Record
+
+# Before the name of a record whose beginning, not whose end, is the start.
+BEGAN = "as:"
+
+
+def start_of(
+    actuator: Actuator, record: Record, *, began: bool = False, limits: tuple[float, float] | None = None
+) -> PossibleStart:
+    """Return the start that a record determines by its measured displacement.
+
+    Parameters
+    ----------
+    actuator : Actuator
+    record : Record
+        Played before; its sensor's zero does not matter.
+    began : bool, optional
+        The start is the state in which the record began; default: the state at its end.
+    limits : (float, float), optional
+        Voltages allowed besides the identified ones [V].
+
+    Returns
+    -------
+    PossibleStart
+        One state; its remarks name voltages that lie beside the model's or outside of the identified range.
+
+    Raises
+    ------
+    ModelError
+        If displacements or voltages lie far outside of the model's.
+    RecordError
+        If the record is too short to be compared.
+    """
+    outside = outside_identified(actuator, record.voltage, limits, name=record.name)
+    if reason := actuator.implausibility(record.displacement):
+        raise ModelError(f"{record.name}: {reason}")
+    state, offset = (initial_state if began else state_after)(actuator, record)
+    low, high = actuator.voltage_range
+    share = abs(offset) / (high - low)
+    remarks = [*outside.warnings]
+    if share * float(np.ptp(actuator.reach)) > model_error(actuator):
+        remarks.append(
+            f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the "
+            "range: expect displacements to lie beside the sensor's by as much"
+        )
+    return PossibleStart(f"{BEGAN if began else ''}{record.name}", (state,), tuple(remarks))
