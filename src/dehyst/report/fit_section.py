@@ -94,7 +94,7 @@ def structures(fit: Fit) -> list[str | Charts]:
     ]
     head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
     why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
-    if best is not first and first.structure.plain:
+    if best is not first and first.structure.is_maxwell_slip:
         times = number(first.held_out / best.held_out)
         why += (
             f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
