@@ -15,7 +15,9 @@ from dehyst._version import __version__
 from dehyst.identification import Fit, identify
 from dehyst.records import Record
 from dehyst.stages.coupling import (
+    AxisTraces,
     Coupling,
+    PlayColumns,
     coupling_by_models,
     coupling_by_plays,
     refuse_inseparable,
@@ -25,7 +27,6 @@ from dehyst.stages.coupling import (
 )
 from dehyst.stages.cross_talk import cross_talk
 from dehyst.stages.fit import AxisError, CrossTalk, StageFit
-from dehyst.stages.regressors import AxisTraces, PlayColumns
 from dehyst.stages.stage import Stage, apply, inverse
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
