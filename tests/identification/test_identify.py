@@ -102,7 +102,7 @@ def test_directions_that_an_excitation_determines(turns, determined, samples):
     rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
     movable = np.arange(10) < 9
     regression = Regression(
-        rows, Grid.plain(PLANT.slip.breakaway, PLANT.spring.displacement, movable), 1.0, np.zeros(1)
+        rows, Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable), 1.0, np.zeros(1)
     )
     values = np.linalg.svd(regression.projected(), compute_uv=False)
     assert np.count_nonzero(values > 1e-3 * values[0]) == determined

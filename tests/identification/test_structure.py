@@ -72,7 +72,7 @@ def test_the_grid_goes_with_the_units(structure, scale):
 def test_the_default_is_the_papers_class_on_its_uniform_grid():
     grid = Structure().grid((0.0, 16e-6), (0.0, 200.0), TIMES)
     np.testing.assert_allclose(grid.breakaway, 16e-6 / 40 * np.arange(1, 21))
-    assert Structure().plain
+    assert Structure().is_maxwell_slip
     assert (grid.segments, grid.moved, grid.drive.size) == (1, 0, 0)
 
 
@@ -99,7 +99,7 @@ def test_smooth_elements_have_each_length_with_both_closings():
 
 @pytest.mark.parametrize("change", [{"grades": 2}, {"transformer": 2}, {"creep": 1}, {"smooth": True}])
 def test_any_other_part_makes_it_no_longer_plain(change):
-    assert not replace(Structure(), **change).plain
+    assert not replace(Structure(), **change).is_maxwell_slip
 
 
 @pytest.mark.parametrize(

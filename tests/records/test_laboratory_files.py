@@ -10,7 +10,7 @@ from laboratory_files import FILES, RATE, UM, N, T, V, Y, assert_measured, optio
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.records import read, read_table
 from dehyst.records.formats.timestamps import clock_of, is_moment, moment
-from dehyst.records.tables import ColumnsError, joined
+from dehyst.records.tables import Choice, ColumnsError, joined
 
 
 def tried(path, options):
@@ -238,9 +238,9 @@ def test_joined_by_time(tmp_path):
     turned = read(tmp_path / "b.csv", join=drive)
     assert turned.voltage == pytest.approx(record.voltage)
     table = read_table(drive)
-    assert joined(table, read_table(tmp_path / "b.csv"), None, None, "voltage_V").columns[1].data == pytest.approx(
-        V[inside], abs=1e-6
-    )
+    assert joined(table, read_table(tmp_path / "b.csv"), Choice(displacement="voltage_V")).columns[
+        1
+    ].data == pytest.approx(V[inside], abs=1e-6)
 
 
 def test_joined_by_sample(tmp_path):

@@ -41,7 +41,7 @@ def told(turns, plant=PLANT, relaxed=False):
     record, rho = plain_records.loops(plant, turns), plant.slip.breakaway
     rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
     regression = Regression(
-        rows, Grid.plain(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool)), 1.0, np.zeros(1)
+        rows, Grid.maxwell_slip(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool)), 1.0, np.zeros(1)
     )
     return identifiability([record], regression, relaxed=(0,) if relaxed else ())
 

@@ -326,7 +326,7 @@ def _assemble(items: list[Prepared], widest: int, lag: float, drifting: Sequence
     rows, epochs = collect(parts, np.zeros(0), [items[q].noise for q, _, _ in parts])
     pieces = [piece for _, piece, _ in parts]
     low, high = items[widest].span()
-    grid = Grid.plain(np.zeros(0), np.array([low, high]))
+    grid = Grid.maxwell_slip(np.zeros(0), np.array([low, high]))
     nuisances = Regression(rows, grid, 0.0, np.zeros(len(items)), tuple(drifting)).nuisances()
     voltages = np.concatenate([piece.voltage for piece in pieces])
     reach = [

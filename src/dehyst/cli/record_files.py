@@ -125,13 +125,12 @@ def _with_sign(reading: Callable[..., _Read], decimal: str | None, several: bool
 def table_of(path: Path, options: dict[str, Any], several: bool = False) -> Table:
     """Read the table of a file, with the options that name and join its columns; `several`: as in `read_records`."""
     from dehyst.records.files import named_and_joined
+    from dehyst.records.tables import Choice
 
-    table = table_in(path, options, several)
     # A command that reads voltages only has no option for the displacement.
-    used: dict[str, Any] = {
-        name: options.get(name) for name in ("time", "displacement", "sample_rate", "decimal", "max_bytes")
-    }
-    return named_and_joined(table, options["columns"], options["join"], **used)
+    choice = Choice(**{name: options.get(name) for name in Choice._fields})
+    given = {name: options[name] for name in ("columns", "join", "decimal", "max_bytes")}
+    return named_and_joined(table_in(path, options, several), choice, **given)
 
 
 def record_in(table: Table, name: str, options: dict[str, Any], axes: str | None = None) -> Record:
@@ -143,7 +142,7 @@ def record_in(table: Table, name: str, options: dict[str, Any], axes: str | None
     from dehyst.records.tables import Choice, axis_columns
 
     choice = Choice(**{quantity: options[quantity] for quantity in Choice._fields})
-    return record_of(table, choice, options["sample_rate"], name, () if axes is None else axis_columns(axes))
+    return record_of(table, choice, name, () if axes is None else axis_columns(axes))
 
 
 def column_of(table: Table, quantity: str, options: dict[str, Any]) -> Any:

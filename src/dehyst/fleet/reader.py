@@ -113,7 +113,7 @@ class Reader:
             columns = self._row_group(place) if place.kind == "parquet" else self._group(place)
             table = Table(f"{Path(place.path).name}[{place.part}]", "", tuple(columns))
             names = {key: value for key, value in options.columns.items() if key in Choice._fields}
-            return record_of(table, Choice(**names), options.sample_rate, task.name)
+            return record_of(table, Choice(**names), task.name)
 
     def _row_group(self, place: Place) -> list[Column]:
         parquet = pyarrow_parquet()

@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace, Verdict
 from dehyst.identification.rules import RULES
 from dehyst.model.identification import Outcome
 from dehyst.records.signals import NOISE_PEAK, turning_points, white_noise
 
-# A voltage has energy at a frequency if it holds this part of that of its strongest line there.
-_DRIVEN = 1e-4
 _NEIGHBOURS = 20
-# A voltage is periodic if one line holds this part of its power, so many cycles from the lowest.
-_MOSTLY, _FEWEST_CYCLES = 0.5, 6
 # The middle of a line is known to this part of a step.
 _APART = 0.15
 
@@ -80,7 +77,7 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
     near = slice(max(k - 2, 1), k + 3)
     around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
     share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
-    driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
+    driven = float(drive[near].max()) > RULES.driven_line * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
     if driven or share < RULES.line_power or not around.size or power[k] < RULES.line_height * float(np.median(around)):
         return 0.0, 0.0
     frequency, amplitude = _line(residual, step, k / (step * residual.size))
@@ -92,7 +89,7 @@ def _harmonic(drive: Array, k: int) -> bool:
     first = int(np.argmax(drive[1:])) + 1
     lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
     own = drive[lines]
-    if first < _FEWEST_CYCLES or float(own.sum()) < _MOSTLY * float(drive[1:].sum()):
+    if first < RULES.fewest_periods or float(own.sum()) < RULES.periodic * float(drive[1:].sum()):
         return False
     middle = float(lines @ own / own.sum())
     multiple = max(round(k / middle), 1)
@@ -208,20 +205,11 @@ class Expectation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        numbers = "rms_m=rms largest_m=largest measured_m=measured noise_m=noise goal_percent=goal"
         return {
-            "readiness": self.readiness.name,
-            "sentence": self.sentence,
+            **json_values(self, "readiness sentence"),
             "rms_percent": 100 * self.rms / self.stroke,
-            "largest_percent": 100 * self.largest / self.stroke,
-            "rms_m": self.rms,
-            "largest_m": self.largest,
-            "measured_m": self.measured,
-            "noise_m": self.noise,
-            "goal_percent": self.goal,
-            "basis": self.basis,
-            "tested": self.tested,
-            "reasons": list(self.reasons),
-            "if_sensor_lags_m": None if self.if_sensor_lags is None else list(self.if_sensor_lags),
+            **json_values(self, f"largest_percent {numbers} basis tested reasons if_sensor_lags_m=if_sensor_lags"),
         }
 
 

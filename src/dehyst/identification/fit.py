@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dehyst._text import escaped
 from dehyst._views import html, tables
+from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import plotted
 from dehyst.identification.expectation import Expectation, Readiness
@@ -140,19 +141,11 @@ class Fit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
+        keys = "outcome sentence=outcome.value good verdict=expectation remaining errors checks repairs remarks"
         return {
-            "outcome": self.outcome.name,
-            "sentence": self.outcome.value,
-            "good": self.good,
-            "verdict": None if self.expectation is None else self.expectation.as_dict(),
-            "remaining": [one.as_dict() for one in self.remaining],
-            "errors": [error.as_dict() for error in self.errors],
-            "checks": [check.as_dict() for check in self.checks],
-            "repairs": list(self.repairs),
-            "remarks": list(self.remarks),
+            **json_values(self, keys),
             "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
-            "options": dict(self.options),
-            "trials": [trial.as_dict() for trial in self.trials],
+            **json_values(self, "options trials"),
         }
 
 

@@ -108,7 +108,7 @@ def identify(
         the program in another norm is not solved by then, and `Fit.remarks` names it. That takes some time more.
         Another thread or a signal handler can end a `Deadline`.
     first_model : callable, optional
-        Called once with a plain actuator, as soon as delay and sensor data are known; "record" only. It is a
+        Called once with a Maxwell-slip actuator, as soon as delay and sensor data are known; "record" only. It is a
         least-squares fit of few samples and was not checked: its `identification` is `provisional`.
 
     Returns
@@ -219,7 +219,7 @@ def _identify_structure(
             run.remarks += missing
             return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
         frame, structure = _chosen(run, _with_checked_drift(run, frame))
-        if structure.plain and not (frame.inertia.mass or frame.inertia.lag) and not refine:
+        if structure.is_maxwell_slip and not (frame.inertia.mass or frame.inertia.lag) and not refine:
             rho = None if structure.spacing == 1 else structure.grid(run.span, frame.voltages, frame.times).breakaway
             elements = structure.elements if rho is None else None
             run.settings = replace(run.settings, elements=elements, breakaway=rho, knots=structure.knots)
@@ -374,7 +374,7 @@ def _chosen_again(
 def _unsupported(
     run: IdentificationRun, frame: TrainingData, still: TrainingData, structure: Structure
 ) -> Dropped | None:
-    """Return a part that does not predict; without time plain elements stand in for the rest of the structure."""
+    """Return a part that does not predict; without time Maxwell-slip elements stand in for the other parts."""
     if not (frame.inertia.mass or structure.creep):
         return None
     judged = run.deadline.attempt(

@@ -16,6 +16,7 @@ from dehyst._io import PathLike, packed, reading_errors, write_atomically
 from dehyst._text import counted, escaped
 from dehyst._types import Array
 from dehyst._views import tables
+from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
 from dehyst.model import State
@@ -94,22 +95,12 @@ class RecordErrors:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values, lengths in metres."""
         return {
-            "record": self.record,
-            "role": self.role,
-            "samples": self.samples,
-            "left_out": self.left_out,
-            "largest_percent": self.largest_percent,
-            "rms_percent": self.rms_percent,
-            "largest_m": self.largest,
-            "rms_m": self.rms,
+            **json_values(self, "record role samples left_out largest_percent rms_percent largest_m=largest rms_m=rms"),
             "largest_with_drift_percent": 100 * self.largest_with_drift / self.stroke,
             "rms_with_drift_percent": 100 * self.rms_with_drift / self.stroke,
-            "offset_V": self.offset,
-            "datum_m": self.datum,
+            **json_values(self, "offset_V=offset datum_m=datum"),
             "drift_percent": 100 * self.drift / self.stroke,
-            "drift_decades": self.decades,
-            "drift_steady": self.steady,
-            "starts": [state.as_dict() for state in self.starts],
+            **json_values(self, "drift_decades=decades drift_steady=steady starts"),
         }
 
 

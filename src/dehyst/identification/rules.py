@@ -62,12 +62,20 @@ class DecisionRules:
         "ratio of errors",
         "Loops of one height and rate show a delay only at their turns: there it must lower the residual to this part.",
     )
+    one_height: float = _rule(
+        0.9, "ratio of heights", "Loops are of one height if the lowest leg is this part of the highest or more."
+    )
+    found_delay: float = _rule(0.02, "samples", "A delay that is found by one search alone must be longer.")
     datum_gain: float = _rule(
         0.8, "ratio of residuals", "A sensor that was zeroed anew shows at once; a smaller gain is the model bending."
     )
     drift_gain: float = _rule(
         0.97, "ratio of residuals", "A drift is set aside if it lowers the RMS residual to this part."
     )
+    smallest_gain: float = _rule(
+        1e-05, "part of the stroke", "A repair that lowers the RMS residual by less is not worth a coefficient."
+    )
+    fewest_cycles: float = _rule(3, "cycles", "Fewer do not separate a drift from hysteresis.")
     drift_prediction_gain: float = _rule(
         0.95,
         "ratio of held-out errors",
@@ -80,6 +88,11 @@ class DecisionRules:
     )
     creep_at_start_gain: float = _rule(
         0.9, "ratio of residuals", "A record crept as it began if that lowers the residual to this part."
+    )
+    carts_alone_gain: float = _rule(
+        0.5,
+        "ratio of squares",
+        "Carts that no history leads to are taken at a record's start if they lower the squares to this part.",
     )
     speed_ratio: float = _rule(
         3.0,
@@ -197,6 +210,11 @@ class DecisionRules:
     line_height: float = _rule(
         20.0, "ratio of powers", "It must also hold this many times the power of its neighbours."
     )
+    driven_line: float = _rule(
+        0.0001, "ratio of powers", "A line is the voltage's if the voltage has this part of its strongest line there."
+    )
+    periodic: float = _rule(0.5, "part of the power", "A voltage is periodic if one line holds this part of its power.")
+    fewest_periods: float = _rule(6, "cycles", "Harmonics are looked for if a record has as many cycles of that line.")
     useless: float = _rule(5.0, "% of the stroke", "A model with a larger expected error is not usable.")
     most_set_aside: float = _rule(0.1, "part of the samples", "If more was set aside, the model is usable with care.")
     widest_gap: float = _rule(

@@ -92,7 +92,7 @@ class IdentificationRun:
         return quickly()
 
     def publish_first_model(self, regression: Regression) -> None:
-        """Give the caller a first plain actuator, once."""
+        """Give the caller a first Maxwell-slip actuator, once."""
         first_model, self.first_model = self.first_model, None
         if first_model is None:
             return
@@ -115,7 +115,7 @@ class IdentificationRun:
         ]
 
     def thresholds(self) -> Array:
-        """Return the breakaway elongations of a plain actuator (N,) [m]: those given, or a uniform grid."""
+        """Return the breakaway elongations of a Maxwell-slip actuator (N,) [m]: those given, or a uniform grid."""
         if self.settings.breakaway is not None:
             return self.settings.breakaway
         first = self.stroke / (2 * self.settings.count)
@@ -163,7 +163,7 @@ class IdentificationRun:
         return [q for q, item in enumerate(self.training) if item.can_drift and self.settings.drift]
 
     def data(self, delay: float) -> TrainingData:
-        """Return the training records as plain elements need them: displacements as measured, each on its own axis."""
+        """Return the training records as Maxwell-slip takes them: displacements as measured, each on its own axis."""
         if self.steady is None:
             self.steady = self._data_of(delay).drifts_steadily()
             self.training, self.held_out = (
@@ -190,7 +190,7 @@ class IdentificationRun:
         places = np.linspace(*self.span, knots or self.settings.knots or min(rho.size + 1, _MOST_KNOTS))
         beyond = bool(rho[-1] > 0.5 * self.stroke * (1 + 1e-9)) and self.settings.breakaway is None
         sliding = np.ones(rho.size, dtype=bool) if beyond else None
-        regression = data.on_grid(Grid.plain(rho, places, sliding), MOST_ROWS)
+        regression = data.on_grid(Grid.maxwell_slip(rho, places, sliding), MOST_ROWS)
         if len(regression) < 2 * rho.size:
             raise IdentifyError(
                 f"{len(regression)} samples count for {rho.size} elements: only those after the range of a record "

@@ -18,6 +18,7 @@ import numpy as np
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
+from dehyst.identification.rules import RULES
 from dehyst.model import GradedSlip, MaxwellSlip
 from dehyst.model.elements import segment_of
 
@@ -29,8 +30,8 @@ _STEPS = 12
 _WORTH = 1e-4
 # Neighbours are held alike by this part of the rows' weight: some carts bear on no sample.
 _ALIKE = 1e-2
-# Each cart by itself is kept if that leaves less than this part of the sum of squares; neighbours hardly held alike.
-_WORTH_ALONE, _HARDLY = 0.5, 1e-9
+# The same where each cart is free.
+_HARDLY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def fit_start(
     rho = slip.breakaway
     alone = np.append(np.clip((problem.carts(u) - displacement[0]) / rho, -1.0, 1.0), u[rho.size :])
     polished = free.solved(alone)
-    if polished[0] < _WORTH_ALONE * cost:
+    if polished[0] < RULES.carts_alone_gain * cost:
         problem, (_, u, rest) = free, polished
     return StartState(problem.carts(u), (constant or 0.0) + rest, u[rho.size :] * most)
 

@@ -36,7 +36,7 @@ class Structure:
     spacing : float
         1: uniform grid, as in the paper; 2: denser for small loops.
     grades : int
-        Segments of the stroke, each with its own stiffnesses of the elements; 1: plain elements.
+        Segments of the stroke, each with its own stiffnesses of the elements; 1: Maxwell-slip elements.
     knots : int
         Knots of the spring.
     transformer : int
@@ -78,8 +78,8 @@ class Structure:
             raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
 
     @property
-    def plain(self) -> bool:
-        """Whether it is Maxwell-slip, plain: elements of constant stiffness and a spring."""
+    def is_maxwell_slip(self) -> bool:
+        """Whether it has elements of constant stiffness and a spring only, as in Yeh's paper."""
         return self.grades == 1 and not (self.transformer or self.creep or self.smooth)
 
     @property
@@ -144,7 +144,7 @@ class Grid:
     breakaway : (N,) array
         rho [m].
     grades : (M + 1,) array
-        Knots [m] of the elements' stiffnesses; M = 1: plain elements.
+        Knots [m] of the elements' stiffnesses; M = 1: Maxwell-slip elements.
     knots : (K,) array
         Knots of the spring [m].
     drive : (T + 1,) or (0,) array
@@ -170,8 +170,8 @@ class Grid:
     sliding: Mask | None = None
 
     @classmethod
-    def plain(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
-        """Return the grid of plain elements and a spring."""
+    def maxwell_slip(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
+        """Return the grid of Maxwell-slip elements and a spring."""
         none = np.zeros(0)
         return cls(breakaway, knots[[0, -1]], knots, none, none, none, none, sliding=sliding)
 
@@ -194,8 +194,8 @@ class Grid:
         )
 
     @property
-    def is_plain(self) -> bool:
-        """Whether there are plain elements and a spring only."""
+    def is_maxwell_slip(self) -> bool:
+        """Whether there are Maxwell-slip elements and a spring only."""
         return self.segments == 1 and not (self.drive.size or self.moved)
 
     @cached_property

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Progress
+from dehyst._views.fields import json_values
 from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
@@ -49,14 +50,8 @@ class StructureTrial:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "structure": self.structure.as_dict(),
-            "words": self.structure.words,
-            "parameters": self.structure.parameters,
-            "held_out_m": self.held_out,
-            "training_m": self.training,
-            "seconds": self.seconds,
-        }
+        described = "structure words=structure.words parameters=structure.parameters"
+        return json_values(self, f"{described} held_out_m=held_out training_m=training seconds")
 
 
 def select(

@@ -244,7 +244,7 @@ class Refinement:
 
 
 def refine(fit: StructuredFit, progress: Progress) -> Refinement:
-    """Refine a wider actuator by the simulation error on its training records."""
+    """Refine an actuator by the simulation error on its training records."""
     point = _Iterate.of(fit)
     errors = point.errors()
     held_out = blocks(point.simulation.voltage(), point.simulation.epoch_numbers()) % _FOLDS == _FOLDS - 1

@@ -212,7 +212,7 @@ class TrainingData:
 
     def grows(self) -> bool:
         """Whether most samples of a record come before its range is at its widest."""
-        source = self._source(Grid.plain(np.array([self.stroke]), np.array(self.span)))
+        source = self._source(Grid.maxwell_slip(np.array([self.stroke]), np.array(self.span)))
         last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
         return last < RULES.growing * sum(len(piece) for _, piece, _ in source.pieces)
 
@@ -247,7 +247,7 @@ class TrainingData:
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
-        """Records that drift, seen from plain elements; none if branches account for creep."""
+        """Records that drift, seen from Maxwell-slip elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
         few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, TrainingErrors()

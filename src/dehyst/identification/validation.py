@@ -332,7 +332,7 @@ def _regression(actuator: Actuator, source: RowSource, grid: Grid, drifting: tup
 
 
 def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """Return what drives the elements of an actuator; plain ones take a displacement of little noise as it is."""
+    """Return the path that drives the elements; Maxwell-slip takes a displacement of little noise as it is."""
     if not actuator.wide and not disturbs(noise, stroke):
         return piece
     return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)

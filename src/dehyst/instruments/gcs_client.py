@@ -201,8 +201,9 @@ class DeviceLink(AbstractGcsLink):
         write = getattr(device, "GcsCommandset", getattr(device, "send", None))
         if not (callable(read) and callable(write)):
             raise LinkError(
-                f"device: got {type(device).__name__}, need a connected one with ReadGCSCommand(query) and "
-                "GcsCommandset(command), as PI's GCSDevice has them"
+                argument="device",
+                got=type(device).__name__,
+                need="a connected one with ReadGCSCommand(query) and GcsCommandset(command), as PI's GCSDevice",
             )
         self.where = type(device).__name__
         self._read: Callable[[str], Any] = read

@@ -73,7 +73,9 @@ class NiRig(AbstractRig):
         self._ni = _library()
         if not (0 < gain < np.inf and np.isfinite(scale) and scale != 0):
             raise RigError(
-                f"gain: got {gain} V/V and scale {scale} um/V, need a gain above 0 and a scale that is not 0"
+                argument="gain, scale",
+                got=f"{gain} V/V and {scale} um/V",
+                need="a gain above 0 and a scale that is not 0",
             )
         card, _, channel = output.strip("/").partition("/")
         self._card, self._output = card, f"{card}/{channel}"

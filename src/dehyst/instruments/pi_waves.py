@@ -230,7 +230,7 @@ class PiWaves:
     patience : float
         Seconds without a new sample after which a recorder has stopped.
     wait : callable
-        Waits so many seconds.
+        Waits a number of seconds.
     """
 
     def __init__(

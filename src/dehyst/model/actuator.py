@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 class Actuator(AbstractModel):
     """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
-    A plain actuator is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, with s_i the elongation of slip element i
-    and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] + eta(y) +
-    sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l the
-    elongation of smooth element l. With dynamics or a load (section 9) w replaces y there.
+    With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, s_i the elongation of
+    element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] +
+    eta(y) + sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l
+    the elongation of smooth element l. With dynamics or a load (section 9) w replaces y there.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Actuator(AbstractModel):
 
     @property
     def wide(self) -> bool:
-        """Whether it has more than plain slip elements and a spring."""
+        """Whether it has more than slip elements of constant stiffness and a spring."""
         further = (self.transformer, self.creep, self.smooth, self.dynamics, self.load_stiffness)
         return isinstance(self.slip, GradedSlip) or self.lag != 0 or any(part is not None for part in further)
 

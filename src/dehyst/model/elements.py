@@ -134,7 +134,7 @@ class GradedSlip:
         return np.asarray((self.internal_voltage(bends) - self.internal_voltage(bends - self.breakaway)).max(axis=0))
 
     def stiffest(self) -> MaxwellSlip:
-        """Return plain elements of the same `friction`: for a picture, not for a simulation."""
+        """Return Maxwell-slip elements of the same `friction`: for a picture, not for a simulation."""
         return MaxwellSlip(self.breakaway, self.friction / self.breakaway)
 
     def internal_voltage(self, positions: ArrayLike) -> Array:

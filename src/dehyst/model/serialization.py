@@ -93,8 +93,8 @@ def state_dict(state: State) -> dict[str, Any]:
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """Read the arguments of `Actuator`, by name.
 
-    Version 1 has plain elements and a spring only; versions 1 and 2 hold what is known of the identification among the
-    entries of "provenance".
+    Version 1 has Maxwell-slip elements and a spring only; versions 1 and 2 hold the `Identification` among the entries
+    of "provenance".
 
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """

@@ -94,7 +94,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     creep = actuator.creep
     if creep is None or not len(creep):
         return np.zeros(1), np.zeros(1)
-    low, high = _limits(actuator)
+    low, high = actuator.voltage_range
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     slow = replace(actuator, dynamics=None, lag=0.0, state=begin)
     shortest, longest = float(creep.time_constants.min()), float(creep.time_constants.max())
@@ -111,14 +111,6 @@ def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
     """Return the resonance at constant charge, and under a voltage at the mean slope of the spring [Hz]."""
     free = dynamics.frequency / (2 * pi)
     return free, free * float(np.sqrt(1 - dynamics.share(spring)))
-
-
-def _limits(actuator: Actuator) -> tuple[float, float]:
-    """Return the limits [V]; without limits the voltages of the spring's ends."""
-    if actuator.limits is not None:
-        return actuator.limits
-    ends = [actuator.voltage(actuator.turned(float(y), rising=y > 0)) for y in actuator.spring.displacement[[0, -1]]]
-    return min(ends), max(ends)
 
 
 def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:

@@ -103,43 +103,35 @@ def read(
             "got it with voltage, displacement or units", argument="axes", hint="columns and units are those in axes"
         )
     table, stored = _load(path, max_bytes, decimal, with_meta=True)
-    table = named_and_joined(
-        table,
-        columns,
-        join,
-        time=time,
-        displacement=several[0].displacement if several else displacement,
-        sample_rate=sample_rate,
-        decimal=decimal,
-        max_bytes=max_bytes,
-    )
-    displacement = displacement if units is None else _in_units(table, displacement, units)
-    choice = Choice(time, voltage, displacement, voltage_scale, displacement_scale)
-    record = record_of(table, choice, sample_rate, name or (stored.name if stored else path.stem), several)
-    return _with_stored_meta(record, stored) if stored else record
+    first = several[0].displacement if several else displacement
+    choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
+    table = named_and_joined(table, choice, columns, join, decimal=decimal, max_bytes=max_bytes)
+    if units is not None:
+        choice = choice._replace(displacement=_in_units(table, displacement, units))
+    record = record_of(table, choice, name or (stored.name if stored else path.stem), several)
+    if stored is None:
+        return record
+    added = {name: record.meta[name] for name in ("scales", "guesses", "remarks") if name in record.meta}
+    return replace(record, meta={**stored.meta, **added})
 
 
-def record_of(
-    table: Table, choice: Choice, sample_rate: float | None, name: str, axes: Sequence[AxisColumns] = ()
-) -> Record:
+def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns] = ()) -> Record:
     """Return the record in a table, see `read`; of several axes if there are `axes`."""
     if axes:
-        return _record_of_axes(table, choice, sample_rate, name, axes)
-    timed = ("time",) if sample_rate is None else ()
+        return _record_of_axes(table, choice, name, axes)
+    timed = ("time",) if choice.sample_rate is None else ()
     found = chosen(table, choice, (*timed, *_MEASURED))
     voltage, displacement = (found[quantity].values for quantity in _MEASURED)
-    time = found["time"].values if timed else time_of(table, len(voltage), choice.time, sample_rate)
-    return Record(time, voltage, displacement, name, _meta(table, found, sample_rate))
+    time = found["time"].values if timed else time_of(table, len(voltage), choice.time, choice.sample_rate)
+    return Record(time, voltage, displacement, name, _meta(table, found, choice.sample_rate))
 
 
-def _record_of_axes(
-    table: Table, choice: Choice, sample_rate: float | None, name: str, axes: Sequence[AxisColumns]
-) -> Record:
+def _record_of_axes(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns]) -> Record:
     records = []
     for one in axes:
         own = choice._replace(voltage=one.voltage, displacement=one.displacement)
         try:
-            records.append(record_of(table, own, sample_rate, f"{name} ({one.name})"))
+            records.append(record_of(table, own, f"{name} ({one.name})"))
         except ColumnsError as error:
             # Options for one voltage and one displacement do not help here.
             raise FileFormatError(
@@ -164,20 +156,12 @@ def _record_of_axes(
     )
 
 
-def _with_stored_meta(record: Record, stored: hdf5.Stored) -> Record:
-    """Return a record with the meta that its file stores, and what the options of now add to it."""
-    added = {name: record.meta[name] for name in ("scales", "guesses", "remarks") if name in record.meta}
-    return replace(record, meta={**stored.meta, **added})
-
-
 def named_and_joined(
     table: Table,
+    choice: Choice,
     columns: str | None,
     join: PathLike | None,
     *,
-    time: str | None = None,
-    displacement: str | None = None,
-    sample_rate: float | None = None,
     decimal: str | None = None,
     max_bytes: float = MOST,
 ) -> Table:
@@ -188,7 +172,7 @@ def named_and_joined(
         return table
     path = named(join, "join")
     own = decimal if path.suffix.lower() in _WITH_SIGNS else None
-    return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), time, sample_rate, displacement)
+    return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
 
 
 def _meta(table: Table, found: Mapping[str, Selected], sample_rate: float | None) -> dict[str, Any]:
@@ -242,7 +226,6 @@ def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float =
 
 def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:
     """Read a file once; return its columns and, if `with_meta` and dehyst wrote the file, name and meta."""
-    most = bytes_allowed(max_bytes)
     demand(decimal in (None, *SIGNS), "decimal", decimal, "one of '.' and ','", error=FileFormatError)
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
@@ -250,12 +233,12 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, most)._replace(decimal=decimal)
+        content = content_of(path, bytes_allowed(max_bytes))._replace(decimal=decimal, with_meta=with_meta)
     if decimal is not None and content.suffix not in _WITH_SIGNS:
         raise FileFormatError(
             f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
         )
-    columns, stored = load(content, most, with_meta)
+    columns, stored = load(content)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
@@ -276,7 +259,7 @@ def write_record(path: PathLike, record: Record) -> None:
     """
     if not isinstance(record, Record):
         raise FileFormatError(
-            f"record: got {type(record).__name__}, need a Record; give the path first, then the record"
+            argument="record", got=type(record).__name__, need="a Record", hint="give the path first, then the record"
         )
     of_axes = {
         f"{'voltage' if one.role == 'drive' else 'displacement'} of {one.axis}": one.name for one in record.channels
@@ -343,7 +326,7 @@ def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None 
 
 
 def _texts(values: Array, digits: int | None) -> Iterator[str]:
-    """Return the texts of numbers, in full or with so many significant digits."""
+    """Return the texts of numbers, in full or with `digits` significant digits."""
     if digits is None or not values.size:
         return map(repr, values.tolist())
     known = np.isfinite(values)

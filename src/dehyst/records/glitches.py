@@ -22,18 +22,18 @@ from dehyst.records.signals import resolution, white_noise
 
 # Most samples of a glitch, and neighbours on each side that show the slew.
 _WIDEST, _NEAR = 5, 8
-# Least part of the range, and so many standard deviations of noise, steps of resolution and usual excursions.
+# Least size: share of the range, and multiples of noise deviation, resolution step and usual excursion.
 _LEAST, _SIGMAS, _DIGITS, _TIMES = 0.02, 8.0, 1.5, 1.5
-# A glitch is larger than so many steps nearby.
+# A glitch exceeds the steps nearby by this factor.
 _STEPS = 1.5
-# At an end of the record, where the voltage cannot come back, a glitch is larger than so many of the largest steps.
+# The same at an end of the record, where the voltage cannot come back, for the largest steps.
 _STEPS_AT_END = 3.0
-# The displacement follows with this part of its mean gain at least: a small excursion moves an actuator by half of
-# the mean slope, and half of that can fall between two samples. Noise hides it if so many deviations are larger.
+# Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
+# mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden.
 _FOLLOWS, _SEEN = 0.2, 2.0
-# Next to a turn an actuator moves by so many times its mean gain.
+# Gain of an actuator next to a turn, over its mean gain.
 _STEEP = 2.0
-# The displacement may lag by this part of a cycle, and by so many samples.
+# Largest lag of the displacement: share of a cycle, and its bounds in samples.
 _LAG, _LAGS = 0.05, (8, 64)
 _SHORTEST = 20
 # Digits of a signal are this part of its range at most.
@@ -213,7 +213,7 @@ class _Scale:
         return np.asarray(follows * size > self.gain * (_FOLLOWS * size + _STEEP * corner), dtype=np.bool_)
 
     def _corner(self, v: Array, before: Indices, width: int, beyond: int = -1) -> Array:
-        """Return the largest deviation of the voltage from chords (k,) [V] more than so many samples away."""
+        """Return the largest deviation of the voltage from chords (k,) [V] more than `beyond` samples away."""
         corner = np.zeros(before.size)
         for shift in range(-self.lag, self.lag + 1):
             if abs(shift) > beyond:
@@ -263,7 +263,7 @@ class _Scale:
             size = float(np.abs(v[:width] - v[width]).min())
             isolated = size > self.least + _STEPS_AT_END * usual and steps[width] <= _STEPS * usual
             large = isolated and _FOLLOWS * self.gain * size > self.sensor
-            # The displacement moves by this over so many samples without an excursion.
+            # Motion of the displacement over as many samples without an excursion.
             span, near = width + 1, y[1 : 4 * _NEAR]
             moves = np.quantile(np.abs(near[span:] - near[:-span]), 0.75)
             moved = float((np.sign(v[width] - v[0]) * (y[span] - y[:width])).max())

@@ -20,10 +20,10 @@ from dehyst.records.transients import transients
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Only legs over this share of the range of the voltage count, in so many bins of it.
+# Least share of the voltage range that a leg covers to count, and bins of the voltage.
 _WHOLE = 0.9
 _BINS = 32
-# A fall or a rise counts from this share of the stroke on, and from so many times the noise of a bin's mean on.
+# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
 _LEAST, _LOUD = 0.1, 8.0
 
 

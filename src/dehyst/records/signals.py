@@ -224,6 +224,6 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
 
 
 def _running_maximum(values: Array, window: int) -> Array:
-    """Return the largest of `window` values, from each on that has so many."""
+    """Return the moving maximum over `window` values, from each value on that has a full window."""
     size = max(values.size - window + 1, 0)
     return np.max([values[k : k + size] for k in range(window)], axis=0) if size else np.zeros(0)

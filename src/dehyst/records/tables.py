@@ -121,13 +121,14 @@ def notes_on(options: Mapping[str, str]) -> list[str]:
 
 
 class Choice(NamedTuple):
-    """What selects the columns of a record: names, and scales."""
+    """What selects the columns of a record: names, scales, and a sample rate [Hz] instead of a time."""
 
     time: str | None = None
     voltage: str | None = None
     displacement: str | None = None
     voltage_scale: str | None = None
     displacement_scale: str | None = None
+    sample_rate: float | None = None
 
     def scale(self, quantity: str) -> str | None:
         """Return the scale of a quantity."""
@@ -317,7 +318,7 @@ def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
 
 # Part of a sample by which the times of two files may differ and are still the same.
 _SAME = 0.01
-# A time step above so many usual ones is a gap.
+# A time step above this multiple of the median is a gap.
 _GAP = 2.5
 # Samples of one file for each of the other from which on that is remarked.
 _FEW = 4.0
@@ -333,9 +334,7 @@ class _Timed(NamedTuple):
     seconds: Array
 
 
-def joined(
-    table: Table, other: Table, time: str | None, sample_rate: float | None, displacement: str | None = None
-) -> Table:
+def joined(table: Table, other: Table, choice: Choice) -> Table:
     """Return a table with the columns of both.
 
     Timestamps are aligned by what they state; times without a date are those of one clock. Where both have a time
@@ -344,13 +343,12 @@ def joined(
     samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other
     follow the name of its file: other/displacement_um.
 
-    `time`, `displacement`: names of these columns, by default found. `sample_rate`: given instead of a time column
-    [Hz].
+    `choice`: names of the time and the displacement, by default found, and the sample rate.
 
     Raise `FileFormatError` for without two time columns: the files differ in length. With them: the times do not rise
     or do not overlap, or only one of the files has timestamps.
     """
-    first, second = (None if sample_rate is not None else _timed(one, time) for one in (table, other))
+    first, second = (None if choice.sample_rate is not None else _timed(one, choice.time) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
     added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
     if first is not None and second is not None:
@@ -372,9 +370,9 @@ def joined(
             raise FileFormatError(
                 f"{one.table.source}: the time does not rise, which joining needs; correct those rows"
             )
-    own = table.fitting("displacement", displacement)
+    own = table.fitting("displacement", choice.displacement)
     kept, moved = first, second
-    if not own and replace(other, columns=tuple(added)).fitting("displacement", displacement):
+    if not own and replace(other, columns=tuple(added)).fitting("displacement", choice.displacement):
         kept, moved = second, first
     inside, remarks = _common(kept, moved)
     places = kept.seconds[inside]

@@ -31,9 +31,9 @@ _SWING, _VISIBLE = 0.02, 0.002
 _STEEP = 3.0
 # Samples after a step in which it must turn back, and samples that are searched at a time.
 _SOON, _AHEAD = 400, 4096
-# The next turn of a ring comes within so many times the usual half period, which the first ones may exceed.
+# Latest next turn of a ring, in usual half periods, which the first ones may exceed.
 _LATE = 2.5
-# A ring counts until it is below this part of the range, or the noise; so many times what is seen of it at most.
+# A ring counts until it is below this share of the range, or the noise; at most this multiple of its visible part.
 _FADED, _LONGEST = 5e-4, 3.0
 # Half-lives until an overshoot that does not swing is over.
 _HALVES = 8

@@ -16,7 +16,7 @@ from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.identification.fit import label
 from dehyst.model import Actuator
 from dehyst.records.signals import white_noise
-from dehyst.report.html import Axis, Chart, Charts, Colour, Row, Series, escape, length, number, spelled, table
+from dehyst.report.html import Axis, Chart, Charts, Colour, Row, Series, escape, folded, length, number, spelled, table
 from dehyst.report.plots import length_unit, rising
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
@@ -94,16 +94,15 @@ def structures(fit: Fit) -> list[str | Charts]:
     ]
     head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
     why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
-    if best is not first and first.structure.plain:
+    if best is not first and first.structure.is_maxwell_slip:
         times = number(first.held_out / best.held_out)
         why += (
             f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
             "chosen one."
         )
-    body = table(head, rows, texts=1)
     return [
         Charts("Choice of the structure", why, (_by_size(fit, best),)),
-        f"<details>\n<summary>The structures that were tried</summary>\n<div>{body}</div>\n</details>",
+        folded("The structures that were tried", {"": table(head, rows, texts=1)}),
     ]
 
 
@@ -192,10 +191,7 @@ def constants(errors: Iterable[RecordErrors]) -> str:
     if not rows:
         return ""
     head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
-    return (
-        "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
-        f"<div>{table(head, rows, texts=1)}</div>\n</details>"
-    )
+    return folded("Constants found for each record, validation records too", {"": table(head, rows, texts=1)})
 
 
 Indices: TypeAlias = NDArray[np.intp]
@@ -210,7 +206,7 @@ _DEVIATIONS = 2.0
 
 
 def before_and_after(fit: Fit) -> Charts | str:
-    """Return the error of a straight scale factor beside that of the model, on the first record not trained on."""
+    """Return the error of a straight scale factor and that of the model, on the first record not trained on."""
     shown = _shown(fit)
     if not shown:
         return ""
@@ -392,7 +388,7 @@ def _broken(trace: Trace, values: Array) -> Array:
 
 
 def _drawn(trace: Trace, records: int) -> Indices:
-    """Return the samples of one of so many records that are drawn."""
+    """Return the samples of a record that are drawn, of `records` that share the limit."""
     most = MOST_SAMPLES // records
     size = trace.time.size
     return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))

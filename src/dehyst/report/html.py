@@ -23,7 +23,7 @@ from dehyst.report.plots import inline, length_unit
 
 # Names of colours in page.css, where each has a light and a dark form.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink"]
-# A 16-bit column has so many steps from its least to its largest value, and one code for a missing value.
+# Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
 
 
@@ -313,7 +313,7 @@ def _with_contents(body: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write `value` with so many significant digits, as plainly as its size allows."""
+    """Write `value` with `digits` significant digits, as plainly as its size allows."""
     if not math.isfinite(value):
         return "not known"
     if value == 0:
@@ -378,6 +378,14 @@ def bullets(title: str, items: Iterable[str]) -> str:
     """Set a list under a heading; nothing if there are no items."""
     body = "\n".join(f"<li>{item}</li>" for item in items)
     return f"<h2>{title}</h2>\n<ul>\n{body}\n</ul>" if body else ""
+
+
+def folded(summary: str, tables: Mapping[str, str]) -> str:
+    """Set tables by their headings behind a summary that opens them: one alone, or several side by side."""
+    headed = ((f"<h3>{heading}</h3>\n" if heading else "", one) for heading, one in tables.items())
+    body = "\n".join(f"<div>{heading}{one}</div>" for heading, one in headed)
+    body = body if len(tables) == 1 and "" in tables else f'<div class="panels tables">\n{body}\n</div>'
+    return f"<details>\n<summary>{summary}</summary>\n{body}\n</details>" if tables else ""
 
 
 def reproduction(command: str | None) -> str:

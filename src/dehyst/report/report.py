@@ -104,7 +104,8 @@ def write_calibration(path: PathLike, calibration: Calibration, *, command: str 
     `path`, `command` and errors are as in `write_report`; the `calibration` has all else.
     """
     if not isinstance(calibration.fit, Fit):
-        raise ModelError("calibration: got one of several axes, need one axis; use write_stage_report")
+        hint = "use write_stage_report"
+        raise ModelError(argument="calibration", got="one of several axes", need="one axis", hint=hint)
     followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
     write_report(path, calibration.fit, command=command, insight=calibration.insight, followed=followed)
 

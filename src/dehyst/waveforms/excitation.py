@@ -105,8 +105,10 @@ class Excitation:
         """
         if other.sample_rate != self.sample_rate:
             raise RecordError(
-                f"sample rates: got {self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz, need one; "
-                "make both with the same sampling"
+                argument="sample rates",
+                got=f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz",
+                need="one",
+                hint="make both with the same sampling",
             )
         end, begin = float(self.voltage[-1]), float(other.voltage[0])
         if begin != end:
@@ -129,7 +131,7 @@ def refuse_long(samples: int, rate: float) -> None:
 
 
 def voltages(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError if they are none."""
+    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
     try:
         array = vector(values, what, "V")
     except ModelError as error:
@@ -142,12 +144,12 @@ def voltages(values: ArrayLike, what: str) -> Array:
 
 
 def volts(value: object, what: str) -> float:
-    """Return `value` as a finite voltage [V]; raise RecordError if it is none."""
+    """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
     return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
 
 
 def positive(value: object, what: str) -> float:
-    """Return `value` as a number from 1e-12 to 1e12; raise RecordError if it is none."""
+    """Return `value` as a number from 1e-12 to 1e12; raise RecordError for anything else."""
     result = number(value, what, error=RecordError)
     if not _LEAST <= result <= _MOST:
         raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import ceil, floor, inf, log10, pi, sqrt
-from typing import Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def least_seconds(height: float, speed: float | None, acceleration: float | None
 
 
 def highest(seconds: float, speed: float | None, acceleration: float | None, rounding: Rounding) -> float:
-    """Return the height [m] of the highest edge that takes so many seconds within the limits [m/s, m/s^2]."""
+    """Return the height [m] of the highest edge of a duration [s] within the limits [m/s, m/s^2]."""
     way, most = _ROUNDED[rounding]
     v, a = speed or inf, acceleration or inf
     rounded = way * a * seconds**2 / (2 * most)
@@ -234,7 +234,7 @@ class ScanPath:
         return ScanPath(y, v, a, self.sample_rate, periodic=False)
 
     def repeated(self, cycles: int) -> ScanPath:
-        """Return so many periods and the sample that closes the last one; for 0 periods the first sample.
+        """Return whole periods and the sample that closes the last one; for 0 periods the first sample.
 
         `cycles` counts the periods. Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles,
         or there are more than 5e7 samples.
@@ -255,16 +255,19 @@ class ScanPath:
 class Scan(ABC):
     """A path for each axis.
 
-    The number of samples of a period is rounded up: a scan is never faster than requested.
+    The number of samples of a period is rounded up: a scan is never faster than requested. `axes`: their names.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x",)
     frequency: float | None
+    speed: float | None
+    acceleration: float | None
     sample_rate: float | None
 
     @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x",)
+    def limits(self) -> MotionLimits:
+        """Largest speed and acceleration allowed."""
+        return MotionLimits(self.speed, self.acceleration)
 
     @property
     def periodic(self) -> bool:
@@ -366,7 +369,7 @@ def above(value: float) -> str:
 
 
 def length(value: object, what: str) -> float:
-    """Return `value` as a displacement [m]; raise RecordError if it is none."""
+    """Return `value` as a displacement [m]; raise RecordError for anything else."""
     metres = number(value, what, "m", error=RecordError)
     if abs(metres) > _MOST_METRES:
         raise RecordError(
@@ -401,7 +404,7 @@ def whole(value: object, what: str, least: int = 1) -> int:
 
 
 def samples_of(seconds: float, rate: float) -> int:
-    """Return the number of samples that so many seconds take, rounded up.
+    """Return the number of samples of a duration [s], rounded up.
 
     Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
     """

@@ -212,7 +212,8 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     """
     if (turns is None) == (highest is None):
         got = "neither" if turns is None else "both"
-        raise RecordError(f"homing: got {got} of highest and turns, need one; try the highest voltage in use")
+        hint = "try the highest voltage in use"
+        raise RecordError(argument="homing", got=f"{got} of highest and turns", need="one", hint=hint)
     if turns is None:
         return _through("homing", [_top(highest, drive), drive.base], drive)
     stops = voltages(turns, "turns").tolist()

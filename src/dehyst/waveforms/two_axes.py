@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, gcd, pi
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -67,6 +67,8 @@ class Raster(Scan):
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+
     low: float
     high: float
     frequency: float
@@ -92,18 +94,13 @@ class Raster(Scan):
         if self.back is not None:
             keep(self, back=whole(self.back, "back", 0 if self.slow == "staircase" else 1))
             what = f"y on its way back in {counted(self.back, 'line')}"
-            self._limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
+            self.limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
         refuse_long(self.samples, self.rate)
 
     @cached_property
     def fast(self) -> Triangle:
         """The triangle along x."""
         return Triangle(**{name: getattr(self, name) for name in _FAST})
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
 
     @property
     def rate(self) -> float:
@@ -172,7 +169,7 @@ class Raster(Scan):
         return Travel(y, np.full(count, self._slope), np.zeros(count))
 
     def _return(self, back: int) -> Bridge:
-        """Return y on its way back to the first line, in so many periods of x and the rest of the last line."""
+        """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
         (low, high), line = self._ends, self.fast.samples
         if self.slow == "staircase":
             return Bridge(PathPoint(high), PathPoint(low), (back * line + self.fast.legs[1]) / self.rate)
@@ -191,17 +188,13 @@ class Raster(Scan):
         """Speed of a ramp [m/s]."""
         return self._height * self.rate / (self.lines * self.fast.samples)
 
-    @property
-    def _limits(self) -> MotionLimits:
-        return MotionLimits(self.speed, self.acceleration)
-
     def _refuse_steep(self) -> None:
         if self.slow == "staircase":
             height = self._height / (self.lines - 1)
             step = Bridge(PathPoint(0.0), PathPoint(height), self.fast.legs[1] / self.rate)
-            self._limits.refuse("a step to the next line", step.peaks, self.frequency, height)
+            self.limits.refuse("a step to the next line", step.peaks, self.frequency, height)
         elif self.speed is not None and self._slope > self.speed:
-            self._limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
+            self.limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
 
     def _times(self, count: int) -> Array:
         return np.arange(count) / self.rate
@@ -232,6 +225,8 @@ class Lissajous(Scan):
     RecordError
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
+
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
 
     amplitude: tuple[float, float]
     frequency: float
@@ -264,13 +259,7 @@ class Lissajous(Scan):
         # The harder axis first, so that the values in a message are possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
-            limits = MotionLimits(self.speed, self.acceleration)
-            limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
+            self.limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
 
     @property
     def rate(self) -> float:
@@ -346,6 +335,8 @@ class Spiral(Scan):
         If a number is impossible, or the limits cannot be kept; the message states what can be done.
     """
 
+    axes: ClassVar[tuple[str, ...]] = ("x", "y")
+
     radius: float
     revolutions: int
     frequency: float
@@ -368,13 +359,7 @@ class Spiral(Scan):
         choice(self.rounding, "rounding", get_args(Rounding), error=RecordError)
         _ = self.samples
         if self.speed is not None or self.acceleration is not None:
-            limits = MotionLimits(self.speed, self.acceleration)
-            limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return ("x", "y")
+            self.limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
 
     @property
     def rate(self) -> float:
@@ -432,7 +417,7 @@ class Spiral(Scan):
         return Travel(r, np.where(back, -slope, slope), bend)
 
     def _travel(self, count: int) -> tuple[Travel, Travel]:
-        """Return both axes at so many equal parts of a period."""
+        """Return both axes at `count` equal parts of a period."""
         angle, rate, acceleration = self._angles(count)
         r, slope, bend = self._radius(angle)
         axes = []

@@ -95,7 +95,7 @@ def told(records, elements=10, *, movable=None, relaxed=()):
     rows, _ = collect([(q, one, np.zeros(len(one))) for q, one in enumerate(records)], rho, [0.0] * len(records))
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    regression = Regression(rows, Grid.plain(rho, knots, every), 1.0, np.zeros(len(records)))
+    regression = Regression(rows, Grid.maxwell_slip(rho, knots, every), 1.0, np.zeros(len(records)))
     return identifiability(records, regression, relaxed=relaxed)
 
 

@@ -36,7 +36,7 @@ def pieces(noise=2e-9):
 
 def stream(most, drifting=(1,)):
     """All rows of these records, `most` of them in memory."""
-    grid = Grid.plain(RHO, np.linspace(0, plain_records.STROKE, 13), 2 * RHO < plain_records.STROKE * 0.999)
+    grid = Grid.maxwell_slip(RHO, np.linspace(0, plain_records.STROKE, 13), 2 * RHO < plain_records.STROKE * 0.999)
     source = RowSource.of(pieces(), grid, [2e-9, 2e-9])
     return Regression(source.thinned(most), grid, 1e5, np.zeros(2), drifting, source=source)
 
@@ -53,7 +53,7 @@ class Twice:
 
 def source(moving):
     """All rows of these records, with something that moves."""
-    made = RowSource.of(pieces(), Grid.plain(RHO, np.zeros(2)), [2e-9, 2e-9])
+    made = RowSource.of(pieces(), Grid.maxwell_slip(RHO, np.zeros(2)), [2e-9, 2e-9])
     return replace(made, moved=[Twice(number, piece) for number, piece, _ in made.pieces]) if moving else made
 
 

@@ -35,7 +35,7 @@ def test_every_actuator_meets_them(growths, stiffness, u):
     ends = np.cumsum(growths)
     path = np.concatenate([[0.0, 0.0], *[[end, -end] for end in ends]])
     carts = np.cumsum(np.diff(RHO, prepend=0.0) * np.array(u))
-    grid = Grid.plain(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
+    grid = Grid.maxwell_slip(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
     ranges, constants = epochs_of(np.ascontiguousarray(path), grid, np.array(stiffness), carts)
     rows = ties(grid, ranges)
     assert len(rows) == 4 * (len(ranges) - 1)
@@ -44,7 +44,7 @@ def test_every_actuator_meets_them(growths, stiffness, u):
 
 
 def test_constants_that_no_actuator_has_are_refused():
-    grid = Grid.plain(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
+    grid = Grid.maxwell_slip(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
     ranges = [EpochRange(0, 0, 0, -1.0, 1.0, 2.0), EpochRange(1, 0, 0, -1.5, 1.5, 3.0)]
     far = {0: 100.0, 1: -100.0}
     values = [sum(sign * far[k] for k, sign in signs.items()) + row.sum() for signs, row in ties(grid, ranges)]
@@ -52,7 +52,7 @@ def test_constants_that_no_actuator_has_are_refused():
 
 
 def test_records_and_pieces_have_chains_of_their_own():
-    grid = Grid.plain(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
+    grid = Grid.maxwell_slip(RHO, np.array([-20.0, 20.0]), np.ones(4, dtype=bool))
     other = [EpochRange(k, k, 0, -1.0, 1.0, 2.0) for k in range(3)]
     assert ties(grid, other) == []
     pieces = [EpochRange(k, 0, k, -1.0, 1.0, 2.0) for k in range(2)]

@@ -223,7 +223,7 @@ def test_the_program_of_a_record():
     movable = 2 * actuator.slip.breakaway < plain_records.STROKE
     regression = Regression(
         rows,
-        Grid.plain(actuator.slip.breakaway, np.linspace(0, plain_records.STROKE, 21), movable),
+        Grid.maxwell_slip(actuator.slip.breakaway, np.linspace(0, plain_records.STROKE, 21), movable),
         1e5,
         np.zeros(1),
     )

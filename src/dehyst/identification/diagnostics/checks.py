@@ -279,6 +279,7 @@ def _creep_at_extremes(records: Sequence[Prepared], errors: Sequence[RecordError
         )
     return worst.check(
         "at the ends of its voltages the displacement",
+        "creeps",
         f"{worst.why}. The model does not depend on time: expect as much in use, or correct it by feedback",
     )
 
@@ -305,6 +306,7 @@ def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
         return _no_drift("No record has enough legs to determine a drift.")
     return max(drifts, key=_Drift.ratio).check(
         "the residual",
+        "drifts",
         "the actuator creeps longer than the model's branches, or its surroundings changed; expect as much in use",
     )
 
@@ -322,10 +324,12 @@ class _Drift(NamedTuple):
         """Return the drift as a part of the least significant one."""
         return self.value / max(self.floor, RULES.smallest_pattern)
 
-    def check(self, what: str, why: str) -> Check:
-        """Return the check of the drift of `what`; `why` it matters."""
+    def check(self, what: str, moves: str, why: str) -> Check:
+        """Return the check of how `what` `moves`; `why`: what follows if it does."""
         value, floor, unit = self.value, self.floor, "% a decade"
-        sentence = f"{self.record}: {what} drifts by {value:.2g} % of the range a decade of time since its start"
+        sentence = (
+            f"{self.record}: {what} {moves} by {value:.2g} % of the range a decade of time since the record's start"
+        )
         if not may_creep(value, self.decades):
             value, floor, unit = value * self.decades, floor * self.decades, _OF_RANGE
             sentence = f"{self.record}: {what} drifts by {value:.3g} % of the range in all"

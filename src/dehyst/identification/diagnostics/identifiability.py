@@ -20,7 +20,7 @@ from dehyst.records import Record
 from dehyst.records.signals import turning_points
 
 _MOST_ROWS = 20_000
-# Number of plain elements with which turning points are probed.
+# Number of Maxwell-slip elements with which turning points are probed.
 _PROBES = 10
 # Smaller singular values [V/V] are rounding, also if all are.
 _ROUNDING = 1e-9
@@ -132,9 +132,9 @@ def identifiability(records: list[Record], regression: Regression, *, relaxed: C
 
 
 def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, float]) -> Identifiability:
-    """Compute how much the turning points of records determine of ten plain elements over a stroke.
+    """Compute how much the turning points of records determine of ten Maxwell-slip elements over a stroke.
 
-    A wider structure has more coefficients than records determine; smoothing settles the rest. But if ten plain
+    A structure with more parts has more coefficients than records determine; smoothing settles the rest. If ten slip
     elements stay open, smoothing cannot predict loops that turn elsewhere.
 
     `records`: pieces without gaps, on a common displacement axis. `rows`: rows of these records; their values have no
@@ -144,7 +144,9 @@ def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, 
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
     movable = 2 * rho < stroke * (1 - 1e-9)
     knots = np.linspace(*span, _PROBES + 1)
-    return identifiability(records, Regression(rows, Grid.plain(rho, knots, movable), 0.0, np.zeros(len(records))))
+    return identifiability(
+        records, Regression(rows, Grid.maxwell_slip(rho, knots, movable), 0.0, np.zeros(len(records)))
+    )
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

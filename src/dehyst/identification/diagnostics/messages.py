@@ -118,7 +118,7 @@ def of_noise(first: float, noise: float) -> list[str]:
 
 
 def of_turns(probe: Identifiability) -> list[str]:
-    """Return a remark if the turning points leave some of a few plain elements open."""
+    """Return a remark if the turning points leave some of a few Maxwell-slip elements open."""
     if probe.determined == probe.of:
         return []
     return [
@@ -130,7 +130,7 @@ def of_turns(probe: Identifiability) -> list[str]:
 def of_plain(
     identifiability: Identifiability, regression: Regression, coefficients: Coefficients
 ) -> tuple[Outcome, list[str]]:
-    """Return the outcome with plain elements, and remarks about what stays open or lies on its floor."""
+    """Return the outcome with Maxwell-slip elements, and remarks about what stays open or lies on its floor."""
     remarks = []
     if identifiability.determined < identifiability.of:
         remarks.append(

@@ -208,7 +208,7 @@ def transient(record: Record) -> int:
 
 
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
-    """Cut a record where a gap may hide a reversal; other gaps stay, because plain models do not depend on time.
+    """Cut a record where a gap may hide a reversal; other gaps stay, because Maxwell-slip does not depend on time.
 
     `holes`: holes of removed glitches, see `remove_glitches`: displacements in them are known.
 

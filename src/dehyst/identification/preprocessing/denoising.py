@@ -76,7 +76,7 @@ _BLOCK = 1 << 19
 
 
 def disturbs(noise: float, stroke: float) -> bool:
-    """Whether a sensor's noise [m] biases plain elements, at a range of the widest loop [m]."""
+    """Whether a sensor's noise [m] biases Maxwell-slip elements, at a range of the widest loop [m]."""
     return noise > RULES.loud * stroke
 
 

@@ -14,6 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
 from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.rules import RULES
 from dehyst.model import Creep
 from dehyst.records import Record
 from dehyst.records.signals import bandwidth
@@ -281,7 +282,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
         len(given) - sum(count for count, _ in rests),
         float(given.time[0] if not first else record.time[0]),
         record.noise,
-        len(record.cycles()) >= 3,
+        len(record.cycles()) >= RULES.fewest_cycles,
         (*sentences, *gaps),
     )
 

@@ -266,7 +266,7 @@ def collect(
     Rows, list of list of Epoch
         The epochs of each piece.
     """
-    source = RowSource.of(pieces, Grid.plain(breakaway, np.zeros(2)), noise, relaxed=relaxed)
+    source = RowSource.of(pieces, Grid.maxwell_slip(breakaway, np.zeros(2)), noise, relaxed=relaxed)
     return source.thinned(max(1, len(source))), source.epochs
 
 

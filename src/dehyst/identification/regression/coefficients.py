@@ -35,7 +35,7 @@ _NOTHING = 1e-9
 class Coefficients:
     """Coefficients of a regression.
 
-    `stiffness` (N, M): kappa_im [V/m]; M = 1 for plain elements. `slopes` (K - 1,): slopes of the spring [V/m].
+    `stiffness` (N, M): kappa_im [V/m]; M = 1 for Maxwell-slip elements. `slopes` (K - 1,): slopes of the spring [V/m].
     `internal` (J + L,): stiffnesses of creep branches, then of smooth elements [V/m]. `transformer` (T,): slopes of
     tau; empty without one. `offsets`, `drifts`: constants by epoch and drifts by record [V of tau]. `solution`: the
     program's answer; None for those of a given actuator. `starts`: p_j (J,) by record [V of tau].

@@ -30,14 +30,14 @@ def searched_delay(
     """
     best = _search(cost, 0.0, longest, points, 0.002 * sample_time)
     share = RULES.delay_gain_at_turns if _one_height(voltage) else RULES.drift_gain
-    return best if abs(best) > 0.02 * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
+    return best if abs(best) > RULES.found_delay * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
 
 
 def _one_height(voltage: Array) -> bool:
     """Whether all legs of the voltage are of one height."""
     turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
     legs = np.abs(np.diff(voltage[turns]))
-    return legs.size < 2 or bool(legs.min() > 0.9 * legs.max())
+    return legs.size < 2 or bool(legs.min() > RULES.one_height * legs.max())
 
 
 def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:
@@ -94,7 +94,7 @@ def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...
 
 
 def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
-    """Those of the candidates that make a cost, an RMS residual [m], worthily smaller, one after another."""
+    """Those of the candidates that make a cost, an RMS residual [m], enough smaller, one after another."""
     kept: tuple[int, ...] = ()
     best = cost(kept)
     for q in candidates:
@@ -105,8 +105,8 @@ def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[in
 
 
 def _worth(after: float, before: float, stroke: float, share: float = RULES.drift_gain) -> bool:
-    """Whether a repair makes the RMS residual smaller, by more than a hundred-thousandth of the stroke."""
-    return after < share * before and before - after > 1e-5 * stroke
+    """Whether a repair lowers the RMS residual enough."""
+    return after < share * before and before - after > RULES.smallest_gain * stroke
 
 
 def _stroke(regression: Regression) -> float:

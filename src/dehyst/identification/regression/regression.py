@@ -9,7 +9,7 @@ left at time t since record q began of the creep before it, is at most c_j times
 the constants and drifts; slope_j and the slopes of tau are >= a floor (Assumption I). tau keeps the ends of the
 voltages where they are, which fixes scale and offset.
 
-With one segment, no tau, no creep and no smooth elements this is the plain Maxwell-slip class:
+With one segment, no tau, no creep and no smooth elements this is Yeh's Maxwell-slip class:
 ``v = sum_i kappa_i s_i + sum_j slope_j R_j(y) + a_e + c_q L(t) + residual``.
 
 With graded elements the right-hand side must increase by the floor at least on every outermost branch; those of these
@@ -314,7 +314,7 @@ class Regression:
         """Return d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least; weights are its inverse."""
         grid, y = self.grid, self.axis
         spring = found.slopes[segment_of(self.knots, y)]
-        if grid.is_plain:
+        if grid.is_maxwell_slip:
             # One product, for regressions of many rows.
             elements = self.rows.stuck @ found.stiffness[:, 0]
         else:
@@ -465,7 +465,7 @@ class Regression:
     def datum_steps(self, records: list[int]) -> Array:
         """Return the changes of datums [m] that least squares ask for, the spring linearised at the present ones.
 
-        Of plain elements only.
+        Of Maxwell-slip elements only.
         """
         slope = self.fit("l2").slopes[segment_of(self.knots, self.axis)]
         shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
@@ -473,7 +473,7 @@ class Regression:
         return answer.free[-len(records) :]
 
     def projected(self) -> Array:
-        """Return columns of the movable plain elements over their rho, all others projected out: a triangle (m, m)."""
+        """Return columns of the movable elements over their rho, all others projected out: a triangle (m, m)."""
         others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
         others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
         slip = self.rows.elongation[:, self.movable] / self.grid.breakaway[self.movable]

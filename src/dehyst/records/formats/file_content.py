@@ -30,12 +30,18 @@ _RAISE = "allow more bytes if you trust the file"
 
 
 class Content(NamedTuple):
-    """A file as read: its path, its bytes, the suffix of their format, and the decimal sign that the user states."""
+    """A file as read, and how its columns are to be read.
+
+    `suffix`: of the format of its bytes. `most`: memory that its numbers may take [bytes]. `decimal`: the decimal sign
+    that the user states. `with_meta`: whether to read the name and meta that `write_hdf5` writes.
+    """
 
     path: Path
     data: bytes
     suffix: str
+    most: int
     decimal: str | None = None
+    with_meta: bool = False
 
 
 class Allowance:
@@ -49,7 +55,7 @@ class Allowance:
         self.path, self.most, self.left, self.decimal = path, most, most, decimal
 
     def take(self, numbers: int, what: str) -> None:
-        """Reserve memory for so many numbers; raise FileFormatError if it does not suffice."""
+        """Reserve memory for a count of numbers; raise FileFormatError if it does not suffice."""
         self.check(numbers * _DOUBLE, what)
         self.left -= numbers * _DOUBLE
 
@@ -89,7 +95,7 @@ def content_of(path: Path, most: int) -> Content:
     _refuse_large(path, len(data), most)
     if not data:
         raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    return Content(path, data, path.suffix.lower() if stat.S_ISREG(kind) else _suffix(path, data))
+    return Content(path, data, path.suffix.lower() if stat.S_ISREG(kind) else _suffix(path, data), most)
 
 
 def as_utf8(data: bytes) -> bytes:

@@ -101,21 +101,16 @@ class Loaded(NamedTuple):
     stored: Stored | None
 
 
-def load(content: Content, most: int, with_meta: bool) -> Loaded:
+def load(content: Content) -> Loaded:
     """Read a file's columns, in the helper process if its format needs isolation.
 
-    `most`: memory that its numbers may take [bytes]. `with_meta`: whether to read the name and meta that `write_hdf5`
-    writes.
-
-    Raises
-    ------
-    FileFormatError, MissingExtraError
+    Raise `FileFormatError` or `MissingExtraError`.
     """
     if not LOADERS[content.suffix].isolated or not sys.executable or getattr(sys, "frozen", False):
-        return _load_here(content, most, with_meta)
+        return _load_here(content)
     demand_library(*package(content))
     with _LOCK:
-        return _HELPER.load(content, most, with_meta)
+        return _HELPER.load(content)
 
 
 def demand_library(module: str, purpose: str) -> None:
@@ -139,11 +134,10 @@ class _Helper:
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0
 
-    def load(self, content: Content, most: int, with_meta: bool) -> Loaded:
-        process, request = (
-            self._running(),
-            [str(content.path), content.suffix, content.decimal, most, with_meta, len(content.data)],
-        )
+    def load(self, content: Content) -> Loaded:
+        process = self._running()
+        # The bytes follow the request.
+        request = [*content._replace(path=str(content.path), data=len(content.data))]  # type: ignore[arg-type]
         try:
             answer = _exchange(process, request, content.data)
         except BaseException:
@@ -226,20 +220,18 @@ def _crash_message(content: Content, status: int) -> str:
     )
 
 
-def _load_here(content: Content, most: int, with_meta: bool) -> Loaded:
+def _load_here(content: Content) -> Loaded:
     """Read a file in this process; convert the errors of every library for broken content."""
     try:
-        stored = (
-            hdf5.decode(content.path, 2, content.data, most) if with_meta and content.suffix in hdf5.SUFFIXES else None
-        )
-        return Loaded(
-            LOADERS[content.suffix].load(content.data, Allowance(content.path, most, content.decimal)), stored
-        )
+        kept = content.with_meta and content.suffix in hdf5.SUFFIXES
+        stored = hdf5.decode(content.path, 2, content.data, content.most) if kept else None
+        allowance = Allowance(content.path, content.most, content.decimal)
+        return Loaded(LOADERS[content.suffix].load(content.data, allowance), stored)
     except DehystError:
         raise
     except MemoryError as error:
         raise FileFormatError(
-            f"{content.path}: reading it takes more memory than {most / 1e6:.4g} MB of numbers should",
+            f"{content.path}: reading it takes more memory than {content.most / 1e6:.4g} MB of numbers should",
             hint="the file is damaged, or allow more bytes",
             change=("max_bytes",),
         ) from error
@@ -261,26 +253,25 @@ def serve() -> None:
         # The output of a library must not get into an answer.
         os.dup2(2, 1)
         while line := source.readline():
-            path, suffix, decimal, most, with_meta, size = json.loads(line)
-            data = source.read(size)
-            if len(data) < size:
+            path, size, *options = json.loads(line)
+            content = Content(Path(path), source.read(size), *options)
+            if len(content.data) < size:
                 return
-            content = Content(Path(path), data, suffix, decimal)
             if not hasattr(os, "fork"):
-                _answer(content, most, with_meta, answers)
-            elif status := _answer_in_child(content, most, with_meta, answers):
+                _answer(content, answers)
+            elif status := _answer_in_child(content, answers):
                 os._exit(status)
 
 
-def _answer_in_child(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> int:
+def _answer_in_child(content: Content, answers: BinaryIO) -> int:
     """Answer in a forked child; return 0, or the status with which it ended."""
     with suppress(DehystError):
         library(*package(content))  # once, not in each child
     child = os.fork()
     if not child:
         try:
-            _limit(content, most)
-            _answer(content, most, with_meta, answers)
+            _limit(content)
+            _answer(content, answers)
             os._exit(0)
         finally:
             os._exit(1)
@@ -288,12 +279,12 @@ def _answer_in_child(content: Content, most: int, with_meta: bool, answers: Bina
     return _SIGNAL + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
 
 
-def _limit(content: Content, most: int) -> None:
+def _limit(content: Content) -> None:
     """Bound the memory and the CPU time of this process."""
     import resource
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for kind, allowed in ((resource.RLIMIT_CPU, _seconds(content)), (resource.RLIMIT_AS, _memory(most))):
+    for kind, allowed in ((resource.RLIMIT_CPU, _seconds(content)), (resource.RLIMIT_AS, _memory(content.most))):
         _, hard = resource.getrlimit(kind)
         resource.setrlimit(kind, (allowed if hard == resource.RLIM_INFINITY else min(allowed, hard), hard))
 
@@ -307,9 +298,9 @@ def _memory(most: int) -> int:
     return present + 2 * most + _BESIDE
 
 
-def _answer(content: Content, most: int, with_meta: bool, answers: BinaryIO) -> None:
+def _answer(content: Content, answers: BinaryIO) -> None:
     try:
-        columns, stored = _load_here(content, most, with_meta)
+        columns, stored = _load_here(content)
     except DehystError as error:
         answers.write(json.dumps({"error": type(error).__name__, "fields": vars(error)}).encode() + b"\n")
     else:

@@ -19,7 +19,7 @@ from dehyst._units import symbol_of
 from dehyst.records.formats.timestamps import is_moment
 
 SIGNS = (".", ",")
-# A number with groups or with a decimal comma, beside those that Python reads.
+# A number with groups or with a decimal comma, which Python does not read.
 WRITTEN = re.compile(r"[-+]?(?:\d+(?:[.,]\d{3})+(?:[.,]\d*)?|\d+,\d*|,\d+)(?:[eE][-+]?\d+)?")
 _OTHER = {".": ",", ",": "."}
 _NAMES = {".": "point", ",": "comma"}
@@ -213,8 +213,8 @@ class _Line(NamedTuple):
 def layout_of(data: bytes, start: int, encoding: str) -> Layout | None:
     """Find the table of a text file, whose text begins at the byte `start`; None if the first line is its header.
 
-    The table is what the later lines of the file's head look like: so many cells, numbers in the same columns. It
-    begins with the first such line.
+    The table is what the later lines of the file's head look like: the same number of cells, numbers in the same
+    columns. It begins with the first such line.
     """
     lines, comments = _head(data, start, encoding)
     if len(lines) < 2:

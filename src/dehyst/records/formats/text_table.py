@@ -48,7 +48,7 @@ _KINDS = {
 }
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
 _NUMBER = r"[-+]?(?:\d{1,3}(?:[.,]\d{3})+(?:[.,]\d*)?|\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
-# A number with three decimals, or with a group of digits; and what a comma between cells makes of one: 10 and 000.
+# A number with three decimals, or with a group of digits; and one that a comma between cells cuts into 10 and 000.
 _DOUBTFUL = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
 _CUT = re.compile(r"\d,0\d")
 _VALUE = re.compile(rf"\s*({_NUMBER})\s*([^\W\d]+(?:/[^\W\d]+)?)?\s*")
