@@ -141,7 +141,7 @@ def export(
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
     Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
-    Those of a stage, `stage.c` and `stage.h`, have the coupling matrix and the numbers and calls of each axis. Beside
+    Those of a stage, stage.c and stage.h, have the coupling matrix and the numbers and calls of each axis. Beside
     them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
 
     Parameters
