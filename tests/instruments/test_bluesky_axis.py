@@ -29,7 +29,7 @@ from plain_records import STROKE, VOLTS, plant
 
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
 from dehyst.control import VoltageLimits, shortest_homing
-from dehyst.control.planning.played_homing import homing_steps
+from dehyst.control.planning.homing import homing_steps
 from dehyst.instruments import DeviceError, RigError
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.channel_access import ChannelAccess

@@ -8,7 +8,7 @@ from dehyst._io import write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.baselines.comparison import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
-from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
+from dehyst.report.html import Row, bullets, document, escape, folded, length, number, reproduction, table
 
 _NONE = "–"
 # Bars of one model are no comparison; largest ratio of the longest to the median.
@@ -169,8 +169,7 @@ def _each(found: ModelComparison) -> str:
         "Samples counted",
         "Left out",
     )
-    body = table(head, rows, texts=3)
-    return f"<details>\n<summary>Every model on every record</summary>\n<div>{body}</div>\n</details>"
+    return folded("Every model on every record", {"": table(head, rows, texts=3)})
 
 
 def _failures(found: ModelComparison) -> str:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification import Trace
+from dehyst.stages.coupling import AxisTraces, PlayColumns, block_means, motion_of
 from dehyst.stages.fit import CrossTalk
-from dehyst.stages.regressors import AxisTraces, PlayColumns, block_means, motion_of
 
 # Parts of the records that are held out in turn, each of some spans.
 _FOLDS, _SPANS = 6, 24

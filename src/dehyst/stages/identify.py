@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,9 @@ from dehyst._version import __version__
 from dehyst.identification import Fit, identify
 from dehyst.records import Record
 from dehyst.stages.coupling import (
+    AxisTraces,
     Coupling,
+    PlayColumns,
     coupling_by_models,
     coupling_by_plays,
     refuse_inseparable,
@@ -25,7 +27,6 @@ from dehyst.stages.coupling import (
 )
 from dehyst.stages.cross_talk import cross_talk
 from dehyst.stages.fit import AxisError, CrossTalk, StageFit
-from dehyst.stages.regressors import AxisTraces, PlayColumns
 from dehyst.stages.stage import Stage, apply, inverse
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
@@ -77,9 +78,11 @@ def identify_stage(
         refuse_unmoved(columns, names)
         coupling = coupling_by_plays(columns)
     found = _in_turn(training, held_out, coupling, strokes, options, report)
+    final, uncertainty, share = found.coupling.matrix, found.coupling.uncertainty, found.coupling.share
     if not found.traces:
-        return _failed(found, own, names, remarks)
-    final = found.coupling.matrix
+        nothing = np.zeros_like(final)
+        talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
+        return StageFit(None, found.fits, final, uncertainty, share, talk, (), own, found.passes, tuple(remarks), names)
     report("what is left of the coupling")
     talk = cross_talk(columns, found.traces, final, strokes)
     beside = [AxisTraces.of(one, found.fits, k, found.used) for k, one in enumerate([*training, *held_out])]
@@ -93,13 +96,12 @@ def identify_stage(
             "dehyst": __version__,
             "records": [{"name": one.name, **one.meta} for one in training],
             "passes": found.passes,
-            "coupling_uncertainty": found.coupling.uncertainty.tolist(),
+            "coupling_uncertainty": uncertainty.tolist(),
         },
         is_matrix=not bool(talk.beyond.any()),
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
     remarks += _talk_remarks(talk, names)
-    uncertainty, share = found.coupling.uncertainty, found.coupling.share
     return StageFit(
         stage, found.fits, final, uncertainty, share, talk, errors, own, found.passes, tuple(remarks), names
     )
@@ -126,7 +128,7 @@ def _in_turn(
     """Identify the axes and refine the coupling in turn, until it settles."""
     for passes in range(1, _MOST_PASSES + 1):
         used = coupling.matrix
-        fits = _axis_fits(training, held_out, used, options, _counted(report, passes))
+        fits = _axis_fits(training, held_out, used, options, lambda words, turn=passes: report(f"pass {turn}, {words}"))  # type: ignore[misc]
         if any(fit.actuator is None for fit in fits):
             return _InTurn(fits, coupling, used, [], passes)
         traces = [AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
@@ -144,7 +146,7 @@ def _axis_fits(
     held_out: Sequence[Record],
     coupling: Array,
     options: dict[str, Any],
-    report: Callable[[str, str], None],
+    report: Progress,
 ) -> tuple[Fit, ...]:
     """Identify each axis on its decoupled displacement."""
     table, fits = inverse(coupling), []
@@ -155,7 +157,7 @@ def _axis_fits(
                 identify(
                     alone[0],
                     validate=alone[1],
-                    progress=lambda words, axis=axis: report(axis, words),  # type: ignore[misc]
+                    progress=lambda words, axis=axis: report(f"axis {axis}: {words}"),  # type: ignore[misc]
                     **{"throw": False, **options},
                 )
             )
@@ -212,16 +214,6 @@ def _talk_remarks(talk: CrossTalk, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _failed(found: _InTurn, own: Array, names: tuple[str, ...], remarks: list[str]) -> StageFit:
-    coupling = found.coupling
-    nothing = np.zeros_like(coupling.matrix)
-    talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
-    uncertainty, share = coupling.uncertainty, coupling.share
-    return StageFit(
-        None, found.fits, coupling.matrix, uncertainty, share, talk, (), own, found.passes, tuple(remarks), names
-    )
-
-
 def _listed(records: Record | Sequence[Record]) -> list[Record]:
     single = isinstance(records, Record) or not isinstance(records, Sequence)
     found: list[Any] = [records] if single else list(records)  # type: ignore[arg-type]
@@ -245,7 +237,3 @@ def _refuse_other_axes(records: Sequence[Record]) -> None:
                 f"record '{other.name}': has the axes {', '.join(other.axes)}, but '{first.name}' has "
                 f"{', '.join(first.axes)}; give records of the same axes in the same order"
             )
-
-
-def _counted(report: Progress, passes: int) -> Callable[[str, str], None]:
-    return lambda axis, words: report(f"pass {passes}, axis {axis}: {words}")
