@@ -152,7 +152,7 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     np.testing.assert_allclose(late[1:], prompt[:-1], atol=1e-18)  # one sample takes 0.25 s
     (folder / "timeless.csv").write_text("voltage_V\n0\n150\n")
     status, _, err = run("simulate", "late.json", "timeless.csv", "-o", "c.csv", "--lag", cwd=folder)
-    assert (status, "--lag needs the time of each sample" in err) == (2, True)
+    assert (status, "--lag: need the time of each sample" in err) == (2, True)
 
 
 @pytest.mark.parametrize(("model", "top"), [("paper.json", "199.9 V"), ("model.json", "200 V")])

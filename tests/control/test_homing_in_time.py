@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
 from dehyst.control import StateBounds, shortest_homing
 from dehyst.control.planning.bounds import MajorLoop
-from dehyst.control.planning.homing import TimedHoming
+from dehyst.control.planning.timed_homing import TimedHoming
 from dehyst.identification import Structure
 from dehyst.trust.prediction_band import state_at_top
 from dehyst.waveforms import Sampling

@@ -29,7 +29,7 @@ from plain_records import STROKE, VOLTS, plant
 
 from dehyst import Compensator, Creep, MissingExtraError, ModelError
 from dehyst.control import VoltageLimits, shortest_homing
-from dehyst.control.planning.played_homing import homing_steps
+from dehyst.control.planning.homing import homing_steps
 from dehyst.instruments import DeviceError, RigError
 from dehyst.instruments.bluesky_axis import CompensatedAxis, homing
 from dehyst.instruments.channel_access import ChannelAccess
@@ -285,7 +285,7 @@ def test_limits_narrower_than_told(actuator, engine, tmp_path):
     with IocProcess(model=str(tmp_path / "model.json")) as doomed:
         axis = made(doomed, actuator)
         engine(homing(axis))
-        doomed.do("instrument._amplifier.limits = VoltageLimits(0, 80)")
+        doomed.do("instrument.axis._amplifier.limits = VoltageLimits(0, 80)")
         with pytest.raises(FailedStatus) as caught:
             engine(bps.mv(axis, 15.0))
         assert isinstance(caught.value.__cause__, DeviceError)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,16 @@ def json_values(owner: object, keys: str) -> dict[str, Any]:
     owner : object
     keys : str
         Names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
-        "key=outer.inner" from one of an attribute.
+        "key=outer.inner" from one of an attribute, None if that is None.
     """
     pairs = (entry.partition("=") for entry in keys.split())
-    return {key: json_value(attrgetter(name or key)(owner)) for key, _, name in pairs}
+    return {key: json_value(_attribute(owner, name or key)) for key, _, name in pairs}
+
+
+def _attribute(owner: Any, name: str) -> Any:
+    for part in name.split("."):
+        owner = None if owner is None else getattr(owner, part)
+    return owner
 
 
 def json_value(value: Any) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._io import PathLike, finite, write_json
 from dehyst._version import __version__
+from dehyst._views.fields import json_values
 from dehyst.calibration.comparison_loop import Agreement
 from dehyst.calibration.plan import Plan, steps
 from dehyst.calibration.protocol import CreepCheck, creep_of
@@ -109,18 +110,11 @@ class Calibration:
         return {
             "program": __version__,
             **self.instrument,
-            "good": self.good,
-            "goal_percent": self.goal,
-            "stroke_m": self.nominal.stroke.tolist() if self.nominal.axes else self.nominal.stroke,
+            **json_values(self, "good goal_percent=goal stroke_m=nominal.stroke"),
             "creep_percent": None if self.creep is None else 100 * self.creep.share,
-            "nominal": self.nominal.as_dict(),
-            "compensated": self.compensated.as_dict(),
             "records": [record.name for record in (*self.training, *self.held_out)],
-            "kept": list(self.kept),
-            "played": list(self.played),
-            "comparison": None if self.agreement is None else self.agreement.as_dict(),
             "warnings": list(self.warnings()),
-            "fit": self.fit.as_dict(),
+            **json_values(self, "nominal compensated kept played comparison=agreement fit"),
         }
 
 

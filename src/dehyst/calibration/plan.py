@@ -70,7 +70,9 @@ class Plan:
         """Return the excitations of this plan on a `rig` of several axes; raise RecordError if it has none."""
         if self.hold is not None or self.protocol:
             raise RecordError(
-                "plan: hold and protocol are of one axis; leave them out, or calibrate one axis at a time"
+                "hold and protocol are of one axis",
+                argument="plan",
+                hint="leave them out, or calibrate one axis at a time",
             )
         each = tuple(self.excitations(one) for one in rig.rigs)
         return AxesExcitations(rig.axes, each, self.steps, self.cycles)

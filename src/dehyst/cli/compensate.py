@@ -111,7 +111,9 @@ def compensate(
     from dehyst._errors import ModelError
 
     if (trajectory is None) == (scan is None):
-        raise ModelError(f"compensate: got {'neither' if scan is None else 'both'} of TRAJECTORY and --scan, need one")
+        raise ModelError(
+            argument="compensate", got=f"{'neither' if scan is None else 'both'} of TRAJECTORY and --scan", need="one"
+        )
     _refuse_unused(is_stage(model), scan, options)
     table = options.pop("cycle")
     before = options["start"].path if isinstance(options["start"], StartFile) else None
@@ -191,9 +193,11 @@ def _refuse_unused(stage: bool, scan: str | None, options: dict[str, Any]) -> No
         beside = f"with {_path_words(scan)}{'' if scan is None or options['cycle'] else ' without --cycle'}"
         refuse_unused(beside, *_BOTH, *of_path, *more, "present", "zero")
     if options["start"] is not None and options["home"]:
-        raise ModelError("--start: got it with --home, which determines the state; leave one out")
+        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     if options["present"] is not None and options["start"] is None and options["home"] is False:
-        raise ModelError("--present: got it with --no-home, without a homing; leave one out, or give --start")
+        raise ModelError(
+            argument="present", got="it with --no-home, without a homing", hint="leave one out, or give --start"
+        )
 
 
 def _path_words(scan: str | None) -> str:
@@ -231,7 +235,7 @@ def _of_axes(known: AxesModel, scan: Scan, cycles: int, places: Any) -> WantedPa
     from dehyst._errors import ModelError
 
     if len(known.axes) < 2:
-        raise ModelError("--scan: needs a stage of two axes at least")
+        raise ModelError(argument="scan", got=f"{len(known.axes)} axis", need="a stage of two axes at least")
     middle = known.moved(np.array([[0.5 * sum(one.reach) for one in known.actuators]]))
     parts = [_of_scan(scan, axis, cycles) for axis in "xy"]
     wanted = np.tile(middle, (len(parts[0][0]), 1))

@@ -211,7 +211,7 @@ def homing(highest: float | None, model: Path | None, hold: float | None, **opti
     from dehyst.waveforms import standard
 
     if (highest is None) == (model is None):
-        raise ModelError("homing: need either a highest voltage or --model, not both")
+        raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
     if model is None:
         refuse_given("without --model", "hold", "pace")
         _write(lambda drive: standard.homing(highest, drive=drive), options)

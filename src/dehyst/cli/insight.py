@@ -139,7 +139,9 @@ def _path(
 
     path, time = path_of(trajectory, wanted, options)
     if actuator.needs_time and not time:
-        raise ModelError(f"{trajectory}: got no time column, need one: this model depends on time; add time_s")
+        raise ModelError(
+            argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
+        )
     request = Request(actuator, options["limits"], Slew(None, "none"), None, None, None, False)
     path = path + zero_of_path(request, zero)
     for warning in outside_reach(actuator, path, options["limits"], zero):

@@ -147,7 +147,9 @@ class AxesModel:
         if self.stage is None or axes:
             return axes
         if not self.stage.recorded_columns:
-            raise FileFormatError("axes: the stage does not name its columns; give them, as 'vx_V:x_um vy_V:y_um'")
+            raise FileFormatError(
+                "the stage does not name its columns", argument="axes", hint="give them, as 'vx_V:x_um vy_V:y_um'"
+            )
         return " ".join(self.stage.recorded_columns)
 
     def values_in(self, table: Table, quantity: str, axes: str | None, options: dict[str, Any]) -> Any:

@@ -129,7 +129,7 @@ def serve(
     if axes == 1:
         refuse_given("with one axis", "coupling", "hysteretic")
     elif epics is not None:
-        raise RigError("--epics: serves one axis; leave out --epics or --axes")
+        raise RigError("serves one axis", argument="epics", hint="leave out --epics or --axes")
     instrument, ranges = _instrument(_names(actuator, axes), rehearsed, coupling, hysteretic, **options)
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: echo(f"fault: {words}"))
     controller = Controller(instrument, reported_limits=ranges)
@@ -216,7 +216,7 @@ def _serve_epics(instrument: VirtualBench, prefix: str, lock: threading.Lock) ->
     from dehyst._errors import RigError
 
     if find_spec("dehyst.virtual.emulator.epics_ioc") is None:
-        raise RigError("--epics: this version of dehyst does not serve EPICS; leave it out")
+        raise RigError("this version of dehyst does not serve EPICS", argument="epics", hint="leave it out")
     import_module("dehyst.virtual.emulator.epics_ioc").serve_ioc(instrument, prefix, lock)
     echo(f"serving epics://{prefix}")
 

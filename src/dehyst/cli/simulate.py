@@ -76,7 +76,7 @@ def simulate(
     beside = "with a stage" if is_stage(model) else "with the model of one axis"
     refuse_unused(beside, "output", "force", "lag", "start", "home", *taken)
     if home and start is not None:
-        raise ModelError("--start: got it with --home, which determines the state; leave one out")
+        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     refuse_overwriting([model, voltage_file, *([start.path] if isinstance(start, StartFile) else [])], output)
     known = AxesModel.read(model)
     table = table_of(voltage_file, columns, several=isinstance(start, StartFile))

@@ -277,7 +277,9 @@ def lagging(displacement: Any, actuator: Actuator, time: dict[str, Any]) -> Any:
     from dehyst._errors import FileFormatError
 
     if "time_s" not in time:
-        raise FileFormatError("--lag needs the time of each sample: a time column, or --sample-rate")
+        raise FileFormatError(
+            argument="lag", need="the time of each sample", hint="give a time column", change=("sample_rate",)
+        )
     return np.interp(time["time_s"] - actuator.delay, time["time_s"], displacement)
 
 

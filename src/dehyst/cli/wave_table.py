@@ -90,7 +90,7 @@ def _table(request: Request, start: PossibleStart, scan: Scan, axis: str, option
 
     tolerance, progress = options["tolerance"], progress_line()
     if tolerance is not None and not tolerance > 0:
-        raise RecordError(f"--tolerance: got {tolerance:g}, need a length above 0 in um")
+        raise RecordError(argument="tolerance", got=f"{tolerance:g}", need="a length above 0 in um")
     progress("homing, and the steady cycle")
     try:
         return wave_table(
@@ -161,16 +161,20 @@ def refuse_cycles(scan: Scan, cycles: int) -> None:
     from dehyst.control.planning.path import MOST_ROWS
 
     if cycles < 0:
-        raise RecordError(f"--cycles: got {cycles}, need a whole number, 0 or more")
+        raise RecordError(argument="--cycles", got=cycles, need="a whole number, 0 or more")
     if scan.samples > MOST_ROWS:
         raise RecordError(
-            f"--scan: got {scan.samples} rows a period at {scan.rate:g} Hz, need at most {MOST_ROWS:g}; try a lower "
-            "--sample-rate, or a scan of fewer lines"
+            argument="scan",
+            got=f"{scan.samples} rows a period at {scan.rate:g} Hz",
+            need=f"at most {MOST_ROWS:g}",
+            hint="try a lower --sample-rate, or a scan of fewer lines",
         )
     if cycles * scan.samples > MOST_ROWS:
         raise RecordError(
-            f"--cycles: got {cycles}, {cycles * scan.samples:.4g} rows, need at most {MOST_ROWS // scan.samples} "
-            f"({MOST_ROWS:g} rows); repeat one cycle instead"
+            argument="--cycles",
+            got=f"{cycles}, {cycles * scan.samples:.4g} rows",
+            need=f"at most {MOST_ROWS // scan.samples} ({MOST_ROWS:g} rows)",
+            hint="repeat one cycle instead",
         )
 
 
@@ -188,8 +192,10 @@ def _note_duration(table: WaveTable, cycles: int) -> None:
     durations = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
     if rows > MOST_ROWS:
         raise RecordError(
-            f"--output: got {durations}, {rows} rows at {rate:g} Hz, need at most {MOST_ROWS:g} rows; try a lower "
-            "--sample-rate, fewer --cycles or --start-up, or --start where the actuator stands"
+            argument="--output",
+            got=f"{durations}, {rows} rows at {rate:g} Hz",
+            need=f"at most {MOST_ROWS:g} rows",
+            hint="try a lower --sample-rate, fewer --cycles or --start-up, or --start where the actuator stands",
         )
     note(f"{durations}: {rows} rows")
     homing = table.homing

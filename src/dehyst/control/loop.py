@@ -52,14 +52,19 @@ def step_numbers(
     most = float(np.finfo(np.float64).max)
     change = most if slew is None else min(slew * seconds, most)
     if change <= 0:
-        raise ModelError(f"slew_rate: {slew:g} V/s allow no change in {seconds:g} s; give more, or a longer period")
+        raise ModelError(
+            f"{slew:g} V/s allow no change in {seconds:g} s", argument="slew_rate", hint="give more, or a longer period"
+        )
     return pace, (limits.low, limits.high, change, *model.amplifier(seconds))
 
 
-def make_loop(actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState) -> Loop:
-    """Return a loop that starts in a state and warns of clamped samples; raise `ModelError` as `step_numbers`."""
+def make_loop(
+    actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState, warns: bool = True
+) -> Loop:
+    """Return a loop that starts in a state and may warn of clamped samples; raise `ModelError` as `step_numbers`."""
     pace, numbers = step_numbers(actuator, limits, period)
-    return actuator.model.core.loop(pace, taps, np.array(numbers), partial(warn_of_sample, actuator, limits), start)
+    warn = partial(warn_of_sample, actuator, limits) if warns else lambda *_: None
+    return actuator.model.core.loop(pace, taps, np.array(numbers), warn, start)
 
 
 def resume(loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str, snapshot: Snapshot) -> None:
@@ -68,14 +73,27 @@ def resume(loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str, snap
     Raise `ModelError` if the snapshot is of another actuator, period or preview, or damaged.
     """
     if not isinstance(snapshot, Snapshot):
-        raise ModelError(f"snapshot: got {type(snapshot).__name__}, need a Snapshot; Snapshot.load reads a file")
+        raise ModelError(
+            argument="snapshot",
+            got=type(snapshot).__name__,
+            need="a Snapshot",
+            hint="Snapshot.load reads a file",
+        )
     if snapshot.key != key:
-        raise ModelError("snapshot: it is of another actuator, period or preview; make the compensator as it was")
+        raise ModelError(
+            "it is of another actuator, period or preview",
+            argument="snapshot",
+            hint="make the compensator as it was",
+        )
     state = actuator.model.core_state(actuator.model.complete_state(snapshot.state))
     if snapshot.rest.size != loop.rest().size:
-        raise ModelError(f"snapshot: got {snapshot.rest.size} numbers beside the state, need {loop.rest().size}")
+        raise ModelError(
+            argument="snapshot", got=f"{snapshot.rest.size} numbers beside the state", need=str(loop.rest().size)
+        )
     if not limits.low <= snapshot.rest[0] <= limits.high:
-        raise ModelError(f"snapshot: its voltage, {snapshot.rest[0]:g} V, lies outside the limits {limits.words}")
+        raise ModelError(
+            f"its voltage, {snapshot.rest[0]:g} V, lies outside the limits {limits.words}", argument="snapshot"
+        )
     before = loop.state(), loop.rest(), loop.counts()
     checked(loop.begin, *state)
     try:
@@ -126,12 +144,12 @@ class Snapshot:
 
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
-            raise ModelError(f"snapshot: got a state of type {type(self.state).__name__}, need a State")
+            raise ModelError(argument="snapshot", got=f"a state of type {type(self.state).__name__}", need="a State")
         keep(self, rest=vector(self.rest, "snapshot: rest"))
         counts = self.counts
         whole = isinstance(counts, Sequence) and [type(n) for n in counts] == [int] * 3
         if not whole or not all(0 <= n < _MOST for n in counts):
-            raise ModelError(f"snapshot: counts: got {counts!r}, need three whole numbers below {_MOST}")
+            raise ModelError(argument="snapshot: counts", got=repr(counts), need=f"three whole numbers below {_MOST}")
         keep(self, counts=tuple(counts))
 
     def save(self, path: PathLike) -> None:

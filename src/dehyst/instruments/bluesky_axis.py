@@ -11,7 +11,7 @@ from typing import Any
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
 from dehyst._validation import number
 from dehyst.control import Compensator, VoltageLimits, shortest_homing
-from dehyst.control.planning.played_homing import homing_steps
+from dehyst.control.planning.homing import homing_steps
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.model import Actuator

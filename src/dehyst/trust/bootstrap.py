@@ -176,8 +176,8 @@ def resample(
     """
     if not 0 < level < 1 or repeats < LEAST_REPEATS:
         raise IdentifyError(
-            f"got level {level} and {repeats} repeats, "
-            f"need a level between 0 and 1 and at least {LEAST_REPEATS} repeats"
+            got=f"level {level} and {repeats} repeats",
+            need=f"a level between 0 and 1 and at least {LEAST_REPEATS} repeats",
         )
     random = np.random.default_rng(seed)
     worlds = [_World(one, evidence.actuator) for one in evidence.comparisons]
@@ -194,7 +194,9 @@ def resample(
             if other is not None:
                 found.append(other)
     if len(found) < LEAST_REPEATS:
-        raise IdentifyError(f"only {len(found)} of {repeats} resampled records could be identified; record more cycles")
+        raise IdentifyError(
+            f"only {len(found)} of {repeats} resampled records could be identified", hint="record more cycles"
+        )
     return Intervals(evidence.actuator, tuple(found), level, spread, _few(worlds, level), own)
 
 

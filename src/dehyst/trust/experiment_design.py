@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._threads import one_thread
 from dehyst._validation import interval
+from dehyst._views.fields import json_values
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
@@ -50,14 +51,7 @@ class Suggestion:
 
     def as_dict(self) -> dict[str, object]:
         """JSON values."""
-        return {
-            "words": self.words,
-            "command": self.command,
-            "seconds": self.seconds,
-            "determined": self.determined,
-            "of": self.of,
-            "weakest_V_per_V": self.weakest,
-        }
+        return json_values(self, "words command seconds determined of weakest_V_per_V=weakest")
 
 
 def advise(

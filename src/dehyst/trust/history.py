@@ -14,6 +14,7 @@ from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._io import PathLike, demand_own_folder, format_of, make_own_folder, read_json, write_json
 from dehyst._text import counted
 from dehyst._types import Array, Mask
+from dehyst._views.fields import json_values
 from dehyst.trust.changes import SLOW
 from dehyst.trust.recheck import Recheck
 
@@ -187,7 +188,7 @@ class CheckHistory:
         if recheck.mismatch:
             raise IdentifyError(f"{recheck.mismatch}. It is not kept in the history")
         if moment is not None and moment.tzinfo is None:
-            raise FileFormatError(f"moment: got {moment} without a time zone; try datetime.now(UTC)")
+            raise FileFormatError(argument="moment", got=f"{moment} without a time zone", hint="try datetime.now(UTC)")
         demand_folder(folder)
         target = make_own_folder(folder, *OWN, option="--history")
         path = target / f"check-{recheck.model_id}-{recheck.record_id}.json"
@@ -225,23 +226,12 @@ class CheckHistory:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        keys = "name effect_percent=effects score=scores average limit=limits above below outside"
         return {
             "checks": len(self.checks),
             "others": self.others,
             "average_error_percent": self.average_error().tolist(),
-            "charts": [
-                {
-                    "name": chart.name,
-                    "effect_percent": chart.effects.tolist(),
-                    "score": chart.scores.tolist(),
-                    "average": chart.average.tolist(),
-                    "limit": chart.limits.tolist(),
-                    "above": chart.above.tolist(),
-                    "below": chart.below.tolist(),
-                    "outside": chart.outside,
-                }
-                for chart in self.charts()
-            ],
+            "charts": [json_values(chart, keys) for chart in self.charts()],
             "sentences": list(self.sentences()),
         }
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Mask
+from dehyst._views.fields import json_values
 from dehyst.control import StateBounds
 from dehyst.control.planning.bounds import known_by_displacement, moves_on
 from dehyst.identification.regression.regression import Regression
@@ -204,11 +205,7 @@ class StateKnowledge:
 
     def as_dict(self) -> dict[str, object]:
         """JSON values."""
-        return {
-            "record": self.record,
-            "known_by_displacement_s": self.by_displacement,
-            "known_by_voltage_s": self.by_voltage,
-        }
+        return json_values(self, "record known_by_displacement_s=by_displacement known_by_voltage_s=by_voltage")
 
 
 def _stiff(actuator: Actuator) -> Actuator:

@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._text import counted, escaped
 from dehyst._types import Array
 from dehyst._views import html, tables
+from dehyst._views.fields import json_value, json_values
 from dehyst._views.pictures import plotted
 from dehyst.control import Homing, PossibleStart, StartError
 from dehyst.identification.diagnostics.identifiability import Identifiability
@@ -276,67 +277,31 @@ class Insight:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
-        directions, noise, free, both = self.identifiability, self.intervals, self.feasible_set, self.stiffness
+        band = None if self.band is None else {f"{name}_m": error for name, error in self.band.errors().items()}
+        stiffness = "model=actuator.slip.stiffness noise=intervals.stiffness open=feasible_set.stiffness both=stiffness"
+        homing = "turns_V=turns travel_V=travel certified seconds=played.duration error_m=error width_m=width remarks"
+        directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values open")
+        sentences = [] if self.actuator.wide else list(self.identifiability.sentences())
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
-            "not_judged": self.not_judged,
-            "misfit_m": self.misfit,
-            "judgement": self.judgement.as_dict(),
-            "directions": {
-                "determined": directions.determined,
-                "of": directions.of,
-                "singular_values_V_per_V": directions.values.tolist(),
-                "open": [change.tolist() for change in directions.open],
-                "sentences": [] if self.actuator.wide else list(directions.sentences()),
-            },
-            "identifiable_parts": {
-                "allowed_deviation_of_the_voltages": SHARP,
-                "parts": [part.as_dict() for part in self.parts],
-            },
-            "stiffness_V_per_m": {
-                "model": self.actuator.slip.stiffness.tolist(),
-                "noise": None if noise is None else noise.stiffness.tolist(),
-                "open": None if free is None else free.stiffness.tolist(),
-                "both": None if both is None else both.tolist(),
-            },
-            "spring_V": {
-                "knots_m": self.actuator.spring.displacement.tolist(),
-                "noise": None if noise is None else noise.spring.tolist(),
-                "open": None if free is None else free.spring.tolist(),
-            },
+            **json_values(self, "not_judged misfit_m=misfit judgement"),
+            "directions": {**directions, "sentences": sentences},
+            "identifiable_parts": {"allowed_deviation_of_the_voltages": SHARP, **json_values(self, "parts")},
+            "stiffness_V_per_m": json_values(self, stiffness),
+            "spring_V": json_values(
+                self, "knots_m=actuator.spring.displacement noise=intervals.spring open=feasible_set.spring"
+            ),
             "parts": {
-                name: {"model": model.tolist(), "noise": None if ends is None else ends.tolist()}
+                name: {"model": model.tolist(), "noise": json_value(ends)}
                 for name, (model, ends) in self.numbers().items()
             },
-            "major_loop_off_m": None if self.loop is None else self.loop.off,
-            "advice": [item.as_dict() for item in self.advice],
-            "level": None if noise is None else noise.level,
-            "known": None if self.precision is None else self.precision.as_dict(),
-            "state": [item.as_dict() for item in self.knowledge],
-            "homing": self._homing_dict(),
-            "start": None if self.start is None else self.start.name,
-            "trajectory": None
-            if self.band is None
-            else {f"{name}_m": error for name, error in self.band.errors().items()},
+            **json_values(self, "major_loop_off_m=loop.off advice level=intervals.level known=precision"),
+            **json_values(self, "state=knowledge start=start.name"),
+            "homing": None if self.homing is None else json_values(self.homing, homing),
+            "trajectory": band,
             "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
         }
-
-    def _homing_dict(self) -> dict[str, Any] | None:
-        homing = self.homing
-        return (
-            None
-            if homing is None
-            else {
-                "turns_V": list(homing.turns),
-                "travel_V": homing.travel,
-                "certified": homing.certified,
-                "seconds": None if homing.played is None else homing.played.duration,
-                "error_m": homing.error,
-                "width_m": homing.width,
-                "remarks": list(homing.remarks),
-            }
-        )
 
     def numbers(self) -> dict[str, tuple[Array, Array | None]]:
         """Return coefficients of parts that stand alone, by name with unit, and their lowest and highest by noise."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array, Mask
+from dehyst._views.fields import json_values
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.feasible_set import FeasibleSet
@@ -166,12 +167,7 @@ class PartPrecision:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {
-            "part": self.part,
-            "unit": self.unit,
-            "known": self.known,
-            "of": self.of_all,
-            "estimate": self.estimate.tolist(),
-            "interval": self.interval.tolist(),
+            **json_values(self, "part unit known of=of_all estimate interval"),
             "verdicts": [verdict.value for verdict in self.verdicts],
             "words": [self.words(i) for i in range(self.of_all)],
         }
@@ -244,16 +240,7 @@ class Precision:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "precision": self.precision,
-            "level": self.level,
-            "all": self.all_known,
-            "sentence": self.sentence,
-            "others": self.others,
-            "next": self.next,
-            "rule": self.rule,
-            "parts": [part.as_dict() for part in self.parts],
-        }
+        return json_values(self, "precision level all=all_known sentence others next rule parts")
 
 
 def _listed(items: Iterable[str]) -> str:

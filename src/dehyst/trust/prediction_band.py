@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.control import Command, shortest_homing
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.model import Actuator, State
@@ -154,10 +155,7 @@ class PredictionBand:
         return {
             "level": self.level,
             "half_width_m": float(0.5 * (self.likely[1] - self.likely[0]).mean()),
-            "model_error_m": self.class_error.half,
-            "held_out_m": self.class_error.held_out,
-            "growth": self.class_error.growth,
-            "parts_held_out": self.class_error.parts,
+            **json_values(self.class_error, "model_error_m=half held_out_m=held_out growth parts_held_out=parts"),
             "sentence": self.sentence(stroke),
         }
 

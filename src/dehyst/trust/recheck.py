@@ -252,7 +252,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     if not isinstance(record, Record):
-        raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
+        raise IdentifyError(got=type(record).__name__, need="a record", hint="read a file with dehyst.read(path)")
     with one_thread():
         prepared = prepare_for(actuator, record)
         prepared.span()

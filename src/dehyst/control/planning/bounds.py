@@ -146,7 +146,9 @@ def known_by_displacement(
     """
     if isinstance(actuator, Actuator):
         if actuator.dynamics is not None:
-            raise ModelError("the carts of an actuator with dynamics follow w, not the displacement; give w and rho")
+            raise ModelError(
+                "the carts of an actuator with dynamics follow w, not the displacement", hint="give w and rho"
+            )
         rho = actuator.slip.breakaway
     else:
         given = vector(actuator, "breakaway elongations")
@@ -174,7 +176,7 @@ class StateBounds:
                 raise ModelError(argument=name, got=type(getattr(self, name)).__name__, need="a State")
         if self.lower.carts.size != self.upper.carts.size:
             raise ModelError(
-                f"got {self.lower.carts.size} and {self.upper.carts.size} carts, need states of one actuator"
+                got=f"{self.lower.carts.size} and {self.upper.carts.size} carts", need="states of one actuator"
             )
         if self.lower.displacement > self.upper.displacement or np.any(self.lower.carts > self.upper.carts):
             raise ModelError("the lower state lies above the upper one: swap them, or start from StateBounds.at_rest")
@@ -296,8 +298,8 @@ def checked_actuator(actuator: Actuator) -> Actuator:
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
     if moves_on(actuator):
         raise ModelError(
-            f"bounds of the state follow the voltage alone, this actuator {moves_on(actuator)}; use "
-            "dehyst.shortest_homing, which plays a voltage in time and reports how much stays unknown"
+            f"bounds of the state follow the voltage alone, this actuator {moves_on(actuator)}",
+            hint="use dehyst.shortest_homing, which plays a voltage in time and reports how much stays unknown",
         )
     return actuator
 

@@ -1,47 +1,39 @@
-"""The shortest homing: the voltage of least travel that leads from any state at rest to a known one, certified.
+"""The shortest homing: the voltage of least travel that leads from any state at rest to a known one, and as played.
 
 If the order of voltages determines the state, it follows in closed form. For actuators with creep, inertia, lag or
-smooth elements a voltage through all of the limits is played in time, from the extreme states.
+smooth elements a voltage through all of the limits is played in time, from the extreme states (`timed_homing`). It is
+played before a path, at its sample rate or a lower one, or step by step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import pi
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dehyst._errors import ModelError
+from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, number
-from dehyst.control.planning.bounds import (
-    MajorLoop,
-    StateBounds,
-    bounds_of,
-    first_move_error,
-    keeps_order,
-    least_width,
-    moves_on,
-    timed_states,
-)
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.planning.bounds import MajorLoop, StateBounds, first_move_error, least_width, moves_on
+from dehyst.control.planning.timed_homing import TimedHoming, leg_seconds
 from dehyst.model import Actuator, GradedSlip, State
-from dehyst.waveforms import Excitation, Leg, Sampling
+from dehyst.waveforms import Excitation, Sampling
+from dehyst.waveforms import homing as homing_through
+from dehyst.waveforms.excitation import volts
 
-# Share of the range of the spring's knots: the error of a good model; creep takes long to leave less.
-_TOLERANCE = 1e-3
-# Duration of a leg: this share of the longest time constant, and at least this many periods of a resonance.
-_LEG, _PERIODS = 0.05, 50.0
-# A mass and a lag are at rest after this many of their time constants.
-_RESTS = 12.0
-# Most legs; two more are added if they reduce the spread to less than this share.
-_MOST_LEGS, _WORTH = 12, 0.7
-# Samples of a leg in rough simulations.
-_SAMPLES = 60
-# Longest hold that is tried, in longest time constants.
-_PATIENCE = 30.0
+# Least duration of a leg of a homing [s].
+FASTEST_LEG = 0.5
+# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
+_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
+# If these are still too many, most samples of a hold are left out: their times grow by this factor.
+_SPARSER = 1.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +145,17 @@ def shortest_homing(
     start = _inside(present, "present", allowed)
     stop = start if end is None else _inside(end, "end", allowed)
     if moves_on(actuator):
-        ends = start, stop
-        return _in_time(TimedHoming.shortest(actuator, allowed, ends, drive=drive, hold=hold, tolerance=tolerance))
+        timed = TimedHoming.shortest(actuator, allowed, (start, stop), drive=drive, hold=hold, tolerance=tolerance)
+        unknown = timed.bounds.widths > timed.tolerance
+        return Homing(
+            timed.turns,
+            timed.bounds,
+            tuple(map(int, np.flatnonzero(unknown))),
+            timed.spread <= timed.tolerance,
+            timed.remarks(),
+            timed.excitation,
+            timed.spread,
+        )
     task = _HomingTask(actuator, allowed, start, stop, least_width(actuator, tolerance))
     turns = task.turns(task.stiff if stiff_only or not task.suffices(task.whole) else task.whole)
     bounds = StateBounds.at_rest(actuator, start).propagate(actuator, turns).bounds
@@ -163,18 +164,6 @@ def shortest_homing(
     certified = not unknown_stiff.any() and first_move_error(bounds) <= task.tolerance
     remark = task.remark(turns, bounds, unknown, unknown_stiff, certified)
     return Homing(turns, bounds, tuple(map(int, np.flatnonzero(unknown))), certified, (remark,) if remark else ())
-
-
-def _in_time(timed: TimedHoming) -> Homing:
-    return Homing(
-        timed.turns,
-        timed.bounds,
-        tuple(map(int, np.flatnonzero(timed.bounds.widths > timed.tolerance))),
-        timed.spread <= timed.tolerance,
-        timed.remarks(),
-        timed.excitation,
-        timed.spread,
-    )
 
 
 def _stiff(actuator: Actuator) -> Mask:
@@ -313,245 +302,120 @@ def _unknown(bounds: StateBounds, unknown: Mask) -> str:
     return f"leaves {_named(unknown)} of {unknown.size} unknown, by up to {widest:.4g} um"
 
 
-@dataclass(frozen=True, eq=False)
-class TimedHoming:
-    """A homing played in time, and the uncertainty that it leaves.
+def present_voltage(limits: tuple[float, float], present: float | None) -> float:
+    """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` if it lies outside."""
+    allowed = VoltageLimits(*limits)
+    return (
+        allowed.nearest(0.0)
+        if present is None
+        else allowed.within(volts(present, "present"), "present", error=RecordError)
+    )
 
-    Attributes
+
+def played_homing(
+    compensator: Compensator,
+    rate: float,
+    leg: float,
+    *,
+    present: float | None = None,
+    drive: Sampling | None = None,
+    tolerance: float | None = None,
+) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
+    """Return the shortest homing as an excitation, None if the state is known already; the homing, and remarks.
+
+    Raise `RecordError` if the present voltage lies outside of the limits, or there are too many samples.
+
+    Parameters
     ----------
-    actuator : Actuator
-    sampling : Sampling
-    ends : (float, float)
-        Present and last voltage [V].
-    hold : float
-        Seconds at the last visit of either limit.
-    limits : (float, float)
-        Range of all earlier voltages too.
-    tolerance : float
-        [m].
-    legs : int
-        Visits of the limits, two at least.
-    states : tuple of State
-        Possible states at the present voltage, after any history within the limits.
+    compensator : Compensator
+        Its actuator, limits and slew rate.
+    rate : float
+        Sample rate [Hz].
+    leg : float
+        Duration of a leg [s]; with creep it is as long as the default of `shortest_homing`.
+    present : float, optional
+        [V]; by default 0 V or the nearest limit.
+    drive : Sampling, optional
+        Instead of `leg`: speed and shape.
+    tolerance : float, optional
+        As in `shortest_homing`.
     """
+    actuator, limits = compensator.actuator, interval(compensator.limits or ())
+    now = present_voltage(limits, present)
+    if drive is None:
+        drive = Sampling(frequency=0.5 / leg_seconds(actuator, leg), sample_rate=rate)
+    lower = _lower_rate(actuator, drive, rate)
+    drive = replace(drive, sample_rate=lower, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
 
-    actuator: Actuator
-    sampling: Sampling
-    ends: tuple[float, float]
-    hold: float
-    limits: tuple[float, float]
-    tolerance: float
-    legs: int
-    states: tuple[State, ...] = ()
+    def found(drive: Sampling) -> Homing:
+        return shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive, tolerance=tolerance)
 
-    @classmethod
-    def shortest(
-        cls,
-        actuator: Actuator,
-        limits: tuple[float, float],
-        ends: tuple[float, float],
-        *,
-        drive: Sampling | None,
-        hold: float | None,
-        tolerance: float | None,
-    ) -> TimedHoming:
-        """Find the shortest homing between the present and the last voltage, with as many legs as are worth it."""
-        least = _TOLERANCE * float(np.ptp(actuator.spring.displacement)) if tolerance is None else tolerance
-        given = None if hold is None else number(hold, "hold")
-        for value, name in ((number(least, "tolerance"), "tolerance"), (1.0 if given is None else given, "hold")):
-            if value < 0 or (name == "tolerance" and value == 0):
-                raise ModelError(argument=name, got=value, need="a positive number")
-        sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
-        sampling = replace(sampling, base=ends[1], present=ends[0], limits=limits)
-        wait = _rest_seconds(actuator) if given is None else given
-        homing = cls(actuator, sampling, ends, wait, limits, float(least), 2)
-        homing = replace(homing, states=timed_states(actuator, limits, ends[0], sampling.half))
-        if hold is None and homing._longest:
-            needed = homing.needed
-            homing = replace(homing, hold=homing._longest if needed is None else needed)
-        return homing._with_legs()
-
-    def _with_legs(self) -> TimedHoming:
-        """Return the homing with as many legs as are worth it."""
-        homing = self
-        for legs in range(4, _MOST_LEGS + 1, 2):
-            if homing._rough_spread <= homing.tolerance:
-                break
-            longer = replace(homing, legs=legs)
-            if longer._rough_spread > _WORTH * homing._rough_spread:
-                break
-            homing = longer
-        return homing
-
-    @cached_property
-    def turns(self) -> tuple[float, ...]:
-        """Voltages [V] to visit, the present one first."""
-        return _turns(self.limits, *self.ends, self.legs)
-
-    @cached_property
-    def excitation(self) -> Excitation:
-        """The voltage in time."""
-        legs = self._legs(self.turns, self.hold)
-        return self.sampling.play("homing", legs)
-
-    @cached_property
-    def bounds(self) -> StateBounds:
-        """Bounds of the state at the end, over all simulated histories."""
-        return self._outcome[0]
-
-    @cached_property
-    def spread(self) -> float:
-        """Largest difference [m] of the displacement between histories, at the end and along a further cycle."""
-        return self._outcome[1]
-
-    @cached_property
-    def _outcome(self) -> tuple[StateBounds, float]:
-        return self._after(self.excitation.voltage, self.excitation.time)
-
-    @cached_property
-    def _rough_spread(self) -> float:
-        """`spread` on few samples."""
-        return self._after(*self._few(self._legs(self.turns, self.hold)))[1]
-
-    @property
-    def proven(self) -> bool:
-        """Whether the two extreme states are proven to be the extremes."""
-        return keeps_order(self.actuator)
-
-    def remarks(self) -> tuple[str, ...]:
-        """Return remarks for the user, in sentences."""
-        remarks = []
-        range_ = float(np.ptp(self.actuator.spring.displacement))
-        if self.spread > self.tolerance:
-            remarks.append(
-                f"not certified to {_micro(self.tolerance)}: the history may leave {_micro(self.spread)} "
-                f"({100 * self.spread / range_:.2g} % of the range), as this actuator {moves_on(self.actuator)}; "
-                f"{self._remedy()}"
-            )
-        elif self._longest and self.hold > 0.1 * self._longest:
-            remarks.append(self._shorter())
-        if not self.proven:
-            remarks.append(
-                f"found by simulating {len(self.states)} extreme and random histories, not proven: the states of an "
-                f"actuator that {moves_on(self.actuator)} keep no order"
-            )
-        return tuple(remarks)
-
-    def _remedy(self) -> str:
-        wait = self.needed
-        if wait is not None:
-            return f"holds of {wait:.3g} s at both limits instead of {self.hold:.3g} s would suffice"
-        return "no hold suffices within these limits; wider limits may, or a larger tolerance"
-
-    def _shorter(self) -> str:
-        waits = [wait for wait in (0.0, 0.1 * self._longest, self._longest) if wait < 0.9 * self.hold]
-        left = [f"{_micro(replace(self, hold=wait)._with_legs()._rough_spread)} after {wait:.3g} s" for wait in waits]
-        return f"shorter holds would leave more: {', '.join(left)}"
-
-    @property
-    def _longest(self) -> float:
-        """The longest time constant of creep [s]; 0 without any."""
-        creep = self.actuator.creep
-        return 0.0 if creep is None else float(creep.time_constants.max(initial=0.0))
-
-    @cached_property
-    def needed(self) -> float | None:
-        """The hold [s] that keeps the tolerance; None if none does."""
-        if not self._longest:
-            return None
-        low, high = 0.0, _PATIENCE * self._longest
-
-        def misses(wait: float) -> bool:
-            return replace(self, hold=wait)._with_legs()._rough_spread > 0.95 * self.tolerance
-
-        if not misses(0.0):
-            return 0.0
-        if misses(high):
-            return None
-        if not misses(self.hold):
-            high = self.hold
-        while high - low > 0.03 * high:
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if misses(middle) else (low, middle)
-        return high
-
-    def _legs(self, turns: tuple[float, ...], hold: float) -> list[Leg]:
-        """Return legs through the turns, with a hold at the last visit of either limit."""
-        legs = self.sampling.legs(turns)
-        holds = [Leg(turns[k], turns[k], hold) for k in range(len(turns))]
-        last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold > 0}
-        path = [holds[0]] if last.get(turns[0]) == 0 else []
-        for k, leg in enumerate(legs, 1):
-            path += [leg, holds[k]] if last.get(turns[k]) == k else [leg]
-        return path
-
-    def _few(self, legs: list[Leg]) -> tuple[Array, Array]:
-        """Return few samples of legs: voltage and time."""
-        voltage, time = [np.array([legs[0].start])], [np.zeros(1)]
-        for leg in legs:
-            share = np.arange(1, _SAMPLES + 1) / _SAMPLES
-            if leg.start == leg.end:
-                # Creep is fastest at the beginning.
-                share = share**3
-            voltage.append(leg.start + (leg.end - leg.start) * share)
-            time.append(time[-1][-1] + leg.seconds * share)
-        return np.concatenate(voltage), np.concatenate(time)
-
-    def _after(self, voltage: Array, time: Array) -> tuple[StateBounds, float]:
-        """Return the bounds of the states at the end, and the spread of displacements there and along a cycle."""
-        cycle = self._few(self._legs(_turns(self.limits, self.ends[1], self.ends[1], 2), 0.0))
-        ends, paths = [], []
-        for state in self.states:
-            end = self._simulate(voltage, time, state)[1]
-            ends.append(end)
-            paths.append(np.append(self._simulate(*cycle, end)[0], end.displacement))
-        return bounds_of(ends), float(np.ptp(paths, axis=0).max())
-
-    def _simulate(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        when = time if self.actuator.needs_time else None
-        motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
-        return motion.displacement, motion.state
+    homing = found(drive)
+    if homing.played is None or homing.played.duration * rate <= _EVEN_SAMPLES:
+        drive = replace(drive, sample_rate=rate)
+        homing = found(drive)
+    remarks = () if homing.certified and homing.played is None else homing.remarks
+    if len(homing.turns) < 2:
+        return None, homing, remarks
+    played = homing.played or homing_through(turns=homing.turns, drive=drive)
+    return played, homing, (*remarks, *_extrapolation_warning(actuator, played.voltage), *played.warnings)
 
 
-def _turns(limits: tuple[float, float], start: float, stop: float, legs: int) -> tuple[float, ...]:
-    """Return the voltages [V] of a way through both limits, with `legs` visits; the shorter way, else up first."""
-    low, high = limits
-    ways = []
-    for first, second in ((high, low), (low, high)):
-        visited = [start]
-        for turn in [first, second] * (legs // 2):
-            if turn != visited[-1]:
-                visited.append(turn)
-        if visited[-1] != stop:
-            visited.append(stop)
-        ways.append(tuple(visited))
-    travel = [sum(abs(b - a) for a, b in pairwise(way)) for way in ways]
-    return ways[0] if travel[0] <= travel[1] else ways[1]
+def _extrapolation_warning(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
+    """Warn of a homing (n,) [V] that leaves the voltages of the model's records: they may harm the actuator."""
+    if actuator.limits is None:
+        return ()
+    (low, high), least, most = actuator.limits, float(voltage.min()), float(voltage.max())
+    if low <= least and most <= high:
+        return ()
+    return (
+        f"the homing goes from {least:.6g} to {most:.6g} V, outside of the identified range {low:.6g} to {high:.6g} V: "
+        "extrapolated; check that the actuator allows these voltages, or choose narrower limits",
+    )
 
 
-def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
-    """Return the default duration [s] of a leg: a share of the longest creep time constant, `otherwise` without creep.
+def rows_of(voltage: Array) -> NDArray[np.int64]:
+    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or ever fewer of a long hold."""
+    rows = np.arange(voltage.size)
+    return rows if rows.size <= _EVEN_SAMPLES else rows[_thinned(voltage)]
 
-    It is long enough for an amplifier's lag and a resonance to follow.
-    """
-    creep = actuator.creep
-    seconds = otherwise if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
+
+def _thinned(voltage: Array) -> NDArray[np.bool_]:
+    """Return which samples (n,) to keep: those that move, and in a hold ever fewer."""
+    held = np.zeros(voltage.size, dtype=np.int64)
+    held[1:] = voltage[1:] == voltage[:-1]
+    moving = np.flatnonzero(held == 0)
+    since = np.arange(voltage.size) - np.repeat(moving, np.diff(moving, append=voltage.size))
+    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(voltage.size) / math.log(_SPARSER)) + 2)))
+    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
+    kept[:-1] |= since[1:] == 0
+    return kept
+
+
+def _lower_rate(actuator: Actuator, drive: Sampling, rate: float) -> float:
+    """Return the sample rate [Hz] of a long homing: `rate` over a whole number."""
+    needed = 2 * _LEG_SAMPLES * drive.frequency
     if actuator.dynamics is not None:
-        seconds = max(seconds, _PERIODS * 2 * pi / actuator.dynamics.frequency)
-    return max(seconds, _RESTS * actuator.lag)
+        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency / (2 * math.pi))
+    return rate / max(1, int(rate / needed))
 
 
-def _rest_seconds(actuator: Actuator) -> float:
-    """Return the time [s] after which a mass and a lag are at rest."""
-    seconds = [0.0, _RESTS * actuator.lag]
-    dynamics = actuator.dynamics
-    if dynamics is not None and dynamics.damping > 0:
-        # Beyond critical damping the slower of two rates counts.
-        zeta = dynamics.damping
-        rate = dynamics.frequency * (zeta if zeta <= 1 else zeta - np.sqrt(zeta**2 - 1))
-        seconds.append(_RESTS / float(rate))
-    return max(seconds)
+def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterator[tuple[float, float]]:
+    """Yield the voltages [V] of a homing without the present one, each with its duration [s], `period` at least."""
+    largest = limits.largest_step(period)
+    for (start, _), (end, seconds) in pairwise(_corners(homing, period)):
+        count = max(1, math.ceil(abs(end - start) / largest * (1 - 1e-12)))
+        for voltage in np.linspace(start, end, count + 1)[1:]:
+            yield limits.nearest(float(voltage)), max(seconds / count, period)
 
 
-def _micro(length: float) -> str:
-    return f"{length * 1e6:.3g} um"
+def _corners(homing: Homing, period: float) -> list[tuple[float, float]]:
+    """Return the voltages [V] that straight ramps join, the present one first, with their seconds; 0 if free."""
+    if homing.played is None:
+        return [(voltage, 0.0) for voltage in homing.turns]
+    voltage, rate = homing.played.voltage, homing.played.sample_rate
+    # No more often than a host can follow, but always at turns and at both ends of a hold.
+    bends = np.flatnonzero(np.diff(np.sign(np.diff(voltage)))) + 1
+    kept = np.unique([0, voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
+    seconds = np.diff(kept, prepend=0) / rate
+    return list(zip(voltage[kept].tolist(), seconds.tolist(), strict=True))

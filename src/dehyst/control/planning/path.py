@@ -16,9 +16,9 @@ from dehyst._validation import interval, number, untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import VoltageLimits, unit_hint
 from dehyst.control.planning.bounds import moves_on
-from dehyst.control.planning.homing import Homing, leg_seconds
-from dehyst.control.planning.played_homing import FASTEST_LEG, played_homing, present_voltage, rows_of
+from dehyst.control.planning.homing import FASTEST_LEG, Homing, played_homing, present_voltage, rows_of
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
+from dehyst.control.planning.timed_homing import leg_seconds
 from dehyst.model import Actuator, State
 from dehyst.model.states import state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
@@ -289,7 +289,7 @@ def plan_voltage(
 def _time(compensator: Compensator, time: ArrayLike | None, size: int) -> Array | None:
     """Return the time of a path [s], None if it has none; raise if it is empty or the time does not fit."""
     if not size:
-        raise RecordError("path: got no samples, need one at least")
+        raise RecordError(argument="path", got="no samples", need="one at least")
     if time is None:
         period = compensator.period
         return None if period is None else period * np.arange(size, dtype=np.float64)
@@ -368,8 +368,10 @@ class _Way:
         way, state = _ramp(actuator, drive, begin, goal)
         if rows.size + way.size + size > MOST_ROWS:
             raise RecordError(
-                f"homing: got {rows.size + way.size} samples before the path, {seconds:.4g} s at {rate:g} Hz, need at "
-                f"most {MOST_ROWS:g} with it; try a lower sample rate, or give the start"
+                argument="homing",
+                got=f"{rows.size + way.size} samples before the path, {seconds:.4g} s at {rate:g} Hz",
+                need=f"at most {MOST_ROWS:g} with it",
+                hint="try a lower sample rate, or give the start",
             )
         when = rows / (1.0 if excitation is None else excitation.sample_rate)
         return cls(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
-from dehyst.control.planning.played_homing import FASTEST_LEG, played_homing, rows_of
+from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.planning.steady_cycle import StartUp, settle, start_up_cycles, timed
 from dehyst.model import Actuator, State
 from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan, ScanPath
