@@ -231,7 +231,7 @@ def test_without_aioca(monkeypatch):
 def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
-    doomed.do("instrument._amplifier.limits = VoltageLimits(0, 80)")
+    doomed.do("instrument.axis._amplifier.limits = VoltageLimits(0, 80)")
     with pytest.raises(
         DeviceError, match=r"reports: VOLTAGE: got 82 V, which is outside the amplifier's range"
     ) as caught:
@@ -310,7 +310,7 @@ def test_broken_off_by_its_listener(rig, ioc, what):
 def test_an_unplugged_sensor(doomed):
     rig = EpicsRig.connect(doomed.prefix)
     with pytest.raises(SensorError, match="saturated"):
-        rig.play(slow(), Breaks(lambda: doomed.do("instrument.unplugged = True")))
+        rig.play(slow(), Breaks(lambda: doomed.do("instrument.axis.unplugged = True")))
     assert rig.read().voltage == 0.0
 
 

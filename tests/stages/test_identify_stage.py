@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.stages.coupling import coupling_by_plays
-from dehyst.stages.regressors import PlayColumns
+from dehyst.stages.coupling import PlayColumns, coupling_by_plays
 
 OFF = ~np.eye(2, dtype=bool)
 

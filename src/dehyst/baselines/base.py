@@ -43,7 +43,7 @@ class AbstractBaseline(AbstractModel):
         model's own. `time` (n,) [s], increasing; models without creep ignore it.
         """
         v = vector(voltage, "voltage")
-        y, after = self._simulate(v, self.state if state is None else state, time)
+        y, after = self._run(v, self.state if state is None else state, time, inverse=False)
         demand_result(y, "displacement")
         return Motion(v, y, after)
 
@@ -53,17 +53,13 @@ class AbstractBaseline(AbstractModel):
         Raise `ModelError` as `simulate`, and if no voltage reaches a displacement.
         """
         y = vector(displacement, "displacement")
-        v, after = self._compensate(y, self.state if state is None else state, time)
+        v, after = self._run(y, self.state if state is None else state, time, inverse=True)
         demand_result(v, "voltage")
         return Motion(v, y, after)
 
     @abstractmethod
-    def _simulate(self, v: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
-        """Return the displacement (n,) [m] that a voltage (n,) [V] causes, and the state after it."""
-
-    @abstractmethod
-    def _compensate(self, y: Array, state: Any, time: ArrayLike | None) -> tuple[Array, Any]:
-        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state after it."""
+    def _run(self, drive: Array, state: Any, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, Any]:
+        """Return displacements (n,) [m] for voltages (n,) [V], inverse: voltages for displacements; and the state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,11 +287,8 @@ class AbstractPlayModel(AbstractBaseline):
         """Number of coefficients."""
         return self.bank.parameters
 
-    def _simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        return self.bank.simulate(v, state, time)
-
-    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        return self.bank.compensate(y, state, time)
+    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
+        return (self.bank.compensate if inverse else self.bank.simulate)(drive, state, time)
 
     @classmethod
     def _from_bank(cls, bank: PlayBank, training: Training) -> Self:

@@ -105,20 +105,16 @@ class BoucWen(AbstractBaseline):
         """Number of coefficients: three of the equation, four of the map."""
         return 7
 
-    def _simulate(self, v: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
-        return self._run(v, state, _SIMULATE)
-
-    def _compensate(self, y: Array, state: BoucWenState, time: ArrayLike | None) -> tuple[Array, BoucWenState]:
-        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
-        return self._run(y, state, _COMPENSATE)
-
-    def _run(self, drive: Array, begin: BoucWenState, what: int) -> tuple[Array, BoucWenState]:
+    def _run(
+        self, drive: Array, state: BoucWenState, time: ArrayLike | None, *, inverse: bool
+    ) -> tuple[Array, BoucWenState]:
+        # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
-        if not isinstance(begin, BoucWenState) or not abs(begin.hidden) <= most:
-            raise ModelError(f"state: got {begin!r}, need a BoucWenState whose hidden part is at most {most:g} V")
+        if not isinstance(state, BoucWenState) or not abs(state.hidden) <= most:
+            raise ModelError(f"state: got {state!r}, need a BoucWenState whose hidden part is at most {most:g} V")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
-        out, v, h = _native.bouc_wen(numbers, begin.voltage, begin.hidden, drive, what)
+        out, v, h = _native.bouc_wen(numbers, state.voltage, state.hidden, drive, _COMPENSATE if inverse else _SIMULATE)
         return out, BoucWenState(v, h)
 
     @classmethod

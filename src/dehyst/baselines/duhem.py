@@ -103,20 +103,16 @@ class Duhem(AbstractBaseline):
         mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
         return np.array([low, high - low, self.rate, mean, mean]), rise, fall
 
-    def _simulate(self, v: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
-        return self._run(v, state, inverse=False)
-
-    def _compensate(self, y: Array, state: DuhemState, time: ArrayLike | None) -> tuple[Array, DuhemState]:
-        # Each sample solves one equation in v, which increases: by Newton's method within a bracket.
-        return self._run(y, state, inverse=True)
-
-    def _run(self, drive: Array, begin: DuhemState, *, inverse: bool) -> tuple[Array, DuhemState]:
-        if not isinstance(begin, DuhemState):
+    def _run(
+        self, drive: Array, state: DuhemState, time: ArrayLike | None, *, inverse: bool
+    ) -> tuple[Array, DuhemState]:
+        # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        if not isinstance(state, DuhemState):
             raise ModelError(
-                f"state: got {type(begin).__name__}, need a DuhemState that a motion of this model returned"
+                f"state: got {type(state).__name__}, need a DuhemState that a motion of this model returned"
             )
         numbers, rise, fall = self._tables
-        out, v, y = _native.coleman_hodgdon(numbers, rise, fall, begin.voltage, begin.displacement, drive, inverse)
+        out, v, y = _native.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
         return out, DuhemState(v, y)
 
     @classmethod

@@ -40,13 +40,10 @@ class GoldfarbCelanovic(AbstractBaseline):
     def __post_init__(self) -> None:
         keep(self, state=self.actuator.state)
 
-    def _simulate(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        motion = self.actuator.simulate(v, time=time, state=state, extrapolate=True)
-        return motion.displacement, motion.state
-
-    def _compensate(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        motion = self.actuator.compensate(y, time=time, state=state, extrapolate=True)
-        return motion.voltage, motion.state
+    def _run(self, drive: Array, state: State, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, State]:
+        play = self.actuator.compensate if inverse else self.actuator.simulate
+        motion = play(drive, time=time, state=state, extrapolate=True)
+        return motion.voltage if inverse else motion.displacement, motion.state
 
     @classmethod
     def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> GoldfarbCelanovic:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import final
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
@@ -19,7 +18,6 @@ from dehyst.baselines.base import AbstractBaseline
 from dehyst.baselines.training import Training, fit_with_delay
 from dehyst.model import State
 from dehyst.records import Record
-from dehyst.records.signals import rms
 
 
 @final
@@ -46,15 +44,10 @@ class Linear(AbstractBaseline):
         """Number of coefficients."""
         return 2
 
-    def _simulate(self, v: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        y = self.offset + self.slope * v
-        return y, self._after(y)
-
-    def _compensate(self, y: Array, state: State, time: ArrayLike | None) -> tuple[Array, State]:
-        return (y - self.offset) / self.slope, self._after(y)
-
-    def _after(self, y: Array) -> State:
-        return State(float(y[-1]) if y.size else self.offset, [])
+    def _run(self, drive: Array, state: State, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, State]:
+        y = drive if inverse else self.offset + self.slope * drive
+        after = State(float(y[-1]) if y.size else self.offset, [])
+        return (y - self.offset) / self.slope if inverse else y, after
 
     @classmethod
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
@@ -67,8 +60,7 @@ class Linear(AbstractBaseline):
             low, high = training.limits
             slope = training.stroke / (high - low)
             rest = training.displacement - slope * training.map_voltages(lambda v: v)
-            constants = np.linalg.lstsq(training.nuisances, rest, rcond=None)[0]
-            residual = rms(rest - training.nuisances @ constants)
-            return cls(slope, float(constants[training.reference]), training.delay), residual
+            constant, residual = training.fit_constant(rest)
+            return cls(slope, constant, training.delay), residual
 
         return fit_with_delay(records, delay, fit_model)

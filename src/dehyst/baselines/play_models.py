@@ -44,8 +44,8 @@ class PrandtlIshlinskii(AbstractPlayModel):
         """w_i (N,) [m/V]."""
         return self.inverse.weights
 
-    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        return self.inverse.compensate(y, state)
+    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
+        return self.inverse.compensate(drive, state) if inverse else self.bank.simulate(drive, state, time)
 
     @classmethod
     def fit(
@@ -136,12 +136,11 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         """Number of coefficients: weights, slopes and the offset; weights and slopes share one scale."""
         return self.weights.size + self.places.size - 1
 
-    def _simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        x, after = self.bank.simulate(v, state, time)
+    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
+        if inverse:
+            return self.inverse.compensate(on_curve(self.values, self.places, drive), state)
+        x, after = self.bank.simulate(drive, state, time)
         return on_curve(self.places, self.values, x), after
-
-    def _compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        return self.inverse.compensate(on_curve(self.values, self.places, y), state)
 
     @classmethod
     def fit(

@@ -230,24 +230,20 @@ class Preisach(AbstractBaseline):
         mean = float(self.everett[-1, 0]) / (high - low)
         return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
 
-    def _simulate(self, v: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
-        return self._run(v, state, inverse=False)
-
-    def _compensate(self, y: Array, state: PreisachState, time: ArrayLike | None) -> tuple[Array, PreisachState]:
-        return self._run(y, state, inverse=True)
-
-    def _run(self, drive: Array, start: PreisachState, *, inverse: bool) -> tuple[Array, PreisachState]:
-        if not isinstance(start, PreisachState) or not _nested(start, *self.limits):
+    def _run(
+        self, drive: Array, state: PreisachState, time: ArrayLike | None, *, inverse: bool
+    ) -> tuple[Array, PreisachState]:
+        if not isinstance(state, PreisachState) or not _nested(state, *self.limits):
             raise ModelError(
-                f"state: got {type(start).__name__}, need a PreisachState that a motion of this model returned"
+                f"state: got {type(state).__name__}, need a PreisachState that a motion of this model returned"
             )
         out, turns, v, y = _native.preisach(
             self._numbers,
             self.everett.ravel(),
             len(self.everett) - 1,
-            np.ascontiguousarray(start.turns).ravel(),
-            start.voltage,
-            start.displacement,
+            np.ascontiguousarray(state.turns).ravel(),
+            state.voltage,
+            state.displacement,
             drive,
             inverse,
         )
@@ -314,9 +310,8 @@ class Preisach(AbstractBaseline):
             table = everett_table(training, n, slope_floor * training.stroke / n)
             model = cls(training.limits, table, 0.0, training.delay)
             rest = training.displacement - training.map_voltages(lambda v: model.simulate(v).displacement)
-            constants = np.linalg.lstsq(training.nuisances, rest, rcond=None)[0]
-            residual = rms(rest - training.nuisances @ constants)
-            return replace(model, bottom=float(constants[training.reference])), residual
+            bottom, residual = training.fit_constant(rest)
+            return replace(model, bottom=bottom), residual
 
         return fit_with_delay(records, delay, fit_model)
 

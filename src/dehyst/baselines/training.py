@@ -16,7 +16,7 @@ from dehyst._types import Array
 from dehyst.baselines._native import play_outputs
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Epoch, collect
+from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
@@ -254,6 +254,11 @@ class Training:
         """The constants among the nuisances (n, epochs)."""
         return self.nuisances[:, : self.epochs]
 
+    def fit_constant(self, rest: Array) -> tuple[float, float]:
+        """Fit the nuisances to what a model leaves (n,) [m]; return the model's own constant and the RMS residual."""
+        constants = np.linalg.lstsq(self.nuisances, rest, rcond=None)[0]
+        return float(constants[self.reference]), rms(rest - self.nuisances @ constants)
+
     def map_voltages(self, run: Callable[[Array], Array]) -> Array:
         """Return `run` of each piece's voltage at the samples that count: (n,) or (n, columns)."""
         return self.map_records(lambda piece: run(piece.voltage))
@@ -336,7 +341,10 @@ def _assemble(items: list[Prepared], widest: int, lag: float, drifting: Sequence
     ]
     return Training(
         pieces=tuple(pieces),
-        kept=tuple(map(_samples, epochs)),
+        kept=tuple(
+            np.concatenate([np.zeros(0, np.intp), *(np.arange(epoch.start, epoch.stop) for epoch in own)])
+            for own in epochs
+        ),
         displacement=rows.displacement,
         reach=np.concatenate(reach),
         nuisances=nuisances,
@@ -347,10 +355,6 @@ def _assemble(items: list[Prepared], widest: int, lag: float, drifting: Sequence
         delay=lag,
         sentences=tuple(sentence for item in items for sentence in item.sentences),
     )
-
-
-def _samples(epochs: list[Epoch]) -> NDArray[np.intp]:
-    return np.concatenate([np.zeros(0, np.intp), *(np.arange(epoch.start, epoch.stop) for epoch in epochs)])
 
 
 def _checked_delay(delay: object, items: list[Prepared]) -> float:

@@ -59,6 +59,8 @@ class Compensator:
     preview : bool, optional
         Compensate the actuator's delay and inertia too. The displacement given to a step is then the one wanted
         `samples_ahead` samples later. By default it is the one wanted now, and delay and inertia are not compensated.
+    warns : bool, optional
+        Whether steps and offers warn `ClampWarning`; clamped samples are counted in any case.
 
     Attributes
     ----------
@@ -84,6 +86,7 @@ class Compensator:
         state: State | None = None,
         preview: bool = False,
         units: str = "m",
+        warns: bool = True,
     ) -> None:
         if not isinstance(actuator, Actuator):
             raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
@@ -94,7 +97,7 @@ class Compensator:
                 hint="give limits (low, high)",
                 change=("limits",),
             )
-        self._actuator, self._preview = actuator, bool(preview)
+        self._actuator, self._preview, self._warns = actuator, bool(preview), bool(warns)
         self._units, self._per_metre = units, per_metre(units)
         self._scaled = self._per_metre != 1
         self._limits = VoltageLimits(*interval(low_high), slew_rate)
@@ -114,7 +117,8 @@ class Compensator:
 
     def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
         """Return how to copy and unpickle the compensator, with its memory."""
-        options = self._actuator, self.limits, self.slew_rate, self._period, self._given, self._preview, self._units
+        how = self._preview, self._units, self._warns
+        options = self._actuator, self.limits, self.slew_rate, self._period, self._given, *how
         return _rebuilt, (options, self.snapshot() if self._running else None)
 
     @property
@@ -394,6 +398,7 @@ class Compensator:
             state=self._given,
             preview=self.preview,
             units=self.units if units is None else units,
+            warns=self._warns,
         )
 
     def tables(self) -> dict[str, Array]:
@@ -466,7 +471,8 @@ class Compensator:
         return _LoopInUnits(self._loop, self._metres) if self._scaled else self._loop
 
     def _new_loop(self) -> Loop:
-        return make_loop(self.actuator, self._limits, self.period, self._lookahead.taps, self.start())
+        taps, start = self._lookahead.taps, self.start()
+        return make_loop(self.actuator, self._limits, self.period, taps, start, warns=self._warns)
 
 
 class _LoopInUnits:
@@ -485,8 +491,10 @@ class _LoopInUnits:
 
 
 def _rebuilt(options: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
-    actuator, limits, slew_rate, period, state, preview, units = options
-    compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units)
+    actuator, limits, slew_rate, period, state, preview, units, warns = options
+    compensator = Compensator(
+        actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units, warns=warns
+    )
     if memory is not None:
         compensator.restore(memory)
     return compensator

@@ -58,10 +58,13 @@ def step_numbers(
     return pace, (limits.low, limits.high, change, *model.amplifier(seconds))
 
 
-def make_loop(actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState) -> Loop:
-    """Return a loop that starts in a state and warns of clamped samples; raise `ModelError` as `step_numbers`."""
+def make_loop(
+    actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState, warns: bool = True
+) -> Loop:
+    """Return a loop that starts in a state and may warn of clamped samples; raise `ModelError` as `step_numbers`."""
     pace, numbers = step_numbers(actuator, limits, period)
-    return actuator.model.core.loop(pace, taps, np.array(numbers), partial(warn_of_sample, actuator, limits), start)
+    warn = partial(warn_of_sample, actuator, limits) if warns else lambda *_: None
+    return actuator.model.core.loop(pace, taps, np.array(numbers), warn, start)
 
 
 def resume(loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str, snapshot: Snapshot) -> None:

@@ -6,7 +6,6 @@ import re
 from itertools import permutations
 
 from dehyst._types import Array
-from dehyst.control import Compensator
 from dehyst.exports.model_header import NUMBERS, SIZES, numbers, size_macros
 from dehyst.exports.naming import shipped, text_of
 from dehyst.stages import StageCompensator
@@ -25,10 +24,15 @@ def coupled_sources(compensator: StageCompensator, name: str) -> tuple[str, str]
     largest = max(2 * one.start().carts.size + one.start().strains.size + one.tables()["tap"].size for one in loops)
     spare = f"    dehyst_real spare[{largest}]; /* to try where a clamped voltage leads */\n"
     header = header.replace(SIZES, macros).replace(_MEMBERS, "".join(members) + spare)
-    header = header.replace(_AXES, "".join(_axis_header(one, kind) for one, kind in zip(loops, types, strict=True)))
-    bodies = "".join(_axis_source(one, kind) for one, kind in zip(loops, types, strict=True))
+    # Of the files of one axis, what comes after their headers and include guards.
+    each = [shipped(file).rpartition("#include")[2].partition("\n")[2] for file in ("piezo.h", "piezo.c")]
+    heads, bodies = "", ""
+    for one, kind in zip(loops, types, strict=True):
+        sized = each[0].rpartition("#endif")[0].replace(SIZES, size_macros(one, "double"))
+        heads += text_of(sized.strip("\n") + "\n\n", kind)
+        bodies += text_of(each[1].replace(NUMBERS, numbers(one, "double")).strip("\n") + "\n\n", kind)
     source = source.replace(_AXES, bodies).replace(NUMBERS, _tables(compensator, name, types))
-    return source, header
+    return source, header.replace(_AXES, heads)
 
 
 def labels(compensator: StageCompensator) -> list[str]:
@@ -41,20 +45,6 @@ def labels(compensator: StageCompensator) -> list[str]:
     if all(map(_IDENTIFIER.fullmatch, axes)) and not alike and not taken & set(lower):
         return list(axes)
     return [str(number) for number in range(1, len(axes) + 1)]
-
-
-def _axis_header(compensator: Compensator, kind: str) -> str:
-    """Return sizes, type and calls of one axis."""
-    _, _, text = shipped("piezo.h").partition('#include "dehyst.h"\n')
-    body = text.rpartition("#endif")[0].replace(SIZES, size_macros(compensator, "double"))
-    return text_of(body.strip("\n") + "\n\n", kind)
-
-
-def _axis_source(compensator: Compensator, kind: str) -> str:
-    """Return numbers and calls of one axis."""
-    _, _, text = shipped("piezo.c").partition('#include "dehyst_model.h"\n')
-    text = text.replace(NUMBERS, numbers(compensator, "double"))
-    return text_of(text.strip("\n") + "\n\n", kind)
 
 
 def _tables(compensator: StageCompensator, name: str, types: list[str]) -> str:

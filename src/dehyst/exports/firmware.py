@@ -141,7 +141,7 @@ def export(
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
     Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
-    Those of a stage, `stage.c` and `stage.h`, have the coupling matrix and the numbers and calls of each axis. Beside
+    Those of a stage, stage.c and stage.h, have the coupling matrix and the numbers and calls of each axis. Beside
     them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
 
     Parameters
@@ -358,13 +358,11 @@ def _bytes(result: Exported) -> str:
         "`dehyst.exports.sizes(folder, compiler)`."
     )
     parts = [] if result.unmeasured is None else [left_out]
-    footprints = result.footprints
-    if footprints or not parts:
-        parts.append(_table(footprints))
+    if result.footprints or not parts:
+        head = ("| bytes | flash | RAM for one `piezo` | stack |", "| --- | --- | --- | --- |")
+        rows = (
+            f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |"
+            for name, size in result.footprints.items()
+        )
+        parts.append("\n".join([*head, *rows, *_TABLE_NOTES]))
     return "\n\n".join(parts)
-
-
-def _table(footprints: dict[str, Footprint]) -> str:
-    rows = (f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |" for name, size in footprints.items())
-    head = ("| bytes | flash | RAM for one `piezo` | stack |", "| --- | --- | --- | --- |")
-    return "\n".join([*head, *rows, *_TABLE_NOTES])

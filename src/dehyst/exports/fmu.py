@@ -1,4 +1,4 @@
-"""A compensator or its actuator as an FMU: C sources, and a binary for Linux x86-64."""
+"""A compensator or its actuator as an FMU: its description, C sources, and a binary for Linux x86-64."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -13,18 +14,26 @@ import uuid
 import warnings
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
-from typing import get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
+from xml.etree import ElementTree
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, demand_alike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import SOURCES, code
-from dehyst.exports.fmu_description import Description, Kind, Version
 from dehyst.exports.footprint import run
-from dehyst.exports.model_header import demand_compensator
-from dehyst.exports.naming import shipped
+from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.exports.naming import printable, shipped
+
+Version: TypeAlias = Literal["2.0", "3.0"]
+Kind: TypeAlias = Literal["compensator", "actuator"]
+
+_UNITS = {"s": {"s": 1}, "m": {"m": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
+_LONGEST = 60
 
 _WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
 _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
@@ -165,3 +174,209 @@ def _zipped(content: Mapping[str, bytes]) -> bytes:
             entry.external_attr = (0o100755 if name.endswith(".so") else 0o100644) << 16
             archive.writestr(entry, data)
     return stream.getvalue()
+
+
+class Variable(NamedTuple):
+    """A variable of an FMU; its index in the list is its value reference. Without a unit it is an integer."""
+
+    name: str
+    causality: Literal["independent", "input", "output"]
+    unit: str
+    description: str
+    start: float | None = None
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Description:
+    """An FMU of a compensator, or of its actuator.
+
+    Attributes
+    ----------
+    version, kind : str
+        As in `export_fmu`.
+    name, identifier : str
+        The actuator's and the kind, as text and as a name in C.
+    summary : str
+        A sentence or two.
+    period : float
+        Seconds; 0: it does not depend on time.
+    variables : tuple of Variable
+    """
+
+    version: Version
+    kind: Kind
+    name: str
+    identifier: str
+    summary: str
+    period: float
+    variables: tuple[Variable, ...]
+
+    @classmethod
+    def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
+        """Describe it as it was when made or last reset."""
+        period, words = compensator.period or 0.0, printable(compensator.actuator.name)
+        pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
+        make = _compensator if kind == "compensator" else _actuator
+        summary, variables = make(compensator, words)
+        slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
+        twice = slug == kind
+        return cls(
+            version,
+            kind,
+            words if twice else f"{words}, {kind}",
+            f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
+            f"{summary} {pace}",
+            period,
+            (Variable("time", "independent", "s", "Simulation time"), *variables),
+        )
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """Value references of the outputs."""
+        return tuple(i for i, variable in enumerate(self.variables) if variable.causality == "output")
+
+    def xml(self, token: str, source: str) -> str:
+        """Text of `modelDescription.xml`.
+
+        `token`: GUID or instantiation token. `source`: the file to compile.
+        """
+        root = ElementTree.Element(
+            "fmiModelDescription",
+            {
+                "fmiVersion": self.version,
+                "modelName": self.name,
+                "guid" if self.version == "2.0" else "instantiationToken": token,
+                "description": self.summary,
+                "generationTool": f"dehyst {__version__}",
+                "variableNamingConvention": "flat",
+            },
+        )
+        if self.version == "2.0":
+            _fill_2(root, self, source)
+        else:
+            _fill_3(root, self)
+        return _text(root)
+
+    def build_xml(self, source: str) -> str:
+        """Text of FMI 3.0's `sources/buildDescription.xml`."""
+        root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+        configuration = _add(root, "BuildConfiguration", modelIdentifier=self.identifier)
+        files = _add(configuration, "SourceFileSet", language="C99")
+        _add(files, "SourceFile", name=source)
+        return _text(root)
+
+    def page(self) -> str:
+        """Return the HTML page."""
+        rows = [
+            f"<tr><td>{variable.name}</td><td>{variable.causality}</td><td>{variable.unit}</td><td>{escape(variable.description)}</td></tr>"
+            for variable in self.variables
+        ]
+        head = (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+            f"<title>{escape(self.name)}</title></head><body>\n"
+            f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>"
+        )
+        columns = "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>"
+        end = f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n"
+        return "\n".join([head, columns, *rows, end])
+
+
+def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
+    (low, high), ahead = compensator.limits, compensator.samples_ahead
+    when = f"in {ahead} steps" if ahead else "at the end of the step"
+    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
+    if compensator.slew_rate is not None:
+        summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
+    y = ExportedStart.of(compensator).displacement
+    return summary, (
+        Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
+        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
+        Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
+        Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+    )
+
+
+def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
+    v = ExportedStart.of(compensator).voltage
+    return f"The actuator '{name}': displacement that a voltage causes.", (
+        Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
+        Variable("displacement", "output", "m", "Displacement"),
+    )
+
+
+def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
+    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
+    features |= dict.fromkeys(
+        ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
+    )
+    interface = _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
+    _add(_add(interface, "SourceFiles"), "File", name=source)
+    _fill_common(root, description)
+    variables = _add(root, "ModelVariables")
+    for reference, variable in enumerate(description.variables):
+        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
+        scalar = _add(variables, "ScalarVariable", description=variable.description, **attributes)
+        if variable.unit:
+            _add(scalar, "Real", unit=variable.unit, **_numbers(variable))
+        else:
+            _add(scalar, "Integer")
+    structure = _add(root, "ModelStructure")
+    for part in ("Outputs", "InitialUnknowns"):
+        unknowns = _add(structure, part)
+        for reference in description.outputs:
+            _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
+
+
+def _fill_3(root: ElementTree.Element, description: Description) -> None:
+    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
+    features |= dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
+    if description.period:
+        features["fixedInternalStepSize"] = repr(description.period)
+    _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
+    _fill_common(root, description)
+    variables = _add(root, "ModelVariables")
+    for reference, variable in enumerate(description.variables):
+        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
+        if variable.unit:
+            attributes |= {"unit": variable.unit} | _numbers(variable)
+        _add(variables, "Float64" if variable.unit else "UInt64", description=variable.description, **attributes)
+    structure = _add(root, "ModelStructure")
+    for part in ("Output", "InitialUnknown"):
+        for reference in description.outputs:
+            _add(structure, part, valueReference=str(reference), dependencies="")
+
+
+def _fill_common(root: ElementTree.Element, description: Description) -> None:
+    units = _add(root, "UnitDefinitions")
+    for name, base in _UNITS.items():
+        exponents = {symbol: str(power) for symbol, power in base.items()}
+        _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
+    categories = _add(root, "LogCategories")
+    _add(categories, "Category", name="logStatusError", description="What was refused, and why")
+    _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
+    step = {"stepSize": repr(description.period)} if description.period else {}
+    _add(root, "DefaultExperiment", startTime="0", **step)
+
+
+def _roles(variable: Variable) -> dict[str, str]:
+    roles = {"causality": variable.causality, "variability": "continuous" if variable.unit else "discrete"}
+    return roles | {"initial": "calculated"} if variable.causality == "output" else roles
+
+
+def _numbers(variable: Variable) -> dict[str, str]:
+    numbers = {} if variable.range is None else {"min": repr(variable.range[0]), "max": repr(variable.range[1])}
+    return numbers if variable.start is None else numbers | {"start": repr(variable.start)}
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -98,7 +98,9 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClampWarning)
         rows = tuple(_played(loop, _path(loop, limits, reach), limits))
-        for voltage in _voltages(limits):
+        (low, high), rng = limits.T, np.random.default_rng(21)
+        half = _VOLTAGES // 2
+        for voltage in np.vstack([np.linspace(low, high, half), rng.uniform(low, high, (half, len(limits)))]):
             body.commit(_given(body, voltage))
             rows += (TraceRow(Call.SIMULATE, tuple(voltage.tolist()), _place(body)),)
     refused = sum(row.what is Call.NONSENSE for row in rows)
@@ -161,12 +163,6 @@ def _path(loop: Loop, limits: Array, reach: Array) -> Array:
     share = np.vstack([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, count))])
     moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * share
     return moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
-
-
-def _voltages(limits: Array) -> Array:
-    rng, (low, high) = np.random.default_rng(21), limits.T
-    ramp = np.linspace(low, high, _VOLTAGES // 2)
-    return np.concatenate([ramp, rng.uniform(low, high, (_VOLTAGES // 2, len(limits)))])
 
 
 def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:

@@ -163,7 +163,9 @@ def numbers(compensator: Compensator, number: Number) -> str:
     memory = {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
     used = {**_used(tables), **memory}
     arrays = [spell.array(name, values) for name, values in used.items() if values.size]
-    return "\n".join([*arrays, *_start_comment(compensator), _model(compensator, tables, used, spell), ""])
+    begin = ExportedStart.of(compensator)
+    comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
+    return "\n".join([*arrays, comment, _model(compensator, tables, used, spell), ""])
 
 
 class _Spelling:
@@ -254,14 +256,6 @@ def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spell
         f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {compensator.model_id()}ul}};",
     ]
     return "static const dehyst_model piezo_model = " + "\n".join(rows)
-
-
-def _start_comment(compensator: Compensator) -> list[str]:
-    start = ExportedStart.of(compensator)
-    return [
-        f"/* The start, at {start.words}. To bring the actuator there:",
-        f" * {start.way}. */",
-    ]
 
 
 def _demand_float(tables: Tables) -> None:

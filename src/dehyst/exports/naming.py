@@ -44,12 +44,14 @@ def demand_name(name: object) -> None:
             got=repr(name),
             need=f"a name in C: a letter, then letters, digits and underscores, {_MOST} at most",
         )
-    lower = name.lower()
+    lower, code = name.lower(), (_NOT_CODE.sub(" ", shipped(file)) for file in _RENAMED)
+    # Identifiers of the files with symbols of the model, without members of structures.
+    words = {word for text in code for word in _CODE_WORD.findall(text)}
     if lower.startswith(("dehyst", "trace_", "model_")):
         raise ModelError(
             f"got {name!r}, but such names belong to the core and its numbers", argument="name", hint="give another"
         )
-    if lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in _words()):
+    if lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in words):
         raise ModelError(
             f"got {name!r}, which means something else in C or in the exported files",
             argument="name",
@@ -83,18 +85,11 @@ def in_comment(name: str) -> str:
 
 def name_in(folder: Path) -> str | None:
     """Return the name of the model whose export a folder holds; None if it holds none."""
-    names = [path.stem for path in sorted(folder.glob("*.h")) if _TITLE.match(_first_line(path))]
+    names = []
+    for path in sorted(folder.glob("*.h")):
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            names += [path.stem] if _TITLE.match(stream.readline()) else []
     return names[0] if len(names) == 1 else None
-
-
-def _first_line(path: Path) -> str:
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        return stream.readline()
-
-
-def _words() -> frozenset[str]:
-    """Return the identifiers of the files with symbols of the model, without members of structures."""
-    return frozenset(word for file in _RENAMED for word in _CODE_WORD.findall(_NOT_CODE.sub(" ", shipped(file))))
 
 
 def shipped(name: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._text import counted
 from dehyst._types import Array, Mask
+from dehyst._views.fields import json_values
 from dehyst.fleet.table import Fleet
 from dehyst.model import Actuator
 from dehyst.trust.history import DECISION, ControlChart
@@ -146,18 +147,9 @@ class Ageing:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "serial": self.serial,
-            "sessions": list(self.sessions),
-            "cost_percent": self.costs.tolist(),
-            "stroke_change_percent": self.signed.tolist(),
-            "ewma": self.chart.average.tolist(),
-            "limit": self.chart.limits.tolist(),
-            "cusum": self.chart.above.tolist(),
-            "own_errors_percent": self.own,
-            "outside": self.outside,
-            "recalibrate": self.recalibrate,
-        }
+        changes = "cost_percent=costs stroke_change_percent=signed"
+        charts = "ewma=chart.average limit=chart.limits cusum=chart.above"
+        return json_values(self, f"serial sessions {changes} {charts} own_errors_percent=own outside recalibrate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,18 +198,11 @@ class Drifts:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        percents = "goal_percent=goal usual_percent=usual measured_spread_percent=measured spread_percent=spread"
         return {
-            "goal_percent": self.goal,
-            "usual_percent": self.usual,
-            "measured_spread_percent": self.measured,
-            "spread_percent": self.spread,
-            "over": self.over,
-            "order": self.order,
-            "oldest": self.ends[0],
-            "newest": self.ends[1],
-            "warnings": list(self.remarks),
+            **json_values(self, f"{percents} over order warnings=remarks serials=ageing"),
+            **dict(zip(("oldest", "newest"), self.ends, strict=True)),
             "recalibrate": [one.serial for one in self.recalibrate],
-            "serials": [one.as_dict() for one in self.ageing],
         }
 
 

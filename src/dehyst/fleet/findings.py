@@ -13,6 +13,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.fields import json_values
 from dehyst.fleet.shards import CAUSE
 from dehyst.fleet.table import Fleet
 
@@ -80,14 +81,7 @@ class Outlier:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "record": self.record,
-            "quantity": self.quantity,
-            "unit": self.unit,
-            "value": self.value,
-            "median": self.median,
-            "z": self.score,
-        }
+        return json_values(self, "record quantity unit value median z=score")
 
 
 def outliers(
@@ -193,11 +187,8 @@ class Findings:
                 name: {"unit": unit, **{f"q{100 * q:02.0f}": x for q, x in zip(_QUANTILES, values, strict=True)}}
                 for name, unit, values in self.distributions()
             },
-            "listed": list(self.listed),
-            "outliers": [one.as_dict() for one in self.outliers],
             "refused": [{"reason": reason, "records": list(names)} for reason, names in self.refused],
-            "inaccurate": list(self.inaccurate),
-            "duplicates": [list(group) for group in self.duplicates],
+            **json_values(self, "listed outliers inaccurate duplicates"),
         }
 
     def _table(self) -> list[str]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +40,8 @@ _STEADY = Structure(elements=20, grades=3, transformer=10, smooth=True)
 _BRANCHES = 4
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A part that the records do not support.
-
-    `part`: "inertia", "creep" or "delay". `without`, `within`: error [m] of time that was not trained on, without the
-    part and with it.
-    """
+class Dropped(NamedTuple):
+    """A part that the records do not support, "inertia" or "creep"; errors of held-out time without and with it [m]."""
 
     part: str
     without: float

@@ -354,10 +354,8 @@ class AbstractRig(ABC):
             left = []
             for ramp in going:
                 try:
-                    next(ramp)
-                    left.append(ramp)
-                except StopIteration:
-                    pass
+                    if next(ramp, "done") is None:
+                        left.append(ramp)
                 except Exception as error:  # of a driver's library: the other axes go on
                     errors.append(error)
             going = left
@@ -379,8 +377,14 @@ class AbstractRig(ABC):
             if fallback is None:
                 raise
             present = fallback
-        present = self._within(present)
-        low, high = self.limits.low, self.limits.high
+        low, high, read = self.limits.low, self.limits.high, present
+        # An error of the readback may put it slightly outside of the limits.
+        present = self.limits.nearest(read)
+        if abs(read - present) > READBACK_TOLERANCE * (high - low):
+            raise DeviceError(
+                f"{self.name}: stands at {read:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
+                "or widen the limits if device and actuator allow it"
+            )
         gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
         while present != end:
             present = gentle.towards(end, present, TICK)
@@ -389,16 +393,6 @@ class AbstractRig(ABC):
             with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
             self._last_voltage = present
-
-    def _within(self, voltage: float) -> float:
-        """Return a read voltage [V] as one within the limits; an error of the readback may put it slightly outside."""
-        present = self.limits.nearest(voltage)
-        if abs(voltage - present) > READBACK_TOLERANCE * (self.limits.high - self.limits.low):
-            raise DeviceError(
-                f"{self.name}: stands at {voltage:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
-                "or widen the limits if device and actuator allow it"
-            )
-        return present
 
     def _reading(self) -> Reading:
         with driver_errors(self.name, "_read"):

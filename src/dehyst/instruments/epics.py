@@ -162,7 +162,8 @@ class EpicsRig(AbstractRig):
     def _read(self) -> Reading:
         names = self._names
         voltage, position, *clock = self._link.numbers(names.readback, names.position, *filter(None, [names.time]))
-        return Reading(clock[0] if clock else self._host_time(), voltage, self._metres * position)
+        now = clock[0] if clock else time.monotonic() - self._began
+        return Reading(now, voltage, self._metres * position)
 
     def _put(self, voltage: float) -> None:
         self._link.put(self._names.voltage, voltage)
@@ -239,9 +240,6 @@ class EpicsRig(AbstractRig):
 
     def _pv(self, what: str) -> str:
         return self._names.all[what]
-
-    def _host_time(self) -> float:
-        return time.monotonic() - self._began
 
     def _raise_error(self) -> None:
         error = "" if self._names.error is None else self._link.text(self._names.error)

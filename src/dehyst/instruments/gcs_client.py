@@ -282,7 +282,9 @@ class GcsClient:
         sent = [*commands, line]
         try:
             if not self._synchronised:
-                self._settle()
+                self._link.settle(self.identity)
+                # The error of a failed exchange would be taken for that of the next one.
+                self._link.exchange([], "ERR?")
             # Ctrl-C may interrupt the exchange.
             self._synchronised = False
             answer = parse(self._link.exchange(commands, line))
@@ -310,11 +312,6 @@ class GcsClient:
     def close(self) -> None:
         """Close the link."""
         self._link.close()
-
-    def _settle(self) -> None:
-        self._link.settle(self.identity)
-        # The error of a failed exchange would be taken for that of the next one.
-        self._link.exchange([], "ERR?")
 
     def _identify(self) -> str:
         try:

@@ -188,7 +188,7 @@ class PiRig(AbstractRig):
         self._client.clear()
         self._client.set(gcs_syntax.command("WGO", self._generator, 0), expect=frozenset({STOPPED}))
         for _ in range(_STEPS_TO_STOP):
-            if not self._playing():
+            if not self._count("WGO?", self._generator):
                 return
             self._wait(SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was sent a stop and goes on; switch it off by hand")
@@ -208,14 +208,8 @@ class PiRig(AbstractRig):
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
-    def _playing(self) -> bool:
-        return bool(self._count("WGO?", self._generator))
-
     def _count(self, word: str, key: str) -> int:
-        return self._counts(word, key)[0]
-
-    def _counts(self, word: str, *keys: str) -> list[int]:
-        return self._client.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.counts(lines, keys))
+        return self._client.query(gcs_syntax.command(word, key), lambda lines: gcs_syntax.counts(lines, [key]))[0]
 
     def _values(self, word: str, *keys: str) -> list[float]:
         return self._client.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.values(lines, keys))

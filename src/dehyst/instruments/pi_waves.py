@@ -258,7 +258,8 @@ class PiWaves:
         interval = divider * self._traits.servo_period
         self._prepare(voltage, divider)
         start = max(self._clock.now(), self._clock.last_sample + interval)
-        self._client.set(gcs_syntax.command("WGO", *self._pairs([1] * len(self._axes))))
+        started = (word for generator in self._generators for word in (generator, 1))
+        self._client.set(gcs_syntax.command("WGO", *started))
         for first, position, volts in self._recorded(len(voltage), interval):
             times: Array = start + interval * np.arange(first, first + len(volts), dtype=np.float64)
             self._clock.last_sample = float(times[-1])
@@ -268,14 +269,11 @@ class PiWaves:
         """Return whether one of the wave generators is playing."""
         return any(self._counts("WGO?", self._generators))
 
-    def _pairs(self, values: Sequence[object]) -> list[object]:
-        return [word for pair in zip(self._generators, values, strict=True) for word in pair]
-
     def _prepare(self, voltage: Array, divider: int) -> None:
         """Fill the wave tables, and set up generators and recorder to play and record them once."""
         client, command = self._client, gcs_syntax.command
-        # Each generator plays the table of its own number, of which there are as many.
-        tables = self._tables
+        # Each generator plays a wave table of its own, numbered from 1 on.
+        tables = range(1, len(self._axes) + 1)
         for number, axis, column in zip(tables, self._axes, voltage.T, strict=True):
             points = [gcs_syntax.volts(value, axis.low, axis.high) for value in column.tolist()]
             for line in gcs_syntax.wave_points(number, points):
@@ -298,11 +296,6 @@ class PiWaves:
         if "WAV?" in client.commands:
             for number in tables:
                 self._refuse_length(number, len(voltage))
-
-    @property
-    def _tables(self) -> list[int]:
-        """Numbers of the wave tables: from 1 on."""
-        return list(range(1, len(self._axes) + 1))
 
     def _refuse_length(self, number: int, needed: int) -> None:
         query = gcs_syntax.command("WAV?", number, 1)

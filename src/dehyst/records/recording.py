@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import PathLike, lock, path_of, settle_file, settle_folder, to_json, unwritten, write_atomically
 from dehyst.records import hdf5
-from dehyst.records.hdf5 import DATASETS, Columns
 from dehyst.records.record import Record
 
 __all__ = ["Recording", "SampleBlock", "demand_disk_space", "salvage", "unused_path"]
@@ -31,7 +30,7 @@ __all__ = ["Recording", "SampleBlock", "demand_disk_space", "salvage", "unused_p
 # Appended to the name of the final file.
 SUFFIX = ".part.csv"
 _DAMAGED = ".part.damaged.csv"
-_HEADER = ",".join(DATASETS)
+_HEADER = ",".join(hdf5.DATASETS)
 # Bytes a sample: three numbers of 24 characters at most, each with a comma or a line end, and three doubles.
 _SAMPLE_BYTES = 3 * 25 + 3 * 8
 _MARGIN = 1_000_000
@@ -47,7 +46,7 @@ class JournalContents(NamedTuple):
     name: str
     meta: dict[str, Any]
     started: str | None
-    columns: Columns
+    columns: hdf5.Columns
     cut_off: str
     damaged: int
 
@@ -112,12 +111,13 @@ class Journal:
     def exists(self) -> bool:
         """Whether the file still exists under its name."""
         try:
-            status, identity = self.path.stat(), self._identity
+            found = self.path.stat()
+            # Of a closed file only the name is left.
+            return self._descriptor is None or os.path.samestat(found, os.fstat(self._descriptor))
         except OSError:
             return False
-        return (status.st_dev, status.st_ino) == identity
 
-    def append(self, columns: Columns) -> None:
+    def append(self, columns: hdf5.Columns) -> None:
         """Append samples; they are on the disk when this returns.
 
         Raise `FileFormatError` if not all of them are written: whole lines stay. Nothing more can be appended, because
@@ -172,12 +172,6 @@ class Journal:
             raise unwritten(target, error) from error
         self.close()
 
-    @property
-    def _identity(self) -> tuple[int, int]:
-        # Of a closed file only the name is left.
-        status = self.path.stat() if self._descriptor is None else os.fstat(self._descriptor)
-        return status.st_dev, status.st_ino
-
     def _write(self, data: bytes) -> None:
         if self._descriptor is None:
             raise FileFormatError(f"{self.path}: this journal is closed; create another")
@@ -206,10 +200,7 @@ class Journal:
 def demand_disk_space(folder: PathLike, samples: int) -> None:
     """Refuse a record, before it begins, if the disk has no space for its journal and its file.
 
-    Raises
-    ------
-    FileFormatError
-        With the bytes needed and those free.
+    Raise `FileFormatError` with the bytes needed and those free.
     """
     needed = samples * _SAMPLE_BYTES + _MARGIN
     try:
@@ -369,14 +360,9 @@ class Recording:
         self._journal.append(block)
 
     def finish(self, record: Record | None = None) -> Path:
-        """End a complete recording: write the file and delete the journal.
+        """End a complete recording: write the file, delete the journal, and return the file's path.
 
         `record`: the whole record, to replace the samples that were added; its meta is added.
-
-        Returns
-        -------
-        Path
-            The file.
 
         Raises
         ------

@@ -19,7 +19,7 @@ from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
 from dehyst.model.summary import parts_of
 from dehyst.records.signals import turning_points
 from dehyst.report import plots
-from dehyst.report.html import MINUS, Applet, Row, asset, escape, figure, length, number, panel, spelled, table
+from dehyst.report.html import MINUS, Applet, Row, asset, escape, figure, folded, length, number, panel, spelled, table
 from dehyst.report.plots import INK, MEASURED, SIMULATED, length_unit
 
 if TYPE_CHECKING:
@@ -66,15 +66,10 @@ def _panels(actuator: Actuator) -> list[str]:
 
 
 def _tables(actuator: Actuator) -> str:
-    tables = []
-    if actuator.creep is not None:
-        tables.append(f"<div><h3>Creep branches</h3>\n{_branches(actuator.creep)}</div>")
+    tables = {"Creep branches": _branches(actuator.creep)} if actuator.creep is not None else {}
     if actuator.smooth is not None:
-        tables.append(f"<div><h3>Smooth elements</h3>\n{_lengths(actuator.smooth)}</div>")
-    if not tables:
-        return ""
-    body = "\n".join(tables)
-    return f'<details>\n<summary>The parts\' numbers</summary>\n<div class="panels tables">\n{body}\n</div>\n</details>'
+        tables["Smooth elements"] = _lengths(actuator.smooth)
+    return folded("The parts' numbers", tables)
 
 
 def _branches(creep: Creep) -> str:
@@ -125,11 +120,7 @@ def numbers(actuator: Actuator) -> str:
     knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
     first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
     second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
-    return (
-        "<details>\n<summary>The model's numbers</summary>\n"
-        f'<div class="panels tables">\n<div><h3>Slip elements</h3>\n{first}'
-        f"</div>\n<div><h3>Knots of the parallel spring</h3>\n{second}</div>\n</div>\n</details>"
-    )
+    return folded("The model's numbers", {"Slip elements": first, "Knots of the parallel spring": second})
 
 
 def _column(values: Array) -> list[str]:

@@ -8,7 +8,7 @@ from dehyst._io import write_atomically
 from dehyst.baselines import ModelComparison
 from dehyst.baselines.comparison import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
-from dehyst.report.html import Row, bullets, document, escape, length, number, reproduction, table
+from dehyst.report.html import Row, bullets, document, escape, folded, length, number, reproduction, table
 
 _NONE = "–"
 # Bars of one model are no comparison; largest ratio of the longest to the median.
@@ -32,7 +32,9 @@ def write_comparison(path: str | PathLike[str], found: ModelComparison, *, comma
 
 def comparison_sections(found: ModelComparison) -> list[str]:
     """Return the page's sections, which the report can contain too."""
-    return [part for part in (_bars(found), _table(found), _each(found), _costs(found), _failures(found)) if part]
+    failures = (f"{escape(row.name)}: {escape(row.failure)}" for row in found.rows if row.failure)
+    parts = _bars(found), _table(found), _each(found), _costs(found), bullets("Failures", failures)
+    return [part for part in parts if part]
 
 
 def _bars(found: ModelComparison) -> str:
@@ -45,7 +47,7 @@ def _bars(found: ModelComparison) -> str:
     # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
     end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest)
     lines = "\n".join(
-        f"<dt>{_emphasised(name)}</dt><dd>"
+        f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
         f'<span class="bar" style="width:{_width(score.largest, end):.1f}%"></span>'
         f'<span class="bar rms" style="width:{_width(score.rms, end):.1f}%"></span>'
         f"<small>{number(score.largest)} % · {number(score.rms)} %"
@@ -57,10 +59,6 @@ def _bars(found: ModelComparison) -> str:
         f'<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on {which}, in % of the stroke; '
         f'the least first.</p>\n<dl class="bars">{lines}</dl>'
     )
-
-
-def _emphasised(name: str) -> str:
-    return f"<b>{escape(name)}</b>" if name == OURS else escape(name)
 
 
 def _width(error: float, end: float) -> float:
@@ -81,7 +79,7 @@ def _table(found: ModelComparison) -> str:
             (row.name, "this package" if row.name == OURS else ""),
             _errors(row.worst("training")),
             _errors(row.worst("validation")),
-            _without(row.worst("validation")),
+            _NONE if (score := row.worst("validation")) is None else _pair(score.largest_without, score.rms_without),
             *(_errors(row.tracking.get(name)) for name in found.truths),
         ]
         for row in found.rows
@@ -130,10 +128,6 @@ def _costs(found: ModelComparison) -> str:
     return f"<h2>Cost</h2>\n{table(head, rows, texts=1)}"
 
 
-def _without(score: RecordScore | None) -> str | tuple[str, str]:
-    return _NONE if score is None else _pair(score.largest_without, score.rms_without)
-
-
 def _pair(largest: float, rms: float) -> tuple[str, str]:
     return f"{number(largest)} %", f"{number(rms)} %"
 
@@ -169,9 +163,4 @@ def _each(found: ModelComparison) -> str:
         "Samples counted",
         "Left out",
     )
-    body = table(head, rows, texts=3)
-    return f"<details>\n<summary>Every model on every record</summary>\n<div>{body}</div>\n</details>"
-
-
-def _failures(found: ModelComparison) -> str:
-    return bullets("Failures", (f"{escape(row.name)}: {escape(row.failure)}" for row in found.rows if row.failure))
+    return folded("Every model on every record", {"": table(head, rows, texts=3)})

@@ -16,7 +16,7 @@ from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.identification.fit import label
 from dehyst.model import Actuator
 from dehyst.records.signals import white_noise
-from dehyst.report.html import Axis, Chart, Charts, Colour, Row, Series, escape, length, number, spelled, table
+from dehyst.report.html import Axis, Chart, Charts, Colour, Row, Series, escape, folded, length, number, spelled, table
 from dehyst.report.plots import length_unit, rising
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
@@ -100,10 +100,9 @@ def structures(fit: Fit) -> list[str | Charts]:
             f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
             "chosen one."
         )
-    body = table(head, rows, texts=1)
     return [
         Charts("Choice of the structure", why, (_by_size(fit, best),)),
-        f"<details>\n<summary>The structures that were tried</summary>\n<div>{body}</div>\n</details>",
+        folded("The structures that were tried", {"": table(head, rows, texts=1)}),
     ]
 
 
@@ -192,10 +191,7 @@ def constants(errors: Iterable[RecordErrors]) -> str:
     if not rows:
         return ""
     head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
-    return (
-        "<details>\n<summary>Constants found for each record, validation records too</summary>\n"
-        f"<div>{table(head, rows, texts=1)}</div>\n</details>"
-    )
+    return folded("Constants found for each record, validation records too", {"": table(head, rows, texts=1)})
 
 
 Indices: TypeAlias = NDArray[np.intp]

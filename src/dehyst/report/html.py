@@ -380,6 +380,14 @@ def bullets(title: str, items: Iterable[str]) -> str:
     return f"<h2>{title}</h2>\n<ul>\n{body}\n</ul>" if body else ""
 
 
+def folded(summary: str, tables: Mapping[str, str]) -> str:
+    """Set tables by their headings behind a summary that opens them: one alone, or several side by side."""
+    headed = ((f"<h3>{heading}</h3>\n" if heading else "", one) for heading, one in tables.items())
+    body = "\n".join(f"<div>{heading}{one}</div>" for heading, one in headed)
+    body = body if len(tables) == 1 and "" in tables else f'<div class="panels tables">\n{body}\n</div>'
+    return f"<details>\n<summary>{summary}</summary>\n{body}\n</details>" if tables else ""
+
+
 def reproduction(command: str | None) -> str:
     """Set the command line that made a page; nothing if it is not known."""
     return f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else ""

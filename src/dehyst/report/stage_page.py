@@ -122,7 +122,7 @@ def _axes(fit: StageFit, records: Sequence[Record]) -> list[str]:
 
 
 def _residuals(fit: StageFit, records: Sequence[Record]) -> list[Array]:
-    from dehyst.stages.regressors import AxisTraces
+    from dehyst.stages.coupling import AxisTraces
 
     return [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
 

@@ -11,7 +11,19 @@ from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
 from dehyst.control import Homing
 from dehyst.identification.diagnostics.identifiability import Identifiability
-from dehyst.report.html import Row, document, escape, figure, length, number, panel, reproduction, spelled, table
+from dehyst.report.html import (
+    Row,
+    document,
+    escape,
+    figure,
+    folded,
+    length,
+    number,
+    panel,
+    reproduction,
+    spelled,
+    table,
+)
 from dehyst.report.plots import FALLING, INK, MEASURED, RISING, SIMULATED, length_unit
 from dehyst.trust import Insight
 from dehyst.trust.bootstrap import Intervals
@@ -230,9 +242,7 @@ def _intervals(found: Insight) -> str:
         "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
         f"neighbours is accurate; what counts for a motion is the band along its trajectory. {found.precision.rule}"
     )
-    numbers = (
-        f"<details>\n<summary>The intervals' numbers</summary>\n<div>{table(head, rows, texts=0)}</div>\n</details>"
-    )
+    numbers = folded("The intervals' numbers", {"": table(head, rows, texts=0)})
     return figure("How accurate the numbers are", caption, [stiffness, spring]) + "\n" + numbers
 
 

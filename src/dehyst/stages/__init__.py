@@ -3,9 +3,8 @@
 from dehyst.stages.assessment import StageInsight, StageRecheck, check_stage, stage_insight
 from dehyst.stages.compensator import StageCompensator
 from dehyst.stages.excitation import stage_excitation
-from dehyst.stages.fit import StageFit
 from dehyst.stages.homing import home_stage_before, plan_stage_path, plan_stage_voltage
-from dehyst.stages.identify import identify_stage
+from dehyst.stages.identify import StageFit, identify_stage
 from dehyst.stages.stage import Stage, StageTrace
 
 __all__ = [

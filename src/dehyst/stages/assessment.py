@@ -13,8 +13,7 @@ from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.records import Record
-from dehyst.stages.coupling import BARELY, INSEPARABLE, coupling_by_plays, separate_motion
-from dehyst.stages.regressors import PlayColumns
+from dehyst.stages.coupling import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
 from dehyst.stages.stage import Stage, apply, by_axis, matrix_lines
 from dehyst.trust import Insight, Recheck, check, insight
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import EMPTY, Loop
+from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, vector
 from dehyst.control import ClampWarning, Command, Compensator, Snapshot, VoltageLimits
 from dehyst.control.limits import Clamps, stray_sentence
-from dehyst.control.loop import step_numbers
 from dehyst.model import Actuator, State
 from dehyst.stages.stage import Limits, SlewRates, Stage, StageTrace, apply, dot, reachable
 
@@ -79,7 +78,7 @@ class StageCompensator:
             strict=True,
         )
         self._axes = tuple(
-            _named(axis, lambda: _compensator(actuator, bounds, slew, period, state))  # noqa: B023
+            _axis_compensator(actuator, axis, bounds, slew, period, state)
             for actuator, axis, bounds, slew, state in parts
         )
         self._table: list[list[float]] = stage.decoupling.tolist()
@@ -367,51 +366,22 @@ def _each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
     return values
 
 
-def _compensator(
+def _axis_compensator(
     actuator: Actuator,
+    axis: str,
     bounds: tuple[float, float] | None,
     slew_rate: float | None,
     period: float | None,
     state: State | None,
-) -> AxisCompensator:
+) -> Compensator:
     allowed = actuator.limits if bounds is None else bounds
-    if state is None and allowed is not None:
-        state = start_within(actuator, actuator.state, interval(allowed))
-    return AxisCompensator(actuator, bounds, slew_rate, period=period, state=state)
-
-
-def _named(axis: str, make: Callable[[], Compensator]) -> Compensator:
     try:
-        return make()
+        if state is None and allowed is not None:
+            state = start_within(actuator, actuator.state, interval(allowed))
+        # The stage warns, of the displacement that is wanted of the axis.
+        return Compensator(actuator, bounds, slew_rate, period=period, state=state, warns=False)
     except ModelError as error:
         raise ModelError(f"axis {axis}: {error}") from error
-
-
-class AxisCompensator(Compensator):
-    """A `Compensator` without `ClampWarning` in steps.
-
-    It receives targets that are corrected for the other axes. The stage warns, of the displacement that is wanted.
-    """
-
-    def __reduce__(self) -> tuple[Callable[..., AxisCompensator], tuple[object, ...]]:
-        """Return how to copy and unpickle the compensator, with its memory."""
-        return _again, super().__reduce__()[1]
-
-    def _new_loop(self) -> Loop:
-        pace, numbers = step_numbers(self.actuator, self._limits, self.period)
-        return self.actuator.model.core.loop(pace, self._lookahead.taps, np.array(numbers), _silent, self.start())
-
-
-def _silent(slewed: bool, displacement: float, voltage: float) -> None:
-    pass
-
-
-def _again(options: tuple[Any, ...], memory: Snapshot | None) -> AxisCompensator:
-    actuator, limits, slew_rate, period, state, preview, units = options
-    axis = AxisCompensator(actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units)
-    if memory is not None:
-        axis.restore(memory)
-    return axis
 
 
 def start_within(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:

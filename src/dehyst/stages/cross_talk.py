@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification import Trace
-from dehyst.stages.fit import CrossTalk
-from dehyst.stages.regressors import AxisTraces, PlayColumns, block_means, motion_of
+from dehyst.stages.coupling import AxisTraces, PlayColumns, block_means, motion_of
 
 # Parts of the records that are held out in turn, each of some spans.
 _FOLDS, _SPANS = 6, 24
@@ -26,6 +26,27 @@ _RIDGE = 1e-4
 _DIRECTIONS = 12
 # Rows of the residual of a single axis, and its least share (RMS) of the stroke for a warning of another voltage.
 _MOST_ROWS, _LEAST_NEIGHBOUR = 12_000, 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class CrossTalk:
+    """What each voltage moves on the other axes beside the coupling matrix.
+
+    Attributes
+    ----------
+    size, floor : (axes, axes) array
+        RMS of what the voltage of axis j predicts of the residual of axis i, on time it was not fitted to, and what
+        counts as nothing, as shares of the stroke of axis i; 0 on the diagonal.
+    certainty : (axes, axes) array
+        The improvement by the prediction over its scatter between spans of time.
+    beyond : (axes, axes) bool array
+        Where `size` is over `floor` and the certainty is sufficient: coupling is no number there.
+    """
+
+    size: Array
+    floor: Array
+    certainty: Array
+    beyond: Any
 
 
 def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:

@@ -60,7 +60,15 @@ def stage_excitation(
         descending_tops(top, steps=steps, majors=majors, drive=one) for top, one in zip(highest, drives, strict=True)
     ]
     together = [
-        _turns(top, _slower(one, RATIO**j), max(3, round(cycles / RATIO**j)), seed + j) if cycles else np.zeros(0)
+        # From the base, with another period and the same samples.
+        _turns(
+            top,
+            replace(one, present=None, sample_rate=one.rate, frequency=one.frequency / RATIO**j),
+            max(3, round(cycles / RATIO**j)),
+            seed + j,
+        )
+        if cycles
+        else np.zeros(0)
         for j, (top, one) in enumerate(zip(highest, drives, strict=True))
     ]
     most = max(map(len, together)) if cycles else 0
@@ -88,8 +96,3 @@ def _turns(highest: float, drive: Sampling, cycles: int, seed: int) -> Array:
     lows = drive.base + span * rng.permuted((np.arange(cycles) + 0.5) / cycles * 0.4)
     levels = [drive.base, *np.column_stack([tops, lows]).ravel()[:-1].tolist(), drive.base]
     return homing(turns=levels, drive=drive).voltage
-
-
-def _slower(drive: Sampling, factor: float) -> Sampling:
-    """Return the sampling from the base, with another period and the same samples."""
-    return replace(drive, present=None, sample_rate=drive.rate, frequency=drive.frequency / factor)

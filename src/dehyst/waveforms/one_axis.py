@@ -18,7 +18,6 @@ from dehyst.waveforms.scan import (
     CYCLE_SAMPLES,
     Bridge,
     Edge,
-    MotionLimits,
     PathPoint,
     Rounding,
     Scan,
@@ -88,8 +87,7 @@ class Triangle(Scan):
         _ = self.legs
         if self.turns is None and self.acceleration is not None:
             self._refuse_impossible()
-        limits = MotionLimits(self.speed, self.acceleration)
-        limits.refuse(f"a {self.what}", self.peaks, self.frequency, self.height)
+        self.limits.refuse(f"a {self.what}", self.peaks, self.frequency, self.height)
 
     @property
     def height(self) -> float:
@@ -154,9 +152,9 @@ class Triangle(Scan):
         if seconds * (1 + 1e-9) >= needed:
             return
         possible = highest(part / self.frequency, self.speed, self.acceleration, self.rounding)
-        limits = MotionLimits(self.speed, self.acceleration).words
         raise RecordError(
-            f"got {limits}, with which {self.height * 1e6:.6g} um take {needed:.4g} s at least, not {seconds:.4g} s",
+            f"got {self.limits.words}, with which {self.height * 1e6:.6g} um take {needed:.4g} s at least, not "
+            f"{seconds:.4g} s",
             argument="acceleration",
             hint=f"try {below(part / needed)} Hz or less in place of {self.frequency:.6g}, or "
             f"{below(possible * 1e6)} um in place of {self.height * 1e6:.6g}",
@@ -303,7 +301,7 @@ class Steps(Scan):
             return
         raise RecordError(
             f"got {self.seconds:.4g} s for {height * 1e6:.6g} um, which takes {least:.4g} s "
-            f"at least within {MotionLimits(self.speed, self.acceleration).words}",
+            f"at least within {self.limits.words}",
             argument="seconds",
             hint=f"try {above(least)} s, or none for the shortest",
         )

@@ -260,7 +260,14 @@ class Scan(ABC):
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     frequency: float | None
+    speed: float | None
+    acceleration: float | None
     sample_rate: float | None
+
+    @property
+    def limits(self) -> MotionLimits:
+        """Largest speed and acceleration allowed."""
+        return MotionLimits(self.speed, self.acceleration)
 
     @property
     def periodic(self) -> bool:

@@ -94,7 +94,7 @@ class Raster(Scan):
         if self.back is not None:
             keep(self, back=whole(self.back, "back", 0 if self.slow == "staircase" else 1))
             what = f"y on its way back in {counted(self.back, 'line')}"
-            self._limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
+            self.limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
         refuse_long(self.samples, self.rate)
 
     @cached_property
@@ -188,17 +188,13 @@ class Raster(Scan):
         """Speed of a ramp [m/s]."""
         return self._height * self.rate / (self.lines * self.fast.samples)
 
-    @property
-    def _limits(self) -> MotionLimits:
-        return MotionLimits(self.speed, self.acceleration)
-
     def _refuse_steep(self) -> None:
         if self.slow == "staircase":
             height = self._height / (self.lines - 1)
             step = Bridge(PathPoint(0.0), PathPoint(height), self.fast.legs[1] / self.rate)
-            self._limits.refuse("a step to the next line", step.peaks, self.frequency, height)
+            self.limits.refuse("a step to the next line", step.peaks, self.frequency, height)
         elif self.speed is not None and self._slope > self.speed:
-            self._limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
+            self.limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
 
     def _times(self, count: int) -> Array:
         return np.arange(count) / self.rate
@@ -263,8 +259,7 @@ class Lissajous(Scan):
         # The harder axis first, so that the values in a message are possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
-            limits = MotionLimits(self.speed, self.acceleration)
-            limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
+            self.limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
 
     @property
     def rate(self) -> float:
@@ -364,8 +359,7 @@ class Spiral(Scan):
         choice(self.rounding, "rounding", get_args(Rounding), error=RecordError)
         _ = self.samples
         if self.speed is not None or self.acceleration is not None:
-            limits = MotionLimits(self.speed, self.acceleration)
-            limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
+            self.limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
 
     @property
     def rate(self) -> float:

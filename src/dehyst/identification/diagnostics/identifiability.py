@@ -15,6 +15,7 @@ from dehyst.identification.preprocessing.regressors import Rows, collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.highs import minimum
+from dehyst.identification.solvers.problem import spread
 from dehyst.identification.structure import Grid
 from dehyst.records import Record
 from dehyst.records.signals import turning_points
@@ -99,7 +100,11 @@ class Identifiability:
         for candidate in sorted(_sparsest(space), key=lambda one: int(np.count_nonzero(np.abs(one) > _SMALL))):
             if len(kept) < len(basis) and np.linalg.matrix_rank(np.array([*kept, candidate]), tol=1e-3) > len(kept):
                 kept.append(candidate)
-        return tuple(_spread(vector, where, self.movable.size) for vector in sorted(kept, key=_first))
+        # The first coefficient of each is positive.
+        return tuple(
+            spread(vector * np.sign(vector[_first(vector)]), where, self.movable.size)
+            for vector in sorted(kept, key=_first)
+        )
 
 
 def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
@@ -205,13 +210,6 @@ def _sparsest(space: Array) -> list[Array]:
 
 def _first(vector: Array) -> int:
     return int(np.argmax(np.abs(vector) > _SMALL))
-
-
-def _spread(vector: Array, where: NDArray[np.intp], size: int) -> Array:
-    """Return the vector with zeros for elements that do not move, its first coefficient positive."""
-    whole = np.zeros(size)
-    whole[where] = vector * np.sign(vector[_first(vector)])
-    return whole
 
 
 def _signature(coefficients: Array) -> tuple[tuple[int, float], ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.identification.preprocessing.denoising import significant_delay
-from dehyst.identification.preprocessing.preparation import Prepared
+from dehyst.identification.preprocessing.preparation import Prepared, counted_samples
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
@@ -176,11 +176,7 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
 
 def _counted(item: Prepared) -> Array:
     """Return the voltages of the used samples, and of the turns before them."""
-    parts = [
-        np.append(piece.voltage[epoch.start : epoch.stop], piece.voltage[epoch.turn])
-        for piece in item.pieces
-        for epoch in epochs(piece, item.noise)
-    ]
+    parts = counted_samples([(piece.voltage, epochs(piece, item.noise)) for piece in item.pieces])
     return np.concatenate([np.zeros(0), *parts])
 
 

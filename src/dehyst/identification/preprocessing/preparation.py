@@ -13,7 +13,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
-from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.preprocessing.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import Creep
 from dehyst.records import Record
@@ -160,11 +160,7 @@ class Prepared:
         if disturbs(self.noise, stroke):
             # The extremes of noise are no part of the stroke.
             pieces = tuple(remove_jitter(piece, self.noise, stroke) for piece in pieces)
-        counted = [
-            np.append(piece.displacement[epoch.start : epoch.stop], piece.displacement[epoch.turn])
-            for piece in pieces
-            for epoch in epochs(piece, self.noise)
-        ]
+        counted = counted_samples([(piece.displacement, epochs(piece, self.noise)) for piece in pieces])
         if not counted:
             raise IdentifyError(
                 f"{self.record.name}: no sample counts, because the voltage never returns into its earlier range. "
@@ -220,6 +216,11 @@ class Prepared:
         """Return the source of the record: name, file, hash and what was guessed."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256", "guesses") if key in meta}}
+
+
+def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Array]:
+    """Return the samples of columns of pieces that count, and of the turns before them, an array an epoch."""
+    return [np.append(one[epoch.start : epoch.stop], one[epoch.turn]) for one, own in columns for epoch in own]
 
 
 def _every(record: Record, step: int, stop: int) -> Record:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +63,11 @@ def failed(problem: Problem, status: str) -> Answer:
     return Answer(np.zeros(problem.unknowns), status, False, float("nan"))
 
 
-def spread(answer: Answer, places: NDArray[np.intp], size: int) -> Answer:
-    """Return the answer for all `size` coefficients, zero at all places but these."""
-    whole = np.zeros(size)
-    whole[places] = answer.x
-    return replace(answer, x=whole)
+def spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray[Any]:
+    """Return `size` values, zero at all places but these."""
+    whole = np.zeros(size, dtype=values.dtype)
+    whole[places] = values
+    return whole
 
 
 def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Array) -> tuple[Array, Array]:

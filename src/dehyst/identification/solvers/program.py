@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array, Mask
 from dehyst.identification.solvers import highs
 from dehyst.identification.solvers.least_absolute_blocks import Blocks, Whole, least_absolute
-from dehyst.identification.solvers.problem import TINY, Answer, Problem, failed, inequalities
+from dehyst.identification.solvers.problem import TINY, Answer, Problem, failed, inequalities, spread
 from dehyst.identification.solvers.quadratic import Quadratic, interior_point, least_squares, of_triangle, triangle_of
 
 # Coefficients and multipliers may be negative by so much of the largest one, or of the largest gradient.
@@ -95,13 +95,7 @@ class NormalEquations:
         near = np.ones(kept.size, dtype=bool) if start is None else start.moving[kept]
         met = np.zeros(lower.size, dtype=bool) if start is None else start.of_limits(lower.size).active
         x, moving, active = scaled.exchanged(near, met) or scaled.ridged().exchanged(near, met) or scaled.from_inside()
-        return _spread(x / scale * unit, kept, diagonal.size), ActiveSet(_spread(moving, kept, diagonal.size), active)
-
-
-def _spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray[Any]:
-    whole = np.zeros(size, dtype=values.dtype)
-    whole[places] = values
-    return whole
+        return spread(x / scale * unit, kept, diagonal.size), ActiveSet(spread(moving, kept, diagonal.size), active)
 
 
 @dataclass(frozen=True, eq=False)

@@ -270,7 +270,8 @@ def of_triangle(whole: Array, frame: Problem) -> Answer:
         # A dependent free column would absorb a direction of the residual: its coefficient stays zero.
         kept = np.concatenate([independent, np.arange(p, q)])
         fewer = triangle_of(whole[:, np.append(kept, q)])
-        return spread(of_triangle(fewer, frame.of_columns(kept, independent.size)), kept, q)
+        answer = of_triangle(fewer, frame.of_columns(kept, independent.size))
+        return replace(answer, x=spread(answer.x, kept, q))
     minimum = Quadratic(head, image, p, frame.matrix, frame.lower).minimum()
     if not np.all(np.isfinite(minimum.x)):
         return failed(frame, minimum.status)
