@@ -64,14 +64,15 @@ def things(record, fit, insight):
     actuator = fit.actuator
     motion = actuator.simulate([0.0, 20.0, 10.0])
     command = Compensator(actuator).trajectory(np.linspace(2e-6, 12e-6, 20))
+    hostile = replace(actuator, name=HOSTILE)
     return {
         "record": record,
-        "actuator": replace(actuator, name=HOSTILE),
+        "actuator": hostile,
         "fit": fit,
         "expectation": fit.expectation,
         "errors": fit.errors[0],
         "trace": fit.traces[0],
-        "insight": replace(insight, actuator=replace(actuator, name=HOSTILE)),
+        "insight": replace(insight, evidence=replace(insight.evidence, actuator=hostile)),
         "motion": motion,
         "command": command,
         "state": motion.state,

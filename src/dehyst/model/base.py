@@ -60,7 +60,14 @@ class State:
 
     @classmethod
     def unchecked(cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array) -> State:
-        """Return the state of arrays that a computation has just made of a valid one: they are not copied."""
+        """Return a state of arrays that a computation has just made from a valid one; they are not copied.
+
+        Parameters
+        ----------
+        displacement : float
+        carts, creep, motion, smooth : array
+            See `State`; shapes and values are not checked.
+        """
         state = cls.__new__(cls)
         keep(state, displacement=displacement, carts=carts, creep=creep, motion=motion, smooth=smooth)
         return state

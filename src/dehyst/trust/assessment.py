@@ -90,7 +90,7 @@ def insight(
         intervals = free = band = known = loop = path = None
         if repeats:
             intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
-            path = None if wanted is None else _Path.followed(actuator, wanted, clock, start, allowed)
+            path = None if wanted is None else _WantedPath.followed(actuator, wanted, clock, start, allowed)
             if not actuator.wide:
                 progress("looking for models that the records do not contradict")
                 moved = (None, None) if path is None else (path.command.displacement, path.first)
@@ -123,7 +123,7 @@ def insight(
         )
 
 
-class _Path(NamedTuple):
+class _WantedPath(NamedTuple):
     """A trajectory (n,) [m] with its time [s], the command that follows it, and its start.
 
     `state` gives the state of a model before it, `first` that of the actuator.
@@ -145,7 +145,7 @@ class _Path(NamedTuple):
         time: Array | None,
         start: Callable[[Actuator], PossibleStart] | None,
         limits: tuple[float, float] | None,
-    ) -> _Path:
+    ) -> _WantedPath:
         """Follow a trajectory from its start, or from the top of the limits."""
         begin = None if start is None else start(actuator)
         state = top_start(actuator, limits) if start is None else lambda one: start(one).within(one, limits)

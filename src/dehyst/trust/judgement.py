@@ -51,7 +51,13 @@ class Judgement:
     tested: bool
 
     def words(self, stroke: float) -> str:
-        """Return the errors of a path like the records in parts of a stroke [m]; empty if they are not known."""
+        """Return the errors of a path like the records in percent; empty if they are not known.
+
+        Parameters
+        ----------
+        stroke : float
+            What they are percent of [m].
+        """
         if self.rms is None or self.largest is None:
             return ""
         rms, largest = (100 * error / stroke for error in (self.rms, self.largest))
