@@ -182,7 +182,7 @@ def test_nothing_moves_a_voltage_unless_armed(command, tmp_path):
 
 def test_a_rig_that_stands_outside_the_limits_is_not_armed(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
-        controller._bench.set_voltage(150.0)
+        controller._bench.axis.set_voltage(150.0)
         holder.connect(controller.address)
         confirmed = {name: holder.state[name] for name in ("identity", "limits", "slew")}
         assert "stands at 150 V" in refused(holder, do="arm", **confirmed)
