@@ -183,8 +183,8 @@ def killed_scheduler(dataset: Path, output: Path, reference: list, folder: Path)
     seconds = time.perf_counter() - began
     end(first)
     before = len(shards(output))
-    second, address = begin("second")
-    run(dataset, output, "--dask", address, "--resume")
+    second, another = begin("second")
+    run(dataset, output, "--dask", another, "--resume")
     end(second)
     message = errors.decode().strip().splitlines()[-1]
     return {
