@@ -39,7 +39,15 @@ def find_lag(frame: TrainingData, longest: float, cycle: float) -> SensedDynamic
     """
     search, step = _LagSearch(frame, cycle), frame.times[0]
     total = searched_delay(search.residual, longest, step, search.voltage, frame.stroke, _POINTS)
-    compared = [total]
+    # Where ranges grow the residual does not show a lag. Held-out errors scatter from delay to delay: all that were
+    # compared must be better than none.
+    errors = (search.held_out,) if frame.grows() else (search.residual, search.held_out)
+
+    def helps(place: float) -> bool:
+        return all(error(place) < RULES.delay_gain * error(0.0) for error in errors)
+
+    if not (frame.grows() or helps(total)):
+        return SensedDynamics(0.0, 0.0, 0.0)
     if not frame.creepless:
         # Slow creep can leave a delay open: of those that are alike beside it, the one that explains most without it.
         alone = _LagSearch(replace(frame, creepless=True), cycle)
@@ -48,17 +56,11 @@ def find_lag(frame: TrainingData, longest: float, cycle: float) -> SensedDynamic
             other
         ) < RULES.delay_as_good * search.held_out(total):
             total = other
-            compared.append(total)
     if frame.grows():
         least = RULES.hopeless_delay * search.residual(total)
         places = [share * longest for share in _SIMULATED if search.residual(share * longest) < least]
         total = search.simulated_best([total, *places])
-        compared = [total]
-    # Where ranges grow the residual does not show a lag. Held-out errors scatter from delay to delay: all that were
-    # compared must be better than none.
-    errors = (search.held_out,) if frame.grows() else (search.residual, search.held_out)
-    late = all(error(place) < RULES.delay_gain * error(0.0) for error in errors for place in compared)
-    if total < RULES.shortest_lag * step or not late:
+    if total < RULES.shortest_lag * step or not helps(total):
         return SensedDynamics(0.0, 0.0, 0.0)
     share = _vertex(_SHARES, [search.residual(total, share) for share in _SHARES])
     lags = all(error(total, share) < RULES.lag_gain * error(total) for error in errors)
@@ -77,6 +79,7 @@ class _LagSearch:
         structure = replace(_STRUCTURE, creep=0) if frame.creepless else _STRUCTURE
         self._grid = structure.grid(frame.span, frame.voltages, (_SLOWER * self.cycle / 3, frame.times[1]))
         self._training_error = TrainingErrors()
+        self._residual: dict[tuple[float, float], float] = {}
         self._held_out: dict[tuple[float, float], float] = {}
 
     @property
@@ -90,7 +93,9 @@ class _LagSearch:
 
     def residual(self, total: float, share: float = 0.0) -> float:
         """Return the RMS residual of a fit [m]."""
-        return self._training_error(self._regression(self._late(total, share)))
+        if (total, share) not in self._residual:
+            self._residual[total, share] = self._training_error(self._regression(self._late(total, share)))
+        return self._residual[total, share]
 
     def held_out(self, total: float, share: float = 0.0) -> float:
         """Return the error [m] of simulated time that was not trained on."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from math import inf, sqrt
 
 import numpy as np
 
@@ -28,9 +30,14 @@ def searched_delay(
     answer is good to 1 % of a sample. `voltage` (n,): of the samples that count [V]: loops of one height have to
     explain more. `stroke`: [m]. `points`: delays of the first, even scan.
     """
-    best = _search(cost, 0.0, longest, points, 0.002 * sample_time)
     share = RULES.delay_gain_at_turns if _one_height(voltage) else RULES.drift_gain
-    return best if abs(best) > RULES.found_delay * sample_time and _worth(cost(best), cost(0.0), stroke, share) else 0.0
+    cost = cache(cost)
+
+    def worth(error: float) -> bool:
+        return _worth(error, cost(0.0), stroke, share)
+
+    best = _search(cost, 0.0, longest, points, 0.002 * sample_time, worth)
+    return best if abs(best) > RULES.found_delay * sample_time and worth(cost(best)) else 0.0
 
 
 def _one_height(voltage: Array) -> bool:
@@ -113,15 +120,57 @@ def _stroke(regression: Regression) -> float:
     return float(np.ptp(regression.knots))
 
 
-def _search(cost: Callable[[float], float], low: float, high: float, points: int, tolerance: float) -> float:
-    """Global scan on `points` places, then Brent's method between the neighbours of the best."""
+def _search(
+    cost: Callable[[float], float],
+    low: float,
+    high: float,
+    points: int,
+    tolerance: float,
+    worth: Callable[[float], bool] = lambda error: True,
+) -> float:
+    """Global scan on `points` places, then Brent's method between the neighbours of the best.
+
+    It ends early where no place there can have a cost that is worth it.
+    """
     from scipy.optimize import minimize_scalar
 
     grid = np.linspace(low, high, points)
-    k = int(np.argmin([cost(float(x)) for x in grid]))
-    bounds = grid[max(k - 1, 0)], grid[min(k + 1, points - 1)]
+    errors = [cost(float(x)) for x in grid]
+    k = int(np.argmin(errors))
+    near = slice(max(k - 1, 0), min(k + 1, points - 1) + 1)
+    squares = {float(x): error**2 for x, error in zip(grid[near], errors[near], strict=True)}
+
     # A residual is nearly the root of a parabola, which Brent's method finds in few steps.
-    found = minimize_scalar(
-        lambda x: cost(x) ** 2, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60}
-    )
+    def square(x: float) -> float:
+        squares[x] = cost(x) ** 2
+        if not worth(sqrt(max(_least_of_convex(squares), 0.0))):
+            raise StopIteration
+        return squares[x]
+
+    bounds = grid[near][[0, -1]]
+    try:
+        found = minimize_scalar(square, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60})
+    except StopIteration:
+        return min(squares, key=squares.__getitem__)
     return float(found.x)
+
+
+def _least_of_convex(values: Mapping[float, float]) -> float:
+    """Return a lower bound of a convex function between its places; -inf where the values are not convex."""
+    x = np.array(sorted(values))
+    y = np.array([values[one] for one in x])
+    slopes = np.diff(y) / np.diff(x)
+    if x.size < 4 or np.any(np.diff(slopes) < 0):
+        return -inf
+    # Between two places the function lies above the lines through the pairs left and right of them.
+    bounds = [*y]
+    for k, width in enumerate(np.diff(x)):
+        left = slopes[k - 1] if k else None
+        right = slopes[k + 1] if k + 2 < x.size else None
+        if right is None or left == right:
+            bounds.append(y[k] + (left or 0.0) * width)
+        elif left is None:
+            bounds.append(y[k + 1] - right * width)
+        else:
+            bounds.append(y[k] + left * (y[k + 1] - right * width - y[k]) / (left - right))
+    return float(min(bounds))
