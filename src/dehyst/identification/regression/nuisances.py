@@ -147,7 +147,7 @@ def _search(
             raise StopIteration
         return squares[x]
 
-    bounds = grid[near][[0, -1]]
+    bounds = float(grid[near][0]), float(grid[near][-1])
     try:
         found = minimize_scalar(square, bounds=bounds, method="bounded", options={"xatol": tolerance, "maxiter": 60})
     except StopIteration:
