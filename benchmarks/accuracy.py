@@ -11,7 +11,7 @@ measured  every model on the measured records: fitted to the major loop and the 
     python benchmarks/accuracy.py [PART ...] [--only MODEL ...] [--seeds N] [--data FOLDER]
 
 Parts that were not run keep their figures. No virtual actuator is an instance of the model. The measured records (a
-PICMA stack in a micromanipulator) are read from `../shared/data/p885` beside the repository, or from FOLDER.
+PICMA stack in a micromanipulator) are read from `examples/measured/p885`, or from FOLDER.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.studies import demo
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
+DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")
 METHODS = ("record", "breakpoints", "antisymmetric")
 PARTS = ("main", "tracking", "measured")

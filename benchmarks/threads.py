@@ -1,8 +1,7 @@
 """Processor time of an identification on a busy machine, as shipped and with one BLAS thread forced from outside.
 
 Two processes count beside it. Each identification is a process of its own; as it is shipped, it is free to use every
-processor. Reads the measured records from `../shared/data/p885` beside the repository, or from FOLDER; writes
-`threads.json`.
+processor. Reads the measured records from `examples/measured/p885`, or from FOLDER; writes `threads.json`.
 """
 
 import argparse
@@ -14,7 +13,7 @@ import sys
 from pathlib import Path
 
 OUTPUT = Path(__file__).parent / "threads.json"
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "p885"
+DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
 BUSY = 2
 IDENTIFY = """
 import sys, dehyst

@@ -21,6 +21,7 @@ ORDER = (
     "what_records_leave_open",
     "check_a_month_later",
     "compare_models",
+    "measured_stage",
     "production_line",
     "control_loop",
     "saturating_limits",

@@ -327,7 +327,6 @@ def test_identify_reports_where_each_record_began(folder):
     assert len(error["starts"][0]["carts_m"]) == got["options"]["elements"]
 
 
-@pytest.mark.skipif(not places.DATA.is_dir(), reason="the measured data are not beside the repository")
 def test_measured_records_end_to_end(tmp_path):
     given = ("--structure", "maxwell_slip", "--elements", 10, "--norm", "l2", "-o", "model.json")
     assert run("identify", places.DATA / "major.csv", *given, cwd=tmp_path)[0] in (0, 1)

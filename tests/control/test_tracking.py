@@ -84,7 +84,6 @@ def test_what_the_truth_has_is_found():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 def test_the_rest_of_a_measured_record_is_predicted():
     """Learnt to the middle of a hold in which nothing creeps, played on over the ramp up; 0.79/0.21 % were measured."""
     major, ramps = (

@@ -388,8 +388,6 @@ def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
 
 @pytest.mark.parametrize(("name", "rows"), [("major.csv", 8027), ("ramps.csv", 7350)])
 def test_measured_data(name, rows):
-    if not (DATA / name).exists():
-        pytest.skip(f"the measured data {name} are not beside the repository")
     record = read(DATA / name)
     assert len(record) == rows
     assert record.sample_time == pytest.approx(0.005)

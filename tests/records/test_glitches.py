@@ -282,7 +282,6 @@ def test_samples_cut_off_at_a_gap_do_not_widen_the_limits():
     assert fit.actuator.limits == (0.0, 200.0)
 
 
-@pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 @pytest.mark.parametrize("name", ["major", "ramps"])
 def test_measured_records_lose_nothing_but_a_glitch_that_was_put_in(name):
     record = dehyst.read(DATA / f"{name}.csv")

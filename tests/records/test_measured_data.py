@@ -15,7 +15,6 @@ import dehyst
 from dehyst import Outcome
 
 DATA = places.DATA
-pytestmark = pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Folders of the repository, and the measured data beside it."""
+"""Folders of the repository, and its measured data."""
 
 from pathlib import Path
 
@@ -11,4 +11,4 @@ CORE_FILES = tuple(path for path in _CORE if "bank" not in (path.parent.name, pa
 SOURCES = ROOT / "src" / "dehyst"
 TESTS = ROOT / "tests"
 FUZZ, SUPPORT = TESTS / "fuzz", TESTS / "support"
-DATA = ROOT.parent / "shared" / "data" / "p885"
+DATA = EXAMPLES / "measured" / "p885"

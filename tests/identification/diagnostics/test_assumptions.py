@@ -477,7 +477,6 @@ def test_a_verdicts_words():
     assert isinstance(families(plain_records.loops(CURVED, plain_records.MAJOR))[0], Family)
 
 
-@pytest.mark.skipif(not (DATA / "major.csv").exists(), reason=f"the measured data are not in {DATA}")
 def test_a_measured_actuator():
     records = [
         dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")

@@ -1,0 +1,41 @@
+"""
+A stage that others measured
+============================
+
+A PICMA P-885.91 stack in a flexure micromanipulator, recorded by Aye and Ang (2018): real noise, drift, a start-up
+transient and a sensor or amplifier that lags. A model is identified from the first part and predicts the rest.
+"""
+
+from textwrap import fill
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import dehyst
+
+# %%
+# The files are in the repository, in ``examples/measured/p885``, with their source and licence. ``major`` holds 40
+# cycles of one height, ``ramps`` cycles that shrink and grow again. The model never sees the growing ones.
+data, names = "../measured/p885", {"voltage": "drive_V", "displacement": "displacement_um"}
+major, ramps = (dehyst.read(f"{data}/{name}.csv", **names) for name in ("major", "ramps"))
+known, rest = ramps[:4500].with_name("shrinking"), ramps[4500:].with_name("growing")
+fit = dehyst.identify([major, known], validate=rest)
+print(fill(str(fit), 85))
+
+# %%
+# What the model predicts of the part that it has not seen, beside the best straight line through the same samples. The
+# sensor's noise reaches 0.5 % of the stroke at its peaks, so little of what is left is the model's.
+unseen = fit.traces[-1]
+straight = np.polyval(np.polyfit(unseen.voltage, unseen.measured, 1), unseen.voltage)
+figure, (loops, errors) = plt.subplots(1, 2, figsize=(11, 4))
+loops.plot(unseen.voltage, 1e6 * unseen.measured, ".", markersize=1, label="measured")
+loops.plot(unseen.voltage, 1e6 * unseen.simulated, linewidth=0.6, label="predicted")
+loops.set(xlabel="command before the amplifier (V)", ylabel="displacement (um)")
+for name, predicted in ("straight line", straight), ("model", unseen.simulated):
+    error = 100 * (unseen.measured - predicted) / major.stroke
+    errors.plot(unseen.time - unseen.time[0], error, linewidth=0.6, label=name)
+    print(f"{name}: {abs(error).max():.2f} % of the stroke at most, {np.sqrt(np.mean(error**2)):.2f} % RMS")
+errors.set(xlabel="time (s)", ylabel="error (% of the stroke)")
+for panel in loops, errors:
+    panel.legend()
+plt.show()
