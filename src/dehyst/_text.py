@@ -1,8 +1,12 @@
-"""Foreign text in messages: control and invisible characters are escaped."""
+"""Text of messages: foreign text with control characters escaped, counts, and short lists."""
 
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Iterator, Sequence
+
+# Sentences of a list that are shown without asking for all.
+_TOLD = 3
 
 
 def escaped(text: object) -> str:
@@ -19,6 +23,15 @@ def _escape(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character
     return character.encode("unicode_escape").decode("ascii")
+
+
+def to_know(sentences: Sequence[str]) -> Iterator[str]:
+    """Yield the first three of some sentences as a list, after an empty line, and how many more there are."""
+    if sentences:
+        yield ""
+    yield from (f"  - {sentence}" for sentence in sentences[:_TOLD])
+    if len(sentences) > _TOLD:
+        yield f"  - {counted(len(sentences) - _TOLD, 'more remark')}."
 
 
 def counted(number: int, noun: str) -> str:

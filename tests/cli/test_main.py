@@ -47,7 +47,7 @@ def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
 
 
 def test_identify_prints_a_table_and_writes_a_report(folder):
-    status, out, err = run("identify", "loops.csv", "--elements", "8", "--report", "r.html", cwd=folder)
+    status, out, err = run("identify", "loops.csv", "--elements", "8", "--report", "r.html", "--verbose", cwd=folder)
     assert status == 0
     assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
     verdict, outcome = out.splitlines()[:2]
@@ -175,7 +175,7 @@ def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
     write_record(folder / "straight.csv", straight)
     # A given structure: which is chosen is not the question.
     given = ("--norm", "l2", "--structure", "maxwell_slip")
-    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *given, cwd=folder)
+    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *given, "--verbose", cwd=folder)
     assert (status, "misses a held-out record" in out) == (1, True)
     assert "times that of training" in out
 
@@ -242,7 +242,7 @@ def test_homing_of_a_model_is_certified(folder):
 )
 def test_insight_of_loops_that_tell_all_warns_of_nothing_but_its_precision(folder, model, told):
     arguments = [model, "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
-    status, out, err = run("insight", *arguments, "--repeats", "20", cwd=folder)
+    status, out, err = run("insight", *arguments, "--repeats", "20", "--precision", "0.2", "--verbose", cwd=folder)
     # Turning points determine all directions, but not each number is known within 20 %.
     assert (status, out.count("WARNING")) == (1, 1), err
     assert re.search(r"WARNING: \d+ of \d+ stiffnesses.* are known within 20 %\. Not known: \d+ with", out)
@@ -264,7 +264,7 @@ def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agre
     fitted = dehyst.identify(record, breakaway=rho, knots=5, delay=0.0, drift=False, slope_floor=0.05)
     fitted.actuator.save(folder / "exact.json")
     arguments = ["insight", "exact.json", exact, "--repeats", "20", "--report", "exact.html", "--force"]
-    status, out, _ = run(*arguments, cwd=folder)
+    status, out, _ = run(*arguments, "--verbose", cwd=folder)
     sentence = "3 of 3 stiffnesses and 4 of 4 spring segments are known within 20 %."
     assert (status, "WARNING" in out, sentence in out) == (0, False, True)
     assert f'outcome green"><strong>Known</strong> {sentence}' in (folder / "exact.html").read_text()
@@ -279,7 +279,7 @@ def test_the_newcomers_trap_is_caught(folder):
     loops = read_table(folder / "loops.csv")
     rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]
     np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
-    status, out, _ = run("identify", "major.csv", "-o", "major.json", cwd=folder)
+    status, out, _ = run("identify", "major.csv", "-o", "major.json", "--verbose", cwd=folder)
     assert status == 0
     assert "leave combinations of the stiffnesses open" in out
     status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)

@@ -106,7 +106,7 @@ def numbers_of(fit: dehyst.Fit) -> Iterator[tuple[str, Any]]:
     clock = np.arange(path.size) * 0.05 if actuator.needs_time else None
     yield "simulated", actuator.simulate(path, time=clock).displacement
     yield "delay", np.array([actuator.delay, actuator.lag])
-    yield "summary", fit.summary()
+    yield "summary", fit.summary(full=True)
 
 
 def identifications() -> Iterator[tuple[str, Any]]:
@@ -139,7 +139,7 @@ def trust() -> Iterator[tuple[str, Any]]:
     for name, structure in (("plain", "maxwell_slip"), ("structured", STRUCTURES["graded"])):
         fit = dehyst.identify(tops, structure=structure)
         path = np.linspace(2e-6, 8e-6, 200)
-        yield f"insight {name}", dehyst.insight(fit.actuator, [tops], trajectory=path).summary()
+        yield f"insight {name}", dehyst.insight(fit.actuator, [tops], trajectory=path).summary(full=True)
         yield f"check {name}", str(dehyst.check(fit.actuator, stairs).as_dict())
 
 

@@ -152,17 +152,45 @@ def test_a_table_of_many_rows_is_cut_and_counted():
 def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
     from dehyst.cli.output.printing import print_fit
 
-    print_fit(fit, None, None)
-    assert capsys.readouterr().out == fit.summary() + "\n"
-    assert re.search(r"training +\d+ +\d+ +\d\.\d+ %", fit.summary())
-    assert fit.summary().splitlines()[1] == fit.outcome.value
+    print_fit(fit, None, None, verbose=True)
+    assert capsys.readouterr().out == fit.summary(full=True) + "\n"
+    assert re.search(r"training +\d+ +\d+ +\d\.\d+ %", fit.summary(full=True))
+    assert fit.summary(full=True).splitlines()[1] == fit.outcome.value
+    print_fit(fit, None, None, verbose=False)
+    out = capsys.readouterr().out
+    assert out.startswith(fit.summary() + "\n")
+    assert "--verbose" in out.removeprefix(fit.summary())
+
+
+@pytest.mark.parametrize("remarks", [0, 1, 3, 4, 9])
+def test_the_summary_of_a_fit_begins_with_the_error_and_has_three_things_to_know_at_most(fit, remarks):
+    found = replace(fit, remarks=tuple(f"remark {k}" for k in range(remarks)))
+    lines = found.summary().splitlines()
+    assert lines[0] == f"{found.expectation.headline}."
+    assert f"{found.expectation.largest_percent:.2g} %" in lines[0]
+    told = [line for line in lines if line.startswith("  - ")]
+    things = len(found.expectation.reservations) + remarks
+    assert len(told) == min(things, 3) + (things > 3)
+    assert things <= 3 or str(things - 3) in told[-1]
+
+
+def test_the_summary_of_a_failed_fit_says_how_it_ended():
+    assert Fit(None, Outcome.FAILED).summary().splitlines()[0] == Outcome.FAILED.value
+
+
+def test_the_summary_of_an_assessment_begins_with_the_error_to_expect(insight):
+    brief, full = (insight.summary(full).splitlines() for full in (False, True))
+    assert brief[0] == full[0]
+    assert len(brief) < len(full)
 
 
 def test_the_summary_of_an_assessment_is_what_the_command_prints(insight, capsys):
     from dehyst.cli.output.printing import print_insight
 
-    print_insight(insight, None, None)
-    assert capsys.readouterr().out == insight.summary() + "\n"
+    print_insight(insight, None, None, verbose=True)
+    assert capsys.readouterr().out == insight.summary(full=True) + "\n"
+    print_insight(insight, None, None, verbose=False)
+    assert capsys.readouterr().out.startswith(insight.summary() + "\n")
 
 
 def test_tables_have_units_in_their_names(things):

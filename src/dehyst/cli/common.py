@@ -194,6 +194,11 @@ def json_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("--json", "as_json", is_flag=True, help="Print JSON for a program.")(command)
 
 
+def verbose_option(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the switch to all of a printed result."""
+    return click.option("--verbose", is_flag=True, help="Print all that was found, not only what to expect.")(command)
+
+
 def command_line() -> str:
     """Return the running command as it was typed."""
     return shlex.join(["dehyst", *sys.argv[1:]])
@@ -213,7 +218,7 @@ def refuse_unused(beside: str, *takes: str) -> None:
     `beside`: the input, as "with a stage". `takes`: the parameters that have an effect. An option that is added to a
     command is refused until its name is here.
     """
-    refuse_given(beside, *(name for name in given() if name not in (*takes, "as_json")))
+    refuse_given(beside, *(name for name in given() if name not in (*takes, "as_json", "verbose")))
 
 
 def refuse_given(beside: str, *names: str) -> None:

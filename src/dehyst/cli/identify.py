@@ -24,6 +24,7 @@ from dehyst.cli.common import (
     refuse_given,
     refuse_overwriting,
     refuse_unused,
+    verbose_option,
 )
 from dehyst.cli.models import axes_option
 from dehyst.cli.output.printing import print_fit
@@ -109,6 +110,7 @@ _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to st
 @zero_option("Displacement that becomes 0: bottom, first sample or mean of the first RECORD.")
 @force_option
 @columns_options
+@verbose_option
 @json_option
 def identify(
     records: tuple[Path, ...],
@@ -120,6 +122,7 @@ def identify(
     no_drift: bool,
     axes: str | None,
     zero: str | float | None,
+    verbose: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -153,7 +156,7 @@ def identify(
             from dehyst.identification import identify as run
 
             found = run(training, throw=False, time_limit=deadline, first_model=best.keep, **settings)
-            found = replace(found, remarks=(*found.remarks, *neighbour_remarks(found, records, options)))
+            found = replace(found, remarks=(*neighbour_remarks(found, records, options), *found.remarks))
             fit = found
             model: Actuator | Stage | None = fit.actuator
             every = fit.traces
@@ -175,7 +178,7 @@ def identify(
     if as_json:
         echo_json(fit.as_dict())
     else:
-        print_fit(fit, None if model is None else output, report)
+        print_fit(fit, None if model is None else output, report, verbose=verbose)
     if deadline.ended:
         where = "was printed" if output is None or model is None else f"is in {output}"
         note(f"stopped by Ctrl-C; the best model so far {where}")

@@ -18,6 +18,7 @@ from dehyst.cli.common import (
     refuse_overwriting,
     refuse_unused,
     report_option,
+    verbose_option,
     write_output,
 )
 from dehyst.cli.models import AxesModel, axes_option, is_stage
@@ -48,9 +49,7 @@ _ASKED = ("limits", "seconds", "level", "precision", "repeats")
 @click.option(
     "--precision",
     type=float,
-    default=0.2,
-    show_default=True,
-    help="A number is known if half its interval is at most this part of it.",
+    help="Warn of numbers whose half interval exceeds this part of them.  [default: 0.2, without a warning]",
 )
 @click.option("--repeats", type=int, default=100, show_default=True, help="Resampled records; 0: no intervals.")
 @click.option("-o", "--output", type=PATH, help="Write the trajectory with its band here (CSV).")
@@ -58,6 +57,7 @@ _ASKED = ("limits", "seconds", "level", "precision", "repeats")
 @axes_option("those of the records")
 @force_option
 @columns_options
+@verbose_option
 @json_option
 def insight(
     model: Path,
@@ -69,12 +69,13 @@ def insight(
     output: Path | None,
     report: Path | None,
     axes: str | None,
+    verbose: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Assess a MODEL: what the RECORDs that it was identified from determine, and what they leave open.
 
-    The status is 1 if there is a warning, also if a number of the model is not known to the precision.
+    The status is 1 if there is a warning, also if a number of the model is not known to a --precision that was given.
     """
     from dehyst.trust import insight as run
 
@@ -122,7 +123,7 @@ def insight(
             if axis:
                 echo()
                 echo(f"Axis {axis}")
-            print_insight(one, output, report)
+            print_insight(one, output, report, verbose=verbose)
     sys.exit(1 if any(one.warnings() for one in assessments) else 0)
 
 

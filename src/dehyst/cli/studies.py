@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from dehyst.cli.common import PATH, json_option
-from dehyst.cli.output.printing import print_fit, print_paper
+from dehyst.cli.output.printing import print_paper
 from dehyst.cli.output.terminal import echo, echo_json, progress_line
 
 
@@ -36,7 +36,8 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
     if as_json:
         echo_json({**numbers, "written": [str(path) for path in written]})
         return
-    print_fit(result.fit, None, None)
+    for line in result.fit.summary().split("\n"):
+        echo(line)
     echo()
     echo("Tracking a path with nine reversals, largest error in % of the stroke")
     for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):

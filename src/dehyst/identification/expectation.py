@@ -188,6 +188,32 @@ class Expectation:
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
     @property
+    def headline(self) -> str:
+        """The verdict and the largest error to expect, which is the number to remember, with the RMS error."""
+        return (
+            f"{self.readiness.value.capitalize()}: expect an error of {_both(self.largest, self.stroke)} at most on a "
+            f"path, {_both(self.rms, self.stroke)} RMS"
+        )
+
+    @property
+    def origin(self) -> str:
+        """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
+        missed, noise = (_percent(error, self.stroke) for error in (self.measured, self.noise))
+        text = (
+            f"Judged on {self.basis}; the goal is {self.goal:g} %. The records are missed by {missed} RMS, the "
+            f"sensor's noise is {noise}."
+        )
+        if self.if_sensor_lags is None:
+            return text
+        rms, largest = (_percent(error, self.stroke) for error in self.if_sensor_lags)
+        return f"{text} If the sensor lags, and not the actuator, expect {largest} at most and {rms} RMS."
+
+    @property
+    def reservations(self) -> tuple[str, ...]:
+        """Why the model is not ready, besides its error, each a sentence."""
+        return tuple(f"{one[0].upper()}{one[1:]}." for one in self.reasons)
+
+    @property
     def sentence(self) -> str:
         """The verdict in one line, with its numbers and reasons."""
         text = (

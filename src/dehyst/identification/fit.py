@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from dehyst._text import escaped
+from dehyst._text import escaped, to_know
 from dehyst._views import html, tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
@@ -83,9 +83,12 @@ class Fit:
     def _repr_html_(self) -> str:
         return _as_html(self)
 
-    def summary(self) -> str:
-        """Return what `dehyst identify` prints: verdict, errors, structures, parts, repairs and remarks, in lines."""
-        return "\n".join(escaped(line) for line in _lines(self))
+    def summary(self, full: bool = False) -> str:
+        """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
+
+        `full` returns what `--verbose` prints: errors, structures, parts, repairs and all remarks beside.
+        """
+        return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 
     def to_dataframe(self) -> DataFrame:
         """Return the errors as a pandas DataFrame, a row a record: in % of the stroke and in nm.
@@ -163,6 +166,21 @@ def label(structure: Structure, trials: Sequence[Any]) -> str:
 def _one_line(fit: Fit) -> str:
     """Return the verdict with its numbers, or how the fit ended."""
     return fit.outcome.value if fit.expectation is None else fit.expectation.sentence
+
+
+def _brief(fit: Fit) -> Iterator[str]:
+    """Yield the error to expect, what it comes from, at most three things to know, and how many more there are."""
+    verdict, things = fit.expectation, [*fit.remarks]
+    if verdict is None:
+        yield fit.outcome.value
+    else:
+        yield f"{verdict.headline}."
+        yield verdict.origin
+        ended = [] if fit.outcome.good else [fit.outcome.value]
+        # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
+        usable = verdict.readiness is not Readiness.NOT_USABLE
+        things = [*ended, *(verdict.reservations + fit.remarks if usable else fit.remarks + verdict.reservations)]
+    yield from to_know(things)
 
 
 def _lines(fit: Fit) -> Iterator[str]:

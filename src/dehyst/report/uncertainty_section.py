@@ -352,7 +352,7 @@ def _verdict(found: Insight) -> str:
     share = number(100 * found.misfit / found.evidence.stroke)
     word, known = "No warnings", "How precisely its numbers are known was not judged: there are no intervals."
     if found.precision is not None:
-        word, known = "Known", found.precision.sentence
+        word, known = "Known" if found.precision.all_known else "No warnings", found.precision.sentence
     return (
         f'<p class="outcome green"><strong>{word}</strong> {known} The largest error of the model on these records is '
         f"{share} % of their range.</p>"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dehyst._errors import IdentifyError, RecordError
-from dehyst._text import escaped
+from dehyst._text import escaped, to_know
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
@@ -181,9 +181,9 @@ class StageFit:
         head = "Usable, with care" if worst is None else words[worst]
         return f"{head}: {missed}"
 
-    def summary(self) -> str:
-        """Return what `dehyst identify --axes` prints, in lines."""
-        return "\n".join(escaped(line) for line in lines(self))
+    def summary(self, full: bool = False) -> str:
+        """Return what `dehyst identify --axes` prints, in lines; `full`: with `--verbose`."""
+        return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
@@ -397,6 +397,15 @@ def _refuse_other_axes(records: Sequence[Record]) -> None:
                 f"record '{other.name}': has the axes {', '.join(other.axes)}, but '{first.name}' has "
                 f"{', '.join(first.axes)}; give records of the same axes in the same order"
             )
+
+
+def _brief(fit: StageFit) -> Iterator[str]:
+    """Yield the verdict, whether coupling is a matrix, what to expect of each axis, and at most three remarks."""
+    yield f"{fit.verdict}."
+    yield from talk_lines(fit)
+    for axis, one in zip(fit.axes, fit.fits, strict=True):
+        yield f"Axis {axis}: {one.summary().splitlines()[0]}"
+    yield from to_know(fit.remarks)
 
 
 def lines(fit: StageFit) -> Iterator[str]:

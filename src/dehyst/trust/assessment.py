@@ -35,7 +35,7 @@ def insight(
     limits: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: float = 0.9,
-    precision: float = PRECISION,
+    precision: float | None = None,
     repeats: int = 100,
     seed: int = 0,
     progress: Progress = lambda _: None,
@@ -64,7 +64,8 @@ def insight(
         Of the intervals.
     precision : float, optional
         A number counts as known if half the width of its interval is at most this part of the estimate and the
-        interval excludes zero; see `Insight.precision`.
+        interval excludes zero; see `Insight.precision`. Numbers that are not are a warning if it is given; default:
+        0.2, without a warning, for a path can be predicted without them.
     repeats : int, optional
         Sets of resampled cycles; 0 leaves out intervals and bands.
     seed : int, optional
@@ -102,7 +103,7 @@ def insight(
         progress("judging each part")
         parts = part_identifiability(evidence)
         if intervals is not None:
-            known = known_numbers(evidence, intervals, parts, free, precision)
+            known = known_numbers(evidence, intervals, parts, free, PRECISION if precision is None else precision)
         progress("ranking excitations")
         return Insight(
             evidence,
@@ -118,6 +119,7 @@ def insight(
             parts=parts,
             loop=loop,
             precision=known,
+            exact=precision is not None,
             start=None if path is None else path.start,
             opened=None if path is None else path.opened,
         )
@@ -170,14 +172,14 @@ class _WantedPath(NamedTuple):
         )
 
 
-def _check(trajectory: bool, repeats: int, level: float, precision: float) -> None:
+def _check(trajectory: bool, repeats: int, level: float, precision: float | None) -> None:
     if repeats < 0 or 0 < repeats < LEAST_REPEATS:
         raise ModelError(
             argument="repeats", got=repeats, need=f"{LEAST_REPEATS} at least, or 0 to leave out the intervals"
         )
     if not 0 < level < 1:
         raise ModelError(argument="level", got=level, need="a number between 0 and 1, e.g. 0.9")
-    if not 0 < precision < 1:
+    if precision is not None and not 0 < precision < 1:
         raise ModelError(
             argument="precision", got=precision, need="a number between 0 and 1, e.g. 0.2 for 20 % of the estimate"
         )

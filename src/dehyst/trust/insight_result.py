@@ -106,7 +106,9 @@ class Insight:
     loop : MajorLoopWidth or None
         The major loop, with the intervals.
     precision : Precision or None
-        Which numbers are known to the precision that was asked for; None without intervals.
+        Which numbers are known to a precision; None without intervals.
+    exact : bool
+        Whether that precision was asked for, so that numbers that are not known to it are a warning.
     start : PossibleStart or None
         Of the trajectory; None: the top of the limits, after a rise through them.
     opened : StartError or None
@@ -126,6 +128,7 @@ class Insight:
     precision: Precision | None = None
     start: PossibleStart | None = None
     opened: StartError | None = None
+    exact: bool = False
 
     @property
     def actuator(self) -> Actuator:
@@ -148,9 +151,12 @@ class Insight:
     def _repr_html_(self) -> str:
         return as_html(self)
 
-    def summary(self) -> str:
-        """Return what `dehyst insight` prints, in lines, in the order in which it matters."""
-        return "\n".join(escaped(line) for line in lines(self))
+    def summary(self, full: bool = False) -> str:
+        """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
+
+        `full` returns what `--verbose` prints: what is known of each part and number, and of the state, beside.
+        """
+        return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 
     def to_dataframe(self) -> DataFrame:
         """Return the judged numbers of the model as a pandas DataFrame, a row a number; stiffnesses in V/um.
@@ -249,7 +255,7 @@ class Insight:
 
     def _imprecise(self) -> str | None:
         """Return what is not known to the precision that was asked for, and what to record next."""
-        if self.precision is None or self.precision.all_known:
+        if self.precision is None or self.precision.all_known or not self.exact:
             return None
         # The warning of open directions says what to add.
         next_ = self.precision.next if self.trustworthy else ""
@@ -344,15 +350,33 @@ def as_html(found: Insight) -> str:
     return html.block(title, *map(html.line, warnings), html.facts(rows), text, colour="amber" if warnings else "green")
 
 
-def lines(found: Insight) -> Iterator[str]:
-    """Yield the lines of a summary, in the order in which they matter."""
-    for warning in found.warnings():
-        yield f"WARNING: {warning}"
-        yield ""
-    misfit = 100 * found.misfit / found.evidence.stroke
+def _answer(found: Insight) -> Iterator[str]:
+    """Yield the error to expect, of the path or of one like the records, and the warnings."""
+    stroke, warnings = found.evidence.stroke, found.warnings()
+    another = of_another(found.actuator, found.misfit, stroke)
+    if another is not None:
+        yield f"WARNING: {another}"
+    elif found.band is not None:
+        yield f"Expect an error of {100 * found.band.error / stroke:.2g} % of the range at most on the trajectory."
+    elif words := found.judgement.words(stroke):
+        yield f"Expect a path like the records {words}."
+    misfit = 100 * found.misfit / stroke
     yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
-    if found.band is None and (words := found.judgement.words(found.evidence.stroke)):
-        yield f"Expect a path like them {words}."
+    for warning in warnings[another is not None :]:
+        yield ""
+        yield f"WARNING: {warning}"
+
+
+def _brief(found: Insight) -> Iterator[str]:
+    yield from _answer(found)
+    yield from _band(found)
+    yield from _advice(found)
+
+
+def lines(found: Insight) -> Iterator[str]:
+    """Yield all lines of a summary, in the order in which they matter."""
+    yield from _answer(found)
+    yield ""
     if found.precision is not None:
         yield found.precision.sentence
     yield from _directions(found)

@@ -15,20 +15,25 @@ if TYPE_CHECKING:
     from dehyst.trust import Insight
 
 
-def print_fit(fit: Fit | StageFit, output: Path | None, report: Path | None) -> None:
-    """Print the result of an identification."""
-    for line in fit.summary().split("\n"):
-        echo(line)
+def print_fit(fit: Fit | StageFit, output: Path | None, report: Path | None, *, verbose: bool) -> None:
+    """Print the result of an identification, the error to expect first."""
+    _print_summary(fit, verbose, "errors, structures, parts, repairs and all remarks")
     echo_files(Model=output, Report=report)
 
 
-def print_insight(found: Insight, output: Path | None, report: Path | None) -> None:
-    """Print an assessment of a model, in the order in which it matters."""
-    from dehyst.trust.insight_result import lines
-
-    for line in lines(found):
-        echo(line)
+def print_insight(found: Insight, output: Path | None, report: Path | None, *, verbose: bool) -> None:
+    """Print an assessment of a model, the error to expect first."""
+    _print_summary(found, verbose, "what is known of each number, and when the state becomes known")
     echo_files(Band=output, Report=report)
+
+
+def _print_summary(found: Fit | StageFit | Insight, verbose: bool, more: str) -> None:
+    """Print a summary, and by which option there is more of it."""
+    for line in found.summary(verbose).split("\n"):
+        echo(line)
+    if not verbose:
+        echo()
+        echo(f"Add --verbose for {more}.")
 
 
 def print_paper(found: Paper, output: Path) -> None:
