@@ -27,7 +27,7 @@ voltage = np.concatenate([slow.voltage, fast.voltage, stairs.voltage])
 time = np.arange(voltage.size) / rate
 record = dehyst.Record(time, voltage, stage.play(voltage, time=time), name="run")
 fit = dehyst.identify(record)
-line = next(line for line in fit.summary().splitlines() if line.strip().startswith("Creep:"))
+line = next(line for line in fit.summary(full=True).splitlines() if line.strip().startswith("Creep:"))
 print(fill(line, 85))
 
 # %%

@@ -122,12 +122,14 @@ def test_an_example_runs_draws_and_leaves_no_file(example, tmp_path, monkeypatch
     matplotlib.use("agg")
     from matplotlib import pyplot
 
-    monkeypatch.chdir(tmp_path)
+    (tmp_path / "measured").symlink_to(places.EXAMPLES / "measured")
+    (tmp_path / "gallery").mkdir()
+    monkeypatch.chdir(tmp_path / "gallery")
     runpy.run_path(str(example))
     drawn = pyplot.get_fignums()
     pyplot.close("all")
     assert drawn
-    assert list(tmp_path.iterdir()) == []
+    assert list((tmp_path / "gallery").iterdir()) == []
 
 
 @pytest.mark.slow
