@@ -214,7 +214,7 @@ def _identify_structure(
     frame = replace(data, inertia=run.lagging, datum=plain.datum, denoised=True)
     if isinstance(structure, str):
         # Without loops within loops nothing that distinguishes structures can be held out.
-        missing = messages.of_turns(probe_identifiability(run.on_axis(plain.datum), plain.rows, run.span))
+        missing = messages.of_turns(probe_identifiability(run.on_axis(plain.datum), plain.rows, run.span), run.drive)
         if missing:
             run.remarks += missing
             return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
@@ -335,7 +335,7 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
         structure = _chosen_again(run, frame, replace(structure, creep=0), ("creep",), "creep") or Structure()
     fixed: tuple[str, ...] = ()
     while dropped := _unsupported(run, frame, still, structure):
-        run.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, run.stroke))
+        run.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, run.stroke, run.drive))
         frame = still if dropped.part == "inertia" else frame
         if dropped.part == "creep":
             fixed, still, frame = ("creep",), replace(still, creepless=True), replace(frame, creepless=True)
@@ -353,7 +353,7 @@ def _with_checked_drift(run: IdentificationRun, frame: TrainingData) -> Training
     predicts, creep_too = run.deadline.attempt(lambda: drift_and_creep(frame), (True, False), "the trial of creep")
     if not predicts:
         return replace(frame, can_drift=())
-    run.remarks += [messages.DRIFT_OR_CREEP] if creep_too else []
+    run.remarks += [messages.of_drift_or_creep(run.drive)] if creep_too else []
     return frame
 
 

@@ -37,6 +37,7 @@ from dehyst.model import Actuator, Identification
 from dehyst.model.identification import Outcome
 from dehyst.records import Record
 from dehyst.records.signals import recorded_slew_rate, resolution, rms
+from dehyst.waveforms import Sampling
 
 _T = TypeVar("_T")
 # Of the spring, by default.
@@ -120,6 +121,11 @@ class IdentificationRun:
             return self.settings.breakaway
         first = self.stroke / (2 * self.settings.count)
         return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
+
+    @property
+    def drive(self) -> Sampling:
+        """How to sample a voltage that is to be recorded, like that of the records."""
+        return messages.drive_like(self.limits(), self.training)
 
     @cached_property
     def delay(self) -> float:
@@ -281,7 +287,8 @@ class IdentificationRun:
 
     def estimate_heldout_errors(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
-        self.remarks += messages.of_one_ended_loops([item.record.voltage for item in (*self.training, *self.held_out)])
+        voltages = [item.record.voltage for item in (*self.training, *self.held_out)]
+        self.remarks += messages.of_one_ended_loops(voltages, self.drive)
         self.held_out_errors = HeldOutErrors(
             block_error(frame, regression),
             size_error(regression),
@@ -333,7 +340,7 @@ class IdentificationRun:
         if max(error.largest_percent for error in errors if error.role == "training") > RULES.useless:
             outcome = Outcome.INACCURATE
         self.remarks[:0] = messages.of_guesses(records) + self.deadline.remarks(self.describe_result(actuator))
-        self.remarks += messages.of_rare_voltages(self.training, self.limits())
+        self.remarks += messages.of_rare_voltages(self.training, self.limits(), self.drive)
         self.remarks += messages.of_held_out(self.held_out, self.limits(), errors)
         sample = self.training[self.widest].record.sample_time
         repaired = messages.repaired(

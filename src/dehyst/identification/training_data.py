@@ -324,7 +324,8 @@ class TrainingData:
         if not self.supports_creep() and not without:
             without = ("creep",)
             holds = map(_longest_hold, self.training)
-            remarks.append(messages.of_creep_not_tried(*max(holds, key=lambda one: one[0] - one[1])))
+            drive = messages.drive_like(self.voltages, self.training)
+            remarks.append(messages.of_creep_not_tried(*max(holds, key=lambda one: one[0] - one[1]), drive))
         best, trials = select(
             lambda one: self.regression(one, _FEW_ROWS),
             start,

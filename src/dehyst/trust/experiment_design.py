@@ -97,8 +97,7 @@ def advise(
     with one_thread():
         for words, command, excitation in _menu(drive, allowed[1], len(evidence.actuator.slip)):
             if seconds is None or excitation.duration <= seconds:
-                shared = f" --base {allowed[0]:g} --frequency {1 / cycle:.4g} --limits {allowed[0]:g} {allowed[1]:g}"
-                found.append(_judged(evidence, words, f"dehyst excite {command}{shared} -o voltage.csv", excitation))
+                found.append(_judged(evidence, words, drive.command(command), excitation))
     better = [one for one in found if one.determined > evidence.identifiability.determined]
     most = max((one.determined for one in better), default=0)
     clearest = max((one.weakest for one in better if one.determined == most), default=0.0)

@@ -2,16 +2,22 @@
 
 import itertools
 import re
+import shlex
 
 import numpy as np
 import plain_records
 import pytest
+from click.testing import CliRunner
 
 import dehyst
+from dehyst.cli import main
 from dehyst.identification import RecordErrors
 from dehyst.identification.diagnostics import messages
+from dehyst.identification.diagnostics.identifiability import Identifiability
 from dehyst.identification.diagnostics.messages import repaired
+from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.records import Record
+from dehyst.waveforms import Sampling
 
 SAMPLE = 1e-3
 PLANT = plain_records.plant(10, seed=4)
@@ -109,7 +115,34 @@ def through(*corners):
     ],
 )
 def test_loops_that_turn_at_one_end_are_remarked(corners, end):
-    remarks = messages.of_one_ended_loops([through(*corners)])
+    drive = Sampling(frequency=1, limits=(0, 100))
+    remarks = messages.of_one_ended_loops([through(*corners)], drive)
     assert [end in remark for remark in remarks] == ([True] if end else [])
     # One record with other loops is enough.
-    assert messages.of_one_ended_loops([through(*corners), through(0, 100, 30, 70, 30, 100, 0)]) == []
+    assert messages.of_one_ended_loops([through(*corners), through(0, 100, 30, 70, 30, 100, 0)], drive) == []
+
+
+@pytest.mark.parametrize("limits", [(0.0, 100.0), (0.236332, 3.423671), (-30.0, 120.0), (-1e-15, 5.0)])
+def test_a_remark_that_asks_for_a_record_has_a_command_that_writes_its_voltage(limits, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    time = 0.005 * np.arange(2000)
+    low, high = limits
+    volts = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * time))
+    drive = messages.drive_like(limits, [prepare(Record(time, volts, 1e-7 * volts))])
+    open_ = Identifiability(np.ones(2), np.ones(2, bool), np.array([1.0, 0.0]), np.eye(2))
+    remarks = [
+        messages.of_drift_or_creep(drive),
+        messages.of_creep_not_tried(0.0, 1.0, drive),
+        messages.of_dropped("creep", 1e-9, 2e-9, 1e-6, drive),
+        *messages.of_turns(open_, drive),
+        *messages.of_one_ended_loops([through(0, 100, 0, 70, 0, 40, 0)], drive),
+    ]
+    assert len(remarks) == 5
+    for remark in remarks:
+        words = shlex.split(remark[remark.index("dehyst excite") :])
+        done = CliRunner().invoke(main, [*words[1:], "--force"])
+        assert done.exit_code == 0, done.output
+        _, played = np.loadtxt("voltage.csv", delimiter=",", skiprows=1, unpack=True)
+        assert played.max() - high <= 1e-5 * (high - low)
+        assert low - played.min() <= 1e-5 * (high - low)
+        assert np.ptp(played) > 0.99 * (high - low)

@@ -8,6 +8,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared, counted_samples
 from dehyst.identification.preprocessing.regressors import epochs
@@ -18,6 +19,7 @@ from dehyst.identification.rules import RULES
 from dehyst.model.identification import Outcome
 from dehyst.records.quality import guesses
 from dehyst.records.signals import turning_points
+from dehyst.waveforms import Sampling
 
 # Fewer turns are no protocol.
 _FEWEST_TURNS = 4
@@ -27,28 +29,44 @@ LONGER_ELEMENTS = (
     "whole: they are in the model."
 )
 
-
-DRIFT_OR_CREEP = (
-    "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records cannot "
-    "distinguish them. A step that is held for as long as a cycle lasts, or loops at two speeds, would show it."
-)
-
 STEPS = (
     "After steps of the voltage the displacement rings or overshoots. The expected error is of paths without steps; "
     "where a ring changes the hysteresis, a path is missed by more until its next full loop."
 )
-_EXCITATIONS = {
-    "inertia": "Faster motion, up to a fifth of the resonance at least, would show it",
-    "creep": "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it",
-}
 
 
-def of_creep_not_tried(longest: float, needed: float) -> str:
+def drive_like(limits: tuple[float, float], records: Sequence[Prepared]) -> Sampling:
+    """Return how to sample a voltage that is to be recorded: within limits [V], at the pace of the records."""
+    # A lowest voltage of 1e-15 V, as records leave it, is 0 V.
+    low = 0.0 if abs(limits[0]) < RULES.voltage_margin * 1e-3 * (limits[1] - limits[0]) else limits[0]
+    cycle = min(cycle_time(item.record) for item in records)
+    return Sampling(frequency=1 / cycle, base=low, limits=(low, limits[1]))
+
+
+def _staircase(drive: Sampling) -> str:
+    """Return the command for steps that are held for as long as a cycle lasts, which show creep."""
+    return drive.command(f"staircase {_highest(drive)} --hold {2 * drive.half:.3g}")
+
+
+def _highest(drive: Sampling) -> str:
+    return f"{drive.limits[1]:g}" if drive.limits is not None else ""
+
+
+def of_drift_or_creep(drive: Sampling) -> str:
+    """Return the sentence for a drift that creep would explain as well."""
+    return (
+        "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records "
+        "cannot distinguish them. A step that is held for as long as a cycle lasts, or loops at two speeds, would show "
+        f"it: {_staircase(drive)}"
+    )
+
+
+def of_creep_not_tried(longest: float, needed: float, drive: Sampling) -> str:
     """Return the sentence for records that do not show creep: their longest hold, and the least that would [s]."""
     hold = f" The longest hold, {longest:.3g} s, is {needed - longest:.3g} s too short." if longest else ""
     return (
         "Creep was not looked for: the records neither hold still for as long as their cycles last nor have loops of "
-        f"one height at two speeds; add a staircase or slower loops.{hold}"
+        f"one height at two speeds.{hold} Add slower loops or a staircase: {_staircase(drive)}"
     )
 
 
@@ -66,13 +84,18 @@ def of_guesses(records: Sequence[Prepared]) -> list[str]:
     return [" ".join(sentences)] if sentences else []
 
 
-def of_dropped(part: str, without: float, within: float, stroke: float) -> str:
+def of_dropped(part: str, without: float, within: float, stroke: float, drive: Sampling) -> str:
     """Return the sentence for a part that does not predict time that was not trained on."""
     named = {"inertia": "A resonance", "creep": "Creep"}[part]
+    wanted = {
+        "inertia": "Faster motion, up to a fifth of the resonance at least, would show it.",
+        "creep": "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it: "
+        + _staircase(drive),
+    }
     return (
         f"{named} was found and left out: it does not predict parts of the records that were not trained on "
         f"(RMS {100 * within / stroke:.2g} % of the range with it, {100 * without / stroke:.2g} % without). Drift, "
-        f"vibration, the sensor's noise or its filter may look like it. {_EXCITATIONS[part]}."
+        f"vibration, the sensor's noise or its filter may look like it. {wanted[part]}"
     )
 
 
@@ -87,7 +110,7 @@ def of_lag(lag: float, moved: float, stroke: float) -> str:
     )
 
 
-def of_one_ended_loops(voltages: Sequence[Array]) -> list[str]:
+def of_one_ended_loops(voltages: Sequence[Array], drive: Sampling) -> list[str]:
     """Return a remark if all inner loops turn at one end of the voltages [V]: a path may have others."""
     low, high = min(float(v.min()) for v in voltages), max(float(v.max()) for v in voltages)
     near = RULES.end_of_limits * (high - low)
@@ -103,7 +126,8 @@ def of_one_ended_loops(voltages: Sequence[Array]) -> list[str]:
     return [
         f"All inner loops of the records turn at the {'lowest' if at_low else 'highest'} voltage. Loops that turn "
         "elsewhere were not tested, and a path that has them may be missed by several times the expected error. "
-        "Reversal curves or a random sequence as a validation record would show it."
+        f"Reversal curves as a validation record would show it: "
+        + drive.command(f"reversal-curves {_highest(drive)} --count 8")
     ]
 
 
@@ -117,13 +141,14 @@ def of_noise(first: float, noise: float) -> list[str]:
     ]
 
 
-def of_turns(probe: Identifiability) -> list[str]:
+def of_turns(probe: Identifiability, drive: Sampling) -> list[str]:
     """Return a remark if the turning points leave some of a few Maxwell-slip elements open."""
     if probe.determined == probe.of:
         return []
     return [
         f"Structures with more parts were not tried: the turning points determine {probe.determined} of {probe.of} "
-        "directions of ten slip elements. More parts need nested loops: add minor loops with other turning points."
+        "directions of ten slip elements. More parts need nested loops, with other turning points: "
+        + drive.command(f"descending-tops {_highest(drive)} --steps 10")
     ]
 
 
@@ -153,7 +178,7 @@ def of_plain(
     return (Outcome.FLOOR_ACTIVE if low.size else Outcome.IDENTIFIED), remarks
 
 
-def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
+def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], drive: Sampling) -> list[str]:
     """Return remarks about ends of the limits [V] that the used samples reach for less than a part of one cycle.
 
     Descending tops pass the end in one cycle only, but in all of it: that is enough.
@@ -169,7 +194,8 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
             count = sum(count for count, _ in counts)
             remarks.append(
                 f"Only {count} of {total} samples that count lie {words[0]} {edge:.4g} V, the {words[1]} voltage is "
-                f"{end:.4g} V: the model is little better than extrapolated there. Record loops that go there slowly."
+                f"{end:.4g} V: the model is little better than extrapolated there. Record loops that go there slowly: "
+                + drive.command(f"raised-cosine {_highest(drive)} --cycles 2")
             )
     return remarks
 
