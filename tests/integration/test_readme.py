@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import places
@@ -57,12 +58,12 @@ def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, mon
     assert capsys.readouterr().out.splitlines()[-1].startswith("Clamps(limited=0, slewed=0)")
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md"])
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/explanation/where_to_add.md"])
 def test_the_files_it_names_exist(page):
     text = (ROOT / page).read_text()
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
     modules = re.findall(r"`((?:[a-z_]+/)*[a-z_]+\.(?:py|h|c|cpp))`", text)
-    folders = ("", "src/dehyst", "tests", "core")
+    folders = ("", "src/dehyst", "tests", "core", Path(page).parent)
     missing = [name for name in (*links, *modules) if not any((ROOT / place / name).exists() for place in folders)]
     assert missing == []
     assert links or modules
