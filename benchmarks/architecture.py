@@ -138,7 +138,7 @@ class Layout:
 
     def _support(self, graph: Mapping[str, set[str]], column: tuple[str, ...]) -> float:
         """Return the mean place of what a column leads to: fewer arrows cross."""
-        used = [self.centre(one)[0] for one in (graph[column[0]] if len(column) == 1 else column[1:])]
+        used = [self.centre(one)[0] for one in (sorted(graph[column[0]]) if len(column) == 1 else column[1:])]
         return sum(used) / max(len(used), 1)
 
     def centre(self, room: str) -> tuple[float, float]:
