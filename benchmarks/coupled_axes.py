@@ -16,9 +16,8 @@ from strangers import truths
 
 import dehyst
 from dehyst.records import Record
-from dehyst.stages import stage_excitation
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.waveforms import Sampling
+from dehyst.waveforms import Sampling, stage_excitation
 
 OUTPUT = Path(__file__).parent / "coupled_axes.json"
 HIGHEST = (100.0, 120.0, 100.0)

@@ -9,9 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import dehyst
-from dehyst.stages import stage_excitation
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms import Sampling
+from dehyst.waveforms import Sampling, stage_excitation
 
 coupling = np.array([[1, 0.04, -0.02], [0.03, 1, 0.05], [-0.025, 0.06, 1]])
 stacks = [PlayActuator(width=width, noise=0.0) for width in (0.4, 0.5, 0.6)]

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
-    from dehyst.banks import Bank
     from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
+        Bank,
         ClampWarning,
         Command,
         Compensator,
         Snapshot,
+        StageCompensator,
         VoltageLimits,
         shortest_homing,
         wave_table,
@@ -40,7 +41,16 @@ if TYPE_CHECKING:
     from dehyst.exports import export, export_fmu, export_wasm
 
     # The function has the name of its module, which mypy takes for another definition.
-    from dehyst.identification import Fit, Outcome, RecordErrors, Structure, Trace, identify  # type: ignore[no-redef]
+    from dehyst.identification import (  # type: ignore[no-redef]
+        Fit,
+        Outcome,
+        RecordErrors,
+        StageFit,
+        Structure,
+        Trace,
+        identify,
+        identify_stage,
+    )
     from dehyst.model import (
         Actuator,
         Creep,
@@ -51,11 +61,11 @@ if TYPE_CHECKING:
         Physical,
         SmoothSlip,
         Spring,
+        Stage,
         State,
         Transformer,
     )
     from dehyst.records import Record, read, write_record
-    from dehyst.stages import Stage, StageCompensator, StageFit, identify_stage
     from dehyst.trust import check, insight
 
 # Each public name and the room it is imported from when it is first used: a control loop loads no identification.
@@ -63,15 +73,15 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
-        "banks": "Bank",
         "baselines": "compare",
-        "control": "ClampWarning Command Compensator Snapshot VoltageLimits shortest_homing wave_table",
+        "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
+        "wave_table",
         "exports": "export export_fmu export_wasm",
-        "identification": "Fit Outcome RecordErrors Structure Trace identify",
+        "identification": "Fit Outcome RecordErrors StageFit Structure Trace identify identify_stage",
         "calibration": "calibrate",
-        "model": "Actuator Creep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip Spring State Transformer",
+        "model": "Actuator Creep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip Spring Stage State "
+        "Transformer",
         "records": "Record read write_record",
-        "stages": "Stage StageCompensator StageFit identify_stage",
         "trust": "check insight",
     }.items()
     for name in names.split()

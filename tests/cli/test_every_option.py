@@ -22,7 +22,6 @@ from click.testing import CliRunner
 import dehyst
 import dehyst.exports
 import dehyst.fleet.run
-import dehyst.stages
 from dehyst.cli import main
 from dehyst.control import Compensator
 from dehyst.fleet.task import TaskRunner
@@ -466,7 +465,7 @@ def bench(tmp_path_factory):
     other = {"ex_um": 0.9 * of_axes["x_um"], "ex_V": 0.9 * of_axes["vx_V"]}
     write_columns(folder / "morestage.csv", {"time_s": record.time, **other})
     read = dehyst.records.read(folder / "stage.csv", axes=AXES)
-    found = dehyst.stages.identify_stage(read, structure="maxwell_slip", elements=6)
+    found = dehyst.identify_stage(read, structure="maxwell_slip", elements=6)
     replace(found.stage, recorded_columns=tuple(AXES.split())).save(folder / "stage.json")
     # All numbers have three decimals and a comma, which could group digits as well.
     lines = (f"{a:.3f}\t{b:.3f}\t{c:.3f}\n" for a, b, c in zip(t + 1, v + 1, y - y.min() + 1, strict=True))

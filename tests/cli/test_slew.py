@@ -9,9 +9,9 @@ import pytest
 from command_line import run
 
 import dehyst
+from dehyst.model import Stage
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.records import signals as slew
-from dehyst.stages import Stage
 
 SPEED = 50.0
 PLAIN = replace(plain_records.plant(6), limits=(0.0, 200.0), recorded_slew_rate=SPEED)

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from dehyst.cli import main
+from dehyst.model import Stage
 from dehyst.records import Record, read, read_table, write_columns
-from dehyst.stages import Stage
 from dehyst.trust import start_of
 
 AXES = "vx_V:x_um vy_V:y_um"
@@ -172,7 +172,7 @@ def test_an_interrupted_identification_of_axes_reports_that_nothing_is_written(f
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dehyst.stages.identify_stage", interrupted)
+    monkeypatch.setattr("dehyst.identification.identify_stage", interrupted)
     words = ["identify", folder / "stage.csv", "--axes", AXES, "-o", folder / "never.json"]
     done = CliRunner().invoke(main, [str(word) for word in words])
     assert "nothing was written" in done.output

@@ -3,9 +3,8 @@
 import numpy as np
 
 from dehyst.records import Record
-from dehyst.stages import stage_excitation
 from dehyst.virtual import PlayActuator, PreisachActuator
-from dehyst.waveforms import Sampling
+from dehyst.waveforms import Sampling, stage_excitation
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
 HIGHEST = (100.0, 120.0)

@@ -10,9 +10,6 @@ FACES = {
             Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm identify
             identify_stage insight read shortest_homing wave_table write_record
         """,
-        "banks": """
-            Bank BankClamps BankState
-        """,
         "baselines": """
             BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
             ModelComparison ModifiedPrandtlIshlinskii PrandtlIshlinskii Preisach compare
@@ -24,27 +21,29 @@ FACES = {
             main
         """,
         "control": """
-            ClampWarning Command Compensator HomedPath Homing PossibleStart Snapshot StartError StateBounds
-            VoltageLimits WaveTable plan_path plan_voltage shortest_homing start_at wave_table
+            Bank BankClamps BankState ClampWarning Command Compensator HomedPath Homing
+            PossibleStart Snapshot StageCompensator StartError StateBounds VoltageLimits WaveTable
+            home_stage_before plan_path plan_stage_path plan_stage_voltage plan_voltage
+            shortest_homing start_at wave_table
         """,
         "exports": """
             Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task actuators drifts_of findings_of
-            identify_fleet load open_dataset
+            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task drifts_of findings_of identify_fleet
+            load open_dataset
         """,
         "identification": """
-            Check Deadline Expectation Fit Method Norm Outcome Readiness RecordErrors RemainingError Structure Trace
-            Verdict identify initial_state state_after
+            Check Deadline Expectation Fit Method Norm Outcome Readiness RecordErrors RemainingError
+            StageFit Structure Trace Verdict identify identify_stage initial_state state_after
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
             open_rig
         """,
         "model": """
-            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical SmoothSlip
-            Spring State Transformer simulated
+            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion
+            Physical SmoothSlip Spring Stage StageTrace State Transformer simulated
         """,
         "records": """
             Record Recording read read_table write_columns write_hdf5 write_record
@@ -53,16 +52,12 @@ FACES = {
             render write_calibration write_check_history write_comparison write_insight write_record_page write_report
             write_stage_report
         """,
-        "stages": """
-            Stage StageCompensator StageFit StageInsight
-            StageRecheck StageTrace check_stage
-            home_stage_before identify_stage plan_stage_path plan_stage_voltage stage_excitation stage_insight
-        """,
         "studies.paper": """
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Judgement Recheck Standing check insight judge start_of
+            Change CheckHistory Insight Judgement Recheck StageInsight StageRecheck Standing check
+            check_stage insight judge stage_insight start_of
         """,
         "virtual": """
             BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
@@ -72,8 +67,9 @@ FACES = {
             Controller Fault Ioc Rehearsal Server serve_ioc
         """,
         "waveforms": """
-            Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps Triangle descending_tops
-            homing minor_loop raised_cosine reversal_curves staircase
+            Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps
+            Triangle descending_tops homing minor_loop raised_cosine reversal_curves
+            stage_excitation staircase
         """,
         "workbench": """
             serve

@@ -20,10 +20,9 @@ from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
-from dehyst.control import PossibleStart, plan_path, plan_voltage, wave_table
+from dehyst.control import PossibleStart, StageCompensator, home_stage_before, plan_path, plan_voltage, wave_table
 from dehyst.instruments.base import TICK
-from dehyst.model import Creep, Dynamics
-from dehyst.stages import Stage, StageCompensator, home_stage_before
+from dehyst.model import Creep, Dynamics, Stage
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.named import scan_of
 

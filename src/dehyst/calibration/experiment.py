@@ -18,13 +18,12 @@ from dehyst.calibration.plan import Plan, steps
 from dehyst.calibration.protocol import CreepCheck, creep_of
 from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification import Fit, identify
+from dehyst.identification import Fit, StageFit, identify, identify_stage
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.results import write_traces
 from dehyst.instruments import AbstractRig
-from dehyst.model import Actuator
+from dehyst.model import Actuator, Stage
 from dehyst.records import Record
-from dehyst.stages import Stage, StageFit, identify_stage
 from dehyst.trust import Insight, insight
 from dehyst.waveforms import Excitation
 

@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.control import Compensator, VoltageLimits
-from dehyst.model import Actuator
+from dehyst.control import Compensator, StageCompensator, VoltageLimits
+from dehyst.model import Actuator, Stage, StageTrace
+from dehyst.model.stage import apply
 from dehyst.model.states import beginning
 from dehyst.records import Record
 from dehyst.records.signals import largest, percent, rms
-from dehyst.stages import Stage, StageCompensator, StageTrace
-from dehyst.stages.excitation import RATIO
-from dehyst.stages.stage import apply
 from dehyst.waveforms import Excitation
+from dehyst.waveforms.several_axes import RATIO
 from dehyst.waveforms.standard import TURNS, wanted_path
 
 # Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins

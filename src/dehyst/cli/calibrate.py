@@ -25,9 +25,8 @@ from dehyst.cli.record_files import size_option
 
 if TYPE_CHECKING:
     from dehyst.calibration import Calibration, Plan
-    from dehyst.identification import Fit
+    from dehyst.identification import Fit, StageFit
     from dehyst.instruments import AbstractRig
-    from dehyst.stages import StageFit
 
 
 REPORT = "report.html"
@@ -179,8 +178,8 @@ def _run(rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     from dehyst.calibration import calibrate as run
     from dehyst.calibration.plan import entries
     from dehyst.cli.output.live import display
+    from dehyst.identification import StageFit
     from dehyst.report import write_calibration, write_stage_report
-    from dehyst.stages import StageFit
 
     if len(rig.axes) > 1:
         for line in _plan_lines(entries(rig, plan)):

@@ -108,7 +108,7 @@ def _checked(known: AxesModel, record: Record, goal: float | None) -> tuple[list
         found = [run(known.actuators[0], record, goal=goal)]
         coupling, good = None, found[0].good
     else:
-        from dehyst.stages import check_stage
+        from dehyst.trust import check_stage
 
         stage = check_stage(known.stage, record, goal=goal)
         found, coupling, good = [*stage.rechecks], stage.as_dict(), stage.good

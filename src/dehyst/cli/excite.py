@@ -155,7 +155,7 @@ def stage(
     highest: tuple[float, ...], names: str | None, steps: int, majors: int, cycles: int, seed: int, **options: Any
 ) -> None:
     """Write voltages of a stage, its HIGHEST of each axis: one axis after the other, then all together."""
-    from dehyst.stages import stage_excitation
+    from dehyst.waveforms import stage_excitation
 
     refuse_overwriting([], options["output"])
 

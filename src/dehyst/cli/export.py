@@ -23,10 +23,9 @@ from dehyst.cli.start import StartFile, given_starts, start_or_top_option, start
 from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
-    from dehyst.control import Compensator, PossibleStart
+    from dehyst.control import Compensator, PossibleStart, StageCompensator
     from dehyst.exports import Exported
     from dehyst.model import Actuator, State
-    from dehyst.stages import StageCompensator
 
 
 # Limits that no voltage reaches.
@@ -172,8 +171,7 @@ def _compensators(
     known: AxesModel, starts: list[PossibleStart], limits: list[Any], slews: list[Any], *, period: Any, preview: bool
 ) -> tuple[Compensator | StageCompensator, tuple[Compensator, ...]]:
     """Return the compensator to export, and that of each axis."""
-    from dehyst.control import Compensator
-    from dehyst.stages import StageCompensator
+    from dehyst.control import Compensator, StageCompensator
 
     states = [start.state for start in starts]
     if known.stage is not None:

@@ -33,10 +33,9 @@ from dehyst.cli.record_files import COLUMNS, columns_options, read_records, tabl
 from dehyst.cli.zero import zero_option, zeroed
 
 if TYPE_CHECKING:
-    from dehyst.identification import Deadline, Fit
-    from dehyst.model import Actuator
+    from dehyst.identification import Deadline, Fit, StageFit
+    from dehyst.model import Actuator, Stage
     from dehyst.records import Record
-    from dehyst.stages import Stage, StageFit
 
 _VOLTS = ("V", "mV", "kV")
 _WORDS = "dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
@@ -187,7 +186,7 @@ def identify(
 
 def _of_axes(training: list[Record], *, progress: Callable[[str], None], **settings: Any) -> StageFit:
     """Identify a stage, of which there is no model before all axes are identified."""
-    from dehyst.stages import identify_stage
+    from dehyst.identification import identify_stage
 
     try:
         return identify_stage(training, **settings, progress=progress)
@@ -215,7 +214,7 @@ def _report(path: Path, fit: Fit | StageFit, training: list[Record], held_out: l
 
 def neighbour_remarks(fit: Fit, records: tuple[Path, ...], columns: dict[str, Any]) -> list[str]:
     """Return warnings of other voltages in the files of records that the residual of a single axis follows."""
-    from dehyst.stages.cross_talk import followed
+    from dehyst.identification.coupling.cross_talk import followed
 
     remarks = []
     for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):

@@ -31,7 +31,7 @@ from dehyst.cli.zero import outside_reach, zero_of_path, zero_option
 
 if TYPE_CHECKING:
     from dehyst.model import Actuator
-    from dehyst.stages import StageInsight
+    from dehyst.trust import StageInsight
 
 _ASKED = ("limits", "seconds", "level", "precision", "repeats")
 
@@ -97,7 +97,7 @@ def insight(
     asked = {"progress": progress, **{name: options[name] for name in _ASKED}}
     whole = None
     if known.stage is not None:
-        from dehyst.stages import stage_insight
+        from dehyst.trust import stage_insight
 
         whole = stage_insight(known.stage, training, **asked)
         assessments = whole.insights

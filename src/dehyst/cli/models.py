@@ -14,9 +14,8 @@ from dehyst.cli.output.terminal import note
 from dehyst.cli.record_files import column_of
 
 if TYPE_CHECKING:
-    from dehyst.model import Actuator
+    from dehyst.model import Actuator, Stage
     from dehyst.records.formats.columns import Table
-    from dehyst.stages import Stage
 
 _TEXT = "Columns of several axes, e.g. 'vx_V:x_um vy_V:y_um'"
 # Parameters of limits and slew rates of single axes.
@@ -89,7 +88,7 @@ class AxesModel:
         """Read a model, with a note if its identification was not usable, or its coupling more than a matrix."""
         if not is_stage(path):
             return cls(None, (read_model(path),), ("",))
-        from dehyst.stages import Stage
+        from dehyst.model import Stage
 
         stage = Stage.load(path)
         if not stage.is_matrix:
@@ -121,13 +120,13 @@ class AxesModel:
 
     def targets(self, displacement: Any) -> Any:
         """Return the displacement (n, axes) of each actuator for that of the axes."""
-        from dehyst.stages.stage import apply
+        from dehyst.model.stage import apply
 
         return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
 
     def moved(self, targets: Any) -> Any:
         """Return the displacement (n, axes) of the axes for that of each actuator."""
-        from dehyst.stages.stage import apply
+        from dehyst.model.stage import apply
 
         return targets if self.stage is None else apply(self.stage.coupling, targets)
 

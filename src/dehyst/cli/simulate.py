@@ -124,8 +124,7 @@ def _runs(
     known: AxesModel, voltage: Any, time: dict[str, Any], starts: list[PossibleStart | None], *, home: bool
 ) -> list[HomedPath]:
     """Return the motion of each axis by voltages (n, axes), perhaps with a homing before them."""
-    from dehyst.control import Compensator, plan_voltage
-    from dehyst.stages import StageCompensator, plan_stage_voltage
+    from dehyst.control import Compensator, StageCompensator, plan_stage_voltage, plan_voltage
 
     when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
     if known.stage is None:

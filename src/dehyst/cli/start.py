@@ -134,7 +134,7 @@ def given_starts(
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> PossibleStart:
     """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
-    from dehyst.stages.compensator import start_within
+    from dehyst.control.stage_compensator import start_within
 
     allowed = limits or actuator.limits
     state = start.state if allowed is None else start_within(actuator, start.state, allowed)
@@ -318,8 +318,7 @@ WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
 def planned(model: AxesModel, requests: Sequence[Request], path: WantedPath) -> list[HomedPath]:
     """Return the voltages of each axis along a path: from its start, or if that matters, after a homing."""
-    from dehyst.control import Compensator, plan_path
-    from dehyst.stages import StageCompensator, plan_stage_path
+    from dehyst.control import Compensator, StageCompensator, plan_path, plan_stage_path
 
     first, (wanted, time, derivatives), when = requests[0], path, path[1].get("time_s")
     if model.stage is None:

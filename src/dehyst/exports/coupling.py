@@ -6,9 +6,9 @@ import re
 from itertools import permutations
 
 from dehyst._types import Array
+from dehyst.control import StageCompensator
 from dehyst.exports.model_header import NUMBERS, SIZES, numbers, size_macros
 from dehyst.exports.naming import shipped, text_of
-from dehyst.stages import StageCompensator
 
 _AXES, _MEMBERS = "/* axes */\n", "/* members */\n"
 _IDENTIFIER = re.compile(r"[A-Za-z0-9]\w{0,15}", re.ASCII)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
-from dehyst.control import Compensator
+from dehyst.control import Compensator, StageCompensator
 from dehyst.exports.coupling import coupled_sources, labels
 from dehyst.exports.footprint import (
     CORTEX_M4,
@@ -36,7 +36,6 @@ from dehyst.exports.model_header import (
     size_macros,
 )
 from dehyst.exports.naming import DEFAULT, demand_name, file_of, in_comment, name_in, printable, shipped, text_of
-from dehyst.stages import StageCompensator
 
 __all__ = ["SOURCES", "Exported", "Footprint", "code", "export", "sizes"]
 

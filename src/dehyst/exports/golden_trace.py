@@ -15,10 +15,9 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import ClampWarning, Compensator
+from dehyst.control import ClampWarning, Compensator, StageCompensator
 from dehyst.control.limits import Clamps
-from dehyst.stages import StageCompensator
-from dehyst.stages.stage import apply
+from dehyst.model.stage import apply
 
 Loop: TypeAlias = Compensator | StageCompensator
 

@@ -11,8 +11,8 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control import Compensator
+from dehyst.control.stage_compensator import NEAR, looped
 from dehyst.model import Actuator, State
-from dehyst.stages.compensator import NEAR, looped
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]

@@ -1,5 +1,6 @@
 """Identification: from records to an actuator."""
 
+from dehyst.identification.coupling.identify import StageFit, identify_stage
 from dehyst.identification.expectation import Expectation, Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
@@ -21,10 +22,12 @@ __all__ = [
     "Readiness",
     "RecordErrors",
     "RemainingError",
+    "StageFit",
     "Structure",
     "Trace",
     "Verdict",
     "identify",
+    "identify_stage",
     "initial_state",
     "state_after",
 ]

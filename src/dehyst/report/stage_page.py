@@ -9,10 +9,10 @@ import numpy as np
 
 from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
+from dehyst.identification import StageFit
 from dehyst.records import Record
 from dehyst.report.html import bullets, document, escape, figure, panel, reproduction, spelled, table
 from dehyst.report.plots import MEASURED, line
-from dehyst.stages import StageFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,7 +122,7 @@ def _axes(fit: StageFit, records: Sequence[Record]) -> list[str]:
 
 
 def _residuals(fit: StageFit, records: Sequence[Record]) -> list[Array]:
-    from dehyst.stages.coupling import AxisTraces
+    from dehyst.identification.coupling.matrix import AxisTraces
 
     return [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
 

@@ -3,6 +3,7 @@
 from dehyst.waveforms.excitation import Excitation, Leg, Sampling
 from dehyst.waveforms.one_axis import Steps, Triangle
 from dehyst.waveforms.scan import MotionLimits, Scan, ScanPath
+from dehyst.waveforms.several_axes import stage_excitation
 from dehyst.waveforms.standard import descending_tops, homing, minor_loop, raised_cosine, reversal_curves, staircase
 from dehyst.waveforms.two_axes import Lissajous, Raster, Spiral
 
@@ -23,5 +24,6 @@ __all__ = [
     "minor_loop",
     "raised_cosine",
     "reversal_curves",
+    "stage_excitation",
     "staircase",
 ]

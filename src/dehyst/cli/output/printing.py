@@ -9,8 +9,7 @@ from dehyst.cli.common import echo_files
 from dehyst.cli.output.terminal import echo
 
 if TYPE_CHECKING:
-    from dehyst.identification import Fit
-    from dehyst.stages import StageFit
+    from dehyst.identification import Fit, StageFit
     from dehyst.studies.paper import Paper
     from dehyst.trust import Insight
 

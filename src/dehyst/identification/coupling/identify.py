@@ -14,9 +14,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
-from dehyst.identification import Fit, Readiness, identify
-from dehyst.records import Record
-from dehyst.stages.coupling import (
+from dehyst.identification.coupling.cross_talk import CrossTalk, cross_talk
+from dehyst.identification.coupling.matrix import (
     AxisTraces,
     Coupling,
     PlayColumns,
@@ -27,8 +26,12 @@ from dehyst.stages.coupling import (
     refuse_unmoved,
     separate_motion,
 )
-from dehyst.stages.cross_talk import CrossTalk, cross_talk
-from dehyst.stages.stage import Stage, apply, by_axis, inverse, matrix_lines
+from dehyst.identification.expectation import Readiness
+from dehyst.identification.fit import Fit
+from dehyst.identification.identify import identify
+from dehyst.model import Stage
+from dehyst.model.stage import apply, by_axis, inverse, matrix_lines
+from dehyst.records import Record
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
 _MOST_PASSES, _SETTLED = 3, 2e-4

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from dehyst._errors import IdentifyError, RecordError
 from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
-from dehyst.identification import Fit
+from dehyst.identification.fit import Fit
+from dehyst.model.stage import apply, inverse
 from dehyst.records import Record
-from dehyst.stages.stage import apply, inverse
 
 # Of the energy of the columns: a ridge against columns that the record hardly moves.
 _RIDGE = 1e-8

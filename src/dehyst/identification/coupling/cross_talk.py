@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.identification import Trace
-from dehyst.stages.coupling import AxisTraces, PlayColumns, block_means, motion_of
+from dehyst.identification.coupling.matrix import AxisTraces, PlayColumns, block_means, motion_of
+from dehyst.identification.results import Trace
 
 # Parts of the records that are held out in turn, each of some spans.
 _FOLDS, _SPANS = 6, 24

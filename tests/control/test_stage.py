@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
-from dehyst.stages import home_stage_before
+from dehyst.control import home_stage_before
 
 
 def actuator(scale=1.0, **options):

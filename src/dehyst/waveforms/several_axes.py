@@ -10,7 +10,8 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names
-from dehyst.waveforms import Excitation, Sampling, descending_tops, homing
+from dehyst.waveforms.excitation import Excitation, Sampling
+from dehyst.waveforms.standard import descending_tops, homing
 
 # Periods of the axes moving together, in those of the first one: powers of the plastic number repeat never.
 RATIO = 1.3247179572447460

@@ -4,26 +4,96 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._native import BankCore, BankMemory, CoreState, Loop, checked, has_avx2
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.banks.arguments import compensators, fitting, listed, positive, reason_alone, table_of
-from dehyst.banks.state import BankClamps, BankState
-from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.control.limits import stray_sentence
+from dehyst._validation import number
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import ClampWarning, VoltageLimits, stray_sentence
 from dehyst.control.loop import make_loop, step_numbers
 from dehyst.model import Actuator, State
 
 _TAP = np.ones(1)
+
+
+class BankClamps(NamedTuple):
+    """Clamped samples of each actuator.
+
+    `limited` (M,): number of samples cut at a limit. `slewed` (M,): number held back by the slew rate.
+    """
+
+    limited: NDArray[np.int64]
+    slewed: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class BankState:
+    """The memory of the M actuators of a bank, an actuator a column.
+
+    Attributes
+    ----------
+    displacement : (M,) array
+        [m].
+    carts : (N, M) array
+        Position of each cart [m]; an actuator with fewer than N elements has no use for the last ones.
+    creep : (J, M) array
+        Strain of each creep branch [m].
+    voltage : (M,) array
+        The last voltage [V].
+    alone : mapping of int to array
+        Of each actuator that the bank computes by itself, all numbers that decide what comes next.
+    actuators : str
+        A digest of the actuators, which tells a state of others; empty: not checked.
+    """
+
+    displacement: Array
+    carts: Array
+    creep: Array
+    voltage: Array
+    alone: Mapping[int, Array] = field(default_factory=dict)
+    actuators: str = ""
+
+    def copy(self) -> BankState:
+        """Return a copy that no longer changes with the bank."""
+        return BankState(
+            self.displacement.copy(),
+            self.carts.copy(),
+            self.creep.copy(),
+            self.voltage.copy(),
+            {i: row.copy() for i, row in self.alone.items()},
+            self.actuators,
+        )
+
+    def demand_like(self, other: BankState) -> None:
+        """Raise `ModelError` unless the arrays have the shapes of those of the `other`, and finite numbers."""
+        for name in ("displacement", "carts", "creep", "voltage"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if np.shape(mine) != theirs.shape:
+                raise ModelError(f"state: {name} has the shape {np.shape(mine)}, this bank needs {theirs.shape}")
+            if not np.isfinite(mine).all():
+                raise ModelError(f"state: {name} holds a value that is not finite")
+        if set(self.alone) != set(other.alone) or self.actuators not in ("", other.actuators):
+            raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
+
+    def demand_carts(self, actuators: Sequence[Actuator], columns: NDArray[np.intp]) -> None:
+        """Raise `ModelError` if a cart of `actuators` in `columns` is farther from its displacement than possible."""
+        for i in columns:
+            actuator = actuators[i]
+            far = np.abs(self.displacement[i] - self.carts[: len(actuator.slip), i]) - actuator.slip.breakaway
+            if np.any(far > 1e-12 * actuator.slip.breakaway + 1e-14 * abs(self.displacement[i])):
+                raise ModelError(
+                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
+                )
 
 
 class Bank:
@@ -345,3 +415,83 @@ class Bank:
                 ClampWarning,
                 3,
             )
+
+
+def reason_alone(actuator: Actuator) -> str:
+    """Return the part for which an actuator must be computed alone, or nothing."""
+    model = actuator.model
+    if model.core.in_lanes and not model.lag:
+        return ""
+    if model.lag:
+        return "an amplifier that lags"
+    if model.dynamics is not None:
+        return "a mass"
+    return "smooth elements" if model.smooth is not None else "graded elements"
+
+
+def compensators(
+    actuators: tuple[Actuator, ...],
+    limits: Any,
+    slew_rate: Any,
+    period: float | None,
+    states: State | Sequence[State] | None,
+) -> list[Compensator]:
+    """Return a compensator for each: they check what was given."""
+    m = len(actuators)
+    low_high = _for_each(limits, m, "limits", single=limits is None or np.ndim(limits) == 1)
+    slews = _for_each(slew_rate, m, "slew_rate", single=slew_rate is None or np.ndim(slew_rate) == 0)
+    starts = _for_each(states, m, "states", single=states is None or isinstance(states, State))
+    made = []
+    for i in range(m):
+        try:
+            made.append(Compensator(actuators[i], low_high[i], slews[i], period=period, state=starts[i]))
+        except ModelError as error:
+            raise ModelError(f"actuator {i}: {error}") from error
+    return made
+
+
+def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
+    if single:
+        return [values] * m
+    each = listed(values, what)
+    if len(each) != m:
+        raise ModelError(argument=what, got=f"{len(each)} for {m} actuators", need="one for each, or one for all")
+    return each
+
+
+def listed(values: Any, what: str) -> list[Any]:
+    """Return `values` as a list; raise `ModelError` if they are none."""
+    if not isinstance(values, Iterable):
+        raise ModelError(argument=what, got=type(values).__name__, need="a list with one for each actuator")
+    return list(values)
+
+
+def positive(threads: int) -> int:
+    """Return a number of `threads`; raise `ModelError` if it is none."""
+    count = number(threads, "threads")
+    if count < 1 or count != int(count):
+        raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
+    return int(count)
+
+
+def table_of(values: ArrayLike, what: str, count: int) -> Array:
+    """Return samples (n, count); raise `ModelError` if they have another shape, or one is no finite number."""
+    given = np.asarray(values)
+    if given.dtype.kind not in "iuf":
+        raise ModelError(argument=what, got=f"an array of {given.dtype}", need="numbers")
+    table = np.ascontiguousarray(given, dtype=np.float64)
+    if table.ndim != 2 or table.shape[1] != count:
+        got = table.shape[1:] if table.ndim == 2 and what == "displacement" else table.shape
+        raise ModelError(argument=what, got=f"the shape {got}", need=f"a column for each of {count} actuators")
+    if not np.isfinite(table).all():
+        t, i = np.argwhere(~np.isfinite(table))[0]
+        raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
+    return table
+
+
+def fitting(out: Array, count: int) -> Array:
+    """Return `out`, into which a sample (count,) can be written; raise `ModelError` if it cannot."""
+    fits = isinstance(out, np.ndarray) and out.shape == (count,) and out.dtype == np.float64
+    if not (fits and out.flags.c_contiguous and out.flags.writeable):
+        raise ModelError(f"out: need a writeable array of {count} float64 in a row")
+    return out

@@ -15,10 +15,12 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, vector
-from dehyst.control import ClampWarning, Command, Compensator, Snapshot, VoltageLimits
-from dehyst.control.limits import Clamps, stray_sentence
-from dehyst.model import Actuator, State
-from dehyst.stages.stage import Limits, SlewRates, Stage, StageTrace, apply, dot, reachable
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence
+from dehyst.control.loop import Snapshot
+from dehyst.control.trajectory import Command
+from dehyst.model import Actuator, Stage, StageTrace, State
+from dehyst.model.stage import Limits, SlewRates, apply, dot, reachable
 
 # Passes over the path in which clamped axes correct the free ones.
 _PASSES = 12

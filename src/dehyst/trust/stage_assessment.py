@@ -12,10 +12,13 @@ from scipy.stats import norm
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
+from dehyst.identification.coupling.matrix import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
+from dehyst.model import Stage
+from dehyst.model.stage import apply, by_axis, matrix_lines
 from dehyst.records import Record
-from dehyst.stages.coupling import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
-from dehyst.stages.stage import Stage, apply, by_axis, matrix_lines
-from dehyst.trust import Insight, Recheck, check, insight
+from dehyst.trust.assessment import insight
+from dehyst.trust.insight_result import Insight
+from dehyst.trust.recheck import Recheck, check
 
 # Of the range of a voltage in a hundredth of the record: it moves if it moves by more.
 _MOVING, _WINDOWS = 0.02, 200

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.stages.coupling import PlayColumns, coupling_by_plays
+from dehyst.identification.coupling.matrix import PlayColumns, coupling_by_plays
 
 OFF = ~np.eye(2, dtype=bool)
 

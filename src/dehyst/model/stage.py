@@ -16,7 +16,8 @@ from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
 from dehyst._views.fields import json_values
-from dehyst.model import Actuator, State
+from dehyst.model.actuator import Actuator
+from dehyst.model.base import State
 from dehyst.model.serialization import demand_keys, numbers
 
 # A stage whose inverse multiplies errors by more is no stage that can be driven.

@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._validation import vector
-from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits, plan_path, plan_voltage, start_at
-from dehyst.control.planning.path import HOMING, PATH, WAY
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.planning.path import HOMING, PATH, WAY, HomedPath, plan_path, plan_voltage, start_at
+from dehyst.control.planning.start import PossibleStart
+from dehyst.control.stage_compensator import StageCompensator
 from dehyst.model import State
+from dehyst.model.stage import apply
 from dehyst.model.states import state_at
-from dehyst.stages.compensator import StageCompensator
-from dehyst.stages.stage import apply
 
 # Of the time before the path: rows that are closer are one.
 _ROUNDING = 1e-9
