@@ -13,7 +13,7 @@ from dehyst import IdentifyError, Outcome, Record, RecordError
 from dehyst.identification import Structure
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import highs, least_absolute, least_absolute_blocks
+from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.least_absolute import PrimalDual
 from dehyst.identification.solvers.program import NORMS
 from dehyst.identification.structure import Grid
@@ -255,13 +255,13 @@ def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
 
 def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
     """What a solver leaves behind need not be an actuator."""
-    solved = least_absolute_blocks.least_absolute_deviations
+    solved = least_absolute.least_absolute_deviations
 
     def asleep(problem, pull, unit):
         found = solved(problem, pull, unit)
         return replace(found, x=np.full(found.x.size, -1.0), optimal=False, status="asleep")
 
-    monkeypatch.setattr(least_absolute_blocks, "least_absolute_deviations", asleep)
+    monkeypatch.setattr(least_absolute, "least_absolute_deviations", asleep)
     structure = Structure(elements=10, grades=4)
     with pytest.raises(IdentifyError, match=r"Not identified: .* asleep"):
         dehyst.identify(TOPS, structure=structure)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.program import ActiveSet, NormalEquations, Solution
+from dehyst.identification.solvers.least_squares import ActiveSet, NormalEquations
+from dehyst.identification.solvers.program import Solution
 from dehyst.records.signals import rms, turning_points
 
 _FOLDS = 3

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.regressors import EpochRange, Rows, RowSource
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
-from dehyst.identification.solvers.program import Norm, Solution, solve, solve_blocks
-from dehyst.identification.solvers.quadratic import triangle_of
+from dehyst.identification.solvers.least_squares import triangle_of
+from dehyst.identification.solvers.program import Norm, Solution, Table, solve, solve_blocks
 from dehyst.identification.structure import Grid
 from dehyst.model.elements import parts_in_segments, segment_of
 from dehyst.records.signals import rms
@@ -46,8 +46,6 @@ _FORGOTTEN = 0.01
 _SLACK = 1e-3
 
 Solver = Callable[[tuple[Array, Array] | None], Solution]
-# Free columns, columns that are not negative, target and weights.
-Table = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,9 +234,21 @@ class Regression:
         epochs = np.arange(source.count)
         usual = 1.0 if before is None else float(before.slopes.min()) / self.mean_slope
         alike = self.regularization(norm, len(source), source.count + len(self.drifting), usual)
-        blocks = _Blocks(self, source, lambda one: (*one.table(epochs), one.relative_weights(before)), alike)
-        like = self.table(epochs)
-        return self.solved_with(lambda limits: solve_blocks(blocks, like, norm=norm, constraints=limits), epochs)
+        count, like = len(source) + len(alike[3]), self.table(epochs)
+
+        def tables() -> Iterator[Table]:
+            for one in self._blocks(source):
+                yield *one.table(epochs), one.relative_weights(before)
+            if len(alike[3]):
+                yield alike
+
+        return self.solved_with(lambda limits: solve_blocks(count, tables, like, norm=norm, constraints=limits), epochs)
+
+    def _blocks(self, source: RowSource) -> Iterator[Regression]:
+        """Yield the same regression on all rows, block after block."""
+        lasting = np.asarray(self.start_columns.any(axis=0))
+        for rows in source.blocks():
+            yield replace(self, rows=rows, lasting=lasting, source=None)
 
     def relative_weights(self, model: Coefficients | None) -> Array:
         """Return inverse slopes of a model at the rows (n,), of the order of one; all one without a model."""
@@ -421,8 +431,11 @@ class Regression:
         def columns(one: Regression) -> tuple[Array, Array, Array]:
             return one.nuisances(epochs), np.zeros((len(one.rows), 0)), -one.model(found)
 
-        blocks = _Blocks(self, source, lambda one: (*columns(one), one.relative_weights(found)))
-        return self.with_nuisances(found, solve_blocks(blocks, columns(self), norm="l2"), epochs)
+        def tables() -> Iterator[Table]:
+            for one in self._blocks(source):
+                yield *columns(one), one.relative_weights(found)
+
+        return self.with_nuisances(found, solve_blocks(len(source), tables, columns(self), norm="l2"), epochs)
 
     def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> Coefficients:
         """Return an answer's coefficients; epochs as in `nuisances`."""
@@ -479,23 +492,3 @@ class Regression:
         slip = self.rows.elongation[:, self.movable] / self.grid.breakaway[self.movable]
         triangle = triangle_of(np.hstack([others, slip]))
         return np.asarray(triangle[others.shape[1] :, others.shape[1] :])
-
-
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Tables of all rows of a regression, block after block, and one more at the end."""
-
-    regression: Regression
-    source: RowSource
-    table: Callable[[Regression], Table]
-    last: Table | None = None
-
-    def __len__(self) -> int:
-        return len(self.source) + (0 if self.last is None else len(self.last[3]))
-
-    def __iter__(self) -> Iterator[Table]:
-        lasting = np.asarray(self.regression.start_columns.any(axis=0))
-        for rows in self.source.blocks():
-            yield self.table(replace(self.regression, rows=rows, lasting=lasting, source=None))
-        if self.last is not None and len(self.last[3]):
-            yield self.last
