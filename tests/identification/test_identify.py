@@ -11,6 +11,7 @@ import pytest
 import dehyst
 from dehyst import IdentifyError, Outcome, Record, RecordError
 from dehyst.identification import Structure
+from dehyst.identification.diagnostics.identifiability import projected
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute
@@ -101,10 +102,8 @@ def test_directions_that_an_excitation_determines(turns, determined, samples):
     record = plain_records.loops(PLANT, turns, samples=samples)
     rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
     movable = np.arange(10) < 9
-    regression = Regression(
-        rows, Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable), 1.0, np.zeros(1)
-    )
-    values = np.linalg.svd(regression.projected(), compute_uv=False)
+    grid = Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable)
+    values = np.linalg.svd(projected(Regression(rows, grid, 1.0, np.zeros(1))), compute_uv=False)
     assert np.count_nonzero(values > 1e-3 * values[0]) == determined
 
 

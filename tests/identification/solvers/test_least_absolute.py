@@ -223,7 +223,7 @@ def test_the_program_of_a_record():
         np.zeros(1),
     )
     found = regression.fit("l1")
-    spring = regression.parts_of_spring(regression.axis)
+    spring = regression.spring_parts
     a = np.hstack([regression.nuisances(), rows.elongation[:, movable], spring])
     best = least(a, rows.voltage - 1e5 * spring.sum(axis=1), regression.nuisances().shape[1])
     assert np.abs(found.solution.residual).sum() == pytest.approx(best, rel=1e-7)
