@@ -1,6 +1,6 @@
 """Decision rules: the thresholds by which an identification keeps a part, calls it noise, or refuses.
 
-The page of the documentation is made from this class, by `benchmarks/rules_page.py`. Tolerances and numbers of steps of
+The page of the documentation is made from this class, by `benchmarks/pages.py`. Tolerances and numbers of steps of
 solvers are not decisions and stay with them.
 """
 
