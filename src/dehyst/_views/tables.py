@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import MissingExtraError, RecordError
+from dehyst._errors import RecordError, library
 from dehyst._text import escaped
 from dehyst._types import Array
 
@@ -21,10 +21,7 @@ def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
 
     Raise `MissingExtraError` if pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise MissingExtraError.of("pandas", "tables", "A DataFrame") from error
+    pandas = library("pandas", "A DataFrame", "tables")
     made = pandas.DataFrame({name: np.array(values) for name, values in columns.items()})
     made.attrs.update(attributes)
     return made
@@ -35,15 +32,13 @@ def dataset(time: Array, variables: Mapping[str, tuple[Array, str]], **attribute
 
     Raise `MissingExtraError` if xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError.of("xarray", "tables", "A Dataset") from error
-    return xarray.Dataset(
+    xarray = library("xarray", "A Dataset", "tables")
+    made: Dataset = xarray.Dataset(
         {name: ("time", np.array(values), {"units": unit}) for name, (values, unit) in variables.items()},
         coords={"time": ("time", np.array(time), {"units": "s"})},
         attrs=attributes,
     )
+    return made
 
 
 class TableColumn(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
@@ -19,10 +20,10 @@ from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
 from dehyst.records import hdf5
 from dehyst.records.formats.columns import TEXT, Selected, Table, listed
-from dehyst.records.formats.containers import MEMBER, line_of, stated
-from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
+from dehyst.records.formats.containers import LINE, MEMBER
+from dehyst.records.formats.file_content import MOST, content_of
+from dehyst.records.formats.notation import SIGNS
 from dehyst.records.formats.reader_process import LOADERS, load
-from dehyst.records.formats.table_layout import SIGNS
 from dehyst.records.record import Record
 from dehyst.records.tables import AxisColumns, Choice, ColumnsError, axis_columns, chosen, joined, renamed
 
@@ -233,7 +234,7 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, bytes_allowed(max_bytes))._replace(decimal=decimal, with_meta=with_meta)
+        content = content_of(path, max_bytes)._replace(decimal=decimal, with_meta=with_meta)
     if decimal is not None and content.suffix not in _WITH_SIGNS:
         raise FileFormatError(
             f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
@@ -265,13 +266,14 @@ def write_record(path: PathLike, record: Record) -> None:
         f"{'voltage' if one.role == 'drive' else 'displacement'} of {one.axis}": one.name for one in record.channels
     }
     known = record.meta.get("guesses")
-    guesses = stated({of_axes.get(k, k): v for k, v in known.items()} if isinstance(known, Mapping) else known)
+    known = known if isinstance(known, Mapping) else {}
+    guesses = json.dumps({of_axes.get(str(k), str(k)): str(v) for k, v in known.items()}) if known else ""
     if Path(path).suffix.lower() == ".npz":
         kept = {MEMBER: np.array(guesses)} if guesses else {}
         write_atomically(path, packed({**record.columns("m"), **kept}))
         return
     lines = _lines(path, record.columns())
-    write_atomically(path, "\n".join([*line_of(guesses), *lines, ""]))
+    write_atomically(path, "\n".join([*[LINE + guesses] * bool(guesses), *lines, ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:

@@ -314,7 +314,7 @@ class Recording:
         if self.path.suffix.lower() not in hdf5.SUFFIXES:
             raise FileFormatError(f"{path}: a recording needs the suffix .h5 or .hdf5; rename it")
         # A missing package is reported now, not at the end.
-        hdf5.demand_writer()
+        hdf5.writer()
         if os.path.lexists(self.path):
             raise FileFormatError(f"{path}: is there already, and no record is overwritten; name another")
         self.name = self.path.stem if name is None else name
@@ -429,7 +429,7 @@ def salvage(folder: PathLike) -> list[Path]:
     list of Path
         The files, in the order of their names. `read` refuses those of fewer than 2 samples, which only keep the meta.
     """
-    hdf5.demand_writer()
+    hdf5.writer()
     folder = path_of(folder)
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: no such folder; give the folder of the recordings")
@@ -467,7 +467,7 @@ def _salvage(path: Path) -> Path | None:
 def _has_samples(path: Path, sha256: str) -> bool:
     """Return whether a file with these samples exists: the process was killed before it deleted the journal."""
     with contextlib.suppress(FileFormatError, OSError):
-        stored = hdf5.decode(path)
+        stored = hdf5.decode(path.read_bytes())
         return stored is not None and stored.sha256 == sha256
     return False
 
