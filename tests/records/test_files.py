@@ -152,8 +152,8 @@ def test_units(tmp_path, quantity, name, factor, encoding):
 def test_a_table_needs_only_what_is_asked(tmp_path):
     table = read_table(text(tmp_path, "time_s,voltage_V\n0,1\n1,2\n"))
     assert table.names == ("time_s", "voltage_V")
-    assert table.has("voltage")
-    assert not table.has("displacement")
+    assert table.fitting("voltage") == 1
+    assert table.fitting("displacement") == 0
     assert table.column("voltage").tolist() == [1, 2]
     with pytest.raises(FileFormatError, match=r"a\.csv: no displacement column; the file holds 'time_s', 'voltage_V'"):
         table.column("displacement")

@@ -204,7 +204,7 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
     """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
     if sample_rate is None:
         return table.column("time", wanted)
-    known = table.select("time") if wanted is None and table.has("time") else None
+    known = table.select("time") if wanted is None and table.fitting("time") == 1 else None
     if wanted is not None or (known and known.usable):
         raise FileFormatError(
             f"{table.source}: got a sample rate and the time column '{known.column.name if known else wanted}'",
