@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,22 +14,23 @@ from numpy.typing import NDArray
 from dehyst._errors import FileFormatError, library
 from dehyst._io import to_json
 from dehyst._text import counted
+from dehyst.records.formats.columns import Column
 from dehyst.records.formats.containers import hdf5_nodes, is_vector, samples_of
 from dehyst.records.formats.file_content import MOST, Allowance
 
 SUFFIXES = (".h5", ".hdf5")
-DATASETS = {"time_s": "s", "voltage_V": "V", "displacement_m": "m"}
-# Attribute of the file with name and meta as JSON; a file without it was written by another program.
+# The datasets of every record; those of further channels follow.
+DATASETS = ("time_s", "voltage_V", "displacement_m")
+# Attribute of the file with name, meta and further datasets as JSON; a file without it is another program's.
 _MARK = "dehyst"
-
-Columns = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 class Stored(NamedTuple):
-    """Name, meta, number of samples and their hash, as stored in a file."""
+    """Name, meta, further datasets, number of samples and their hash, as stored in a file."""
 
     name: str
     meta: dict[str, Any]
+    others: list[str]
     samples: int
     sha256: str
 
@@ -39,29 +40,32 @@ def writer() -> Any:
     return library("h5py", "Writing .h5 files", "bench")
 
 
-def sha256_of(columns: Columns) -> str:
-    """Return the SHA-256 of time, voltage and displacement (n,), one after the other, as little-endian doubles."""
+def sha256_of(columns: Iterable[NDArray[np.float64]]) -> str:
+    """Return the SHA-256 of columns, first time, voltage and displacement (n,), one by one as little-endian doubles."""
     digest = hashlib.sha256()
     for column in columns:
         digest.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
     return digest.hexdigest()
 
 
-def pack(columns: Columns, name: str, meta: Mapping[str, Any], where: object) -> bytes:
-    """Return the bytes of a file: time [s], voltage [V], displacement [m] (n,), n may be 0; name and meta as JSON.
+def pack(columns: Mapping[str, NDArray[np.float64]], name: str, meta: Mapping[str, Any], where: object) -> bytes:
+    """Return the bytes of a file: `DATASETS` and further columns (n,), n may be 0; name and meta as JSON.
 
     `where`: name of the file in messages. Raise `FileFormatError` if name or meta cannot be written as JSON. Raise
     `MissingExtraError` if h5py is not installed.
     """
     h5py = writer()
-    text = to_json({"name": name, "meta": dict(meta)}, f"{where}: meta")
+    others = [column for column in columns if column not in DATASETS]
+    head = {"name": name, "meta": dict(meta), **({"others": others} if others else {})}
+    text = to_json(head, f"{where}: meta")
     buffer = io.BytesIO()
     # A long meta does not fit into an attribute of the oldest version.
     with h5py.File(buffer, "w", libver=("v108", "v110")) as file:
-        for (dataset, unit), column in zip(DATASETS.items(), columns, strict=True):
-            file.create_dataset(dataset, data=np.ascontiguousarray(column, dtype="<f8")).attrs["unit"] = unit
+        for column, values in columns.items():
+            dataset = file.create_dataset(column, data=np.ascontiguousarray(values, dtype="<f8"))
+            dataset.attrs["unit"] = Column(column, values).parts[1]
         file.attrs[_MARK] = text
-        file.attrs["sha256"] = sha256_of(columns)
+        file.attrs["sha256"] = sha256_of(columns.values())
     return buffer.getvalue()
 
 
@@ -78,10 +82,10 @@ def decode(content: bytes, least: int = 0, most: int = MOST) -> Stored | None:
         with h5py.File(io.BytesIO(content), "r") as file:
             if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
                 return None
-            name, meta = _parse(file.attrs[_MARK])
+            name, meta, others = _parse(file.attrs[_MARK])
             datasets = {node.name: node for node in hdf5_nodes(file)}
-            columns = tuple(_own_samples(datasets.get(dataset), dataset, allowance) for dataset in DATASETS)
-            stored = Stored(name, meta, int(columns[0].size), str(file.attrs["sha256"]))
+            columns = [_own_samples(datasets.get(one), one, allowance) for one in (*DATASETS, *others)]
+            stored = Stored(name, meta, others, int(columns[0].size), str(file.attrs["sha256"]))
     except (OSError, FileFormatError):
         raise
     # A damaged file makes h5py raise errors of any kind.
@@ -89,7 +93,7 @@ def decode(content: bytes, least: int = 0, most: int = MOST) -> Stored | None:
         raise FileFormatError(
             f"this record of dehyst is damaged ({type(error).__name__}: {error}); take the file from a copy"
         ) from error
-    sha256 = sha256_of(columns)  # type: ignore[arg-type]
+    sha256 = sha256_of(columns)
     if sha256 != stored.sha256:
         raise FileFormatError(
             f"its samples are not those that were written (sha256 {sha256[:12]}..., need {stored.sha256[:12]}...): "
@@ -113,10 +117,11 @@ def _own_samples(node: Any, name: str, allowance: Allowance) -> NDArray[np.float
     return np.asarray(samples_of(node.dataset, name, allowance), dtype=np.float64)
 
 
-def _parse(mark: Any) -> tuple[str, dict[str, Any]]:
-    """Return name and meta as `pack` wrote them; raise ValueError for other types, RecursionError if too deep."""
+def _parse(mark: Any) -> tuple[str, dict[str, Any], list[str]]:
+    """Return name, meta and further datasets as `pack` wrote them; raise ValueError or RecursionError for others."""
     content = json.loads(mark)
-    name, meta = (content.get("name"), content.get("meta")) if isinstance(content, dict) else (None, None)
-    if not isinstance(name, str) or not isinstance(meta, dict):
+    content = content if isinstance(content, dict) else {}
+    name, meta, others = content.get("name"), content.get("meta"), content.get("others", [])
+    if not isinstance(name, str) or not isinstance(meta, dict) or not isinstance(others, list):
         raise ValueError(f"need name as text and meta as an object, got {str(mark)[:60]!r}")
-    return name, meta
+    return name, meta, list(map(str, others))

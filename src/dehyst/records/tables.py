@@ -90,8 +90,9 @@ def renamed(table: Table, columns: str) -> Table:
     """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
 
     An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
-    entry marks it as a guess. Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an
-    unknown unit, a name twice, or no name.
+    entry marks it as a guess. A column with a unit in its entry that is none of a record's quantities is kept as a
+    further channel. Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an unknown
+    unit, a name twice, or no name.
     """
     if not isinstance(columns, str):
         need = "one text with commas, as 'time:s,voltage:V,displacement:um'"
@@ -109,7 +110,7 @@ def renamed(table: Table, columns: str) -> Table:
     named = []
     for entry, column in zip(entries, table.columns, strict=True):
         name, _, unit = (part.strip() for part in entry.removesuffix(GUESS).partition(":"))
-        if unit and not symbol_of(unit):
+        if unit and not symbol_of(unit) and Column(name, column.data).quantities:
             raise refusal(f"got the unit '{unit}', which is unknown; try s, V or um")
         if name in ("", "-"):
             continue
@@ -118,10 +119,10 @@ def renamed(table: Table, columns: str) -> Table:
                 f"'{name}' needs a unit: column '{shortened(column.name)}' has the unit '{column.contradiction}' in "
                 f"its name, but the file states '{column.unit}' for it; give '{name}:UNIT'"
             )
-        unit = symbol_of(unit) or column.parts[1]
+        kept, unit = unit != "", symbol_of(unit) or unit or column.parts[1]
         guess = f"column '{shortened(column.name)}' in {unit or 'no unit'}" if entry.endswith(GUESS) else ""
         guess = "; ".join(part for part in (guess, column.guessed) if part)
-        named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess))
+        named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess, kept=kept))
     names = [column.name for column in named]
     if len(set(names)) < len(names):
         raise refusal(f"got {listed(tuple(names))}; give each name once")

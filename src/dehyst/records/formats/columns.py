@@ -13,7 +13,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
-from dehyst._units import FACTORS, quantity_of, symbol_of
+from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 
@@ -92,6 +92,7 @@ GAIN, GUESS = "GAIN", "?"
 _SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
 # A quantity and its unit: "Time / s", "Weg in µm"; the same without blanks: "Position/nm".
 _WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
+_BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]$")
 _DIVIDED = re.compile(r"\s*([^/]*[^/\s])\s*/\s*([^/\s\[\]()]+)\s*")
 # The names of outputs, monitors and channels of an oscilloscope, as whole words or in them, and the range that such
 # plugs have [V]: 10 V and what a converter measures beyond.
@@ -194,7 +195,7 @@ class Column:
     `divided`: whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group. `guessed`:
     what the file does not state about it. `ends`: its first and last cell as a text file has them. `began`: of
     timestamps, what the first may be: what it counts from, whole seconds and their fraction; two if the order of day
-    and month is unknown.
+    and month is unknown. `kept`: whether a record keeps it as a further channel, whatever its name is.
     """
 
     name: str
@@ -207,13 +208,16 @@ class Column:
     guessed: str = ""
     ends: tuple[str, str] = ("", "")
     began: tuple[tuple[str, int, float], ...] = ()
+    kept: bool = False
 
     @property
     def leaf(self) -> str:
-        """The name without its groups; "Time / s" has none."""
+        """The name without its groups; "Time / s" has none, nor has "flow [l/min]"."""
         if self.divided:
             return "/".join(self.name.rsplit("/", 2)[-2:])
-        return self.name if " / " in self.name else self.name.rsplit("/", 1)[-1]
+        unit = match[0] if (match := _BRACKETS.search(self.name)) else ""
+        word = self.name.removesuffix(unit)
+        return self.name if " / " in word else word.rsplit("/", 1)[-1] + unit
 
     @property
     def _named(self) -> tuple[str, str]:
@@ -253,6 +257,19 @@ class Column:
     def words(self) -> set[str]:
         """Its name without groups, with and without the unit, in lower case."""
         return {self.leaf.lower(), self.parts[0].lower()}
+
+    @property
+    def role(self) -> str:
+        """What it is as a further channel of a record: "temperature", "load" or "other", by its name and its unit.
+
+        A temperature has "temp" in its name, or the unit degC or °C; a load has "load", "force" or "kraft".
+        """
+        word, unit = self.parts[0].lower(), self.parts[1]
+        role = quantity_of(unit)
+        parts, units = {"temperature": (("temp",), ("degC", "°C")), "load": (("load", "force", "kraft"), ())}.get(
+            role, ((), ())
+        )
+        return role if unit in units or any(part in word for part in parts) else "other"
 
     @property
     def quantities(self) -> set[str]:
@@ -331,15 +348,11 @@ class Selected:
                 problem = f" has the unit '{shortened(unit)}', but {refusal}"
                 advice = "; give a scale for that unit, or leave it out"
                 raise self._error(problem, advice, change=(f"{self.quantity}_scale",), usable=False)
-            factor = scale.apply(unit)
-        elif self.unit in FACTORS[self.quantity]:
-            factor = FACTORS[self.quantity][self.unit]
-        else:
+        elif self.unit not in FACTORS[self.quantity]:
             raise self._unknown_unit()
         # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
-            # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            values = column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+            values: Array = in_si(column.data, self.unit) if scale is None else column.data * scale.apply(unit)
         if self.quantity == "voltage" and scale is None and is_plug(column.name) and is_small(values):
             given = _option("voltage_scale", f"{GAIN} V/V")
             raise self._error(

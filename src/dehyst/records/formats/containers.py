@@ -20,27 +20,32 @@ from dehyst._units import COUNTS, quantity_of, symbol_of
 from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance
 
-# Name of the array of an NPZ, and the beginning of the first line of a text.
-MEMBER = "dehyst-guesses"
+# Name of the array of an NPZ, and the beginning of the first line of a text, in which a record file states in JSON
+# "guesses" by quantity and the columns of "others".
+MEMBER = "dehyst-record"
 LINE = f"# {MEMBER}: "
-# Longest text of all guesses [bytes].
+# Longest text of it [bytes].
 LONGEST = 4096
 
 
 def in_first_line(data: bytes) -> str:
-    """Return the guesses that a record file states in the first line of its text; empty if there are none."""
+    """Return what a record file states in the first line of its text; empty if it is no record file of dehyst."""
     line = data[len(LINE) : LONGEST].splitlines()[:1] if data.startswith(LINE.encode()) else []
     return line[0].decode(errors="replace") if line else ""
 
 
 def restored(columns: Sequence[Column], text: str) -> list[Column]:
-    """Return the columns of a record file with the guesses that it states; text that states none is ignored."""
+    """Return the columns of a record file with what it states about them; other text is ignored."""
     try:
-        guesses = json.loads(text) if text else {}
+        stated = json.loads(text) if text else {}
     except (ValueError, RecursionError):
-        guesses = {}
-    known = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
-    return [replace(column, guessed=known.get(column.name.rpartition("_")[0], column.guessed)) for column in columns]
+        stated = {}
+    guesses, others = (stated.get("guesses"), stated.get("others")) if isinstance(stated, dict) else (None, None)
+    words = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
+    kept = others if isinstance(others, list) else []
+    return [
+        replace(one, guessed=words.get(one.parts[0], one.guessed), kept=one.kept or one.name in kept) for one in columns
+    ]
 
 
 def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
