@@ -82,12 +82,7 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
     and quantities have.
 
     `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default that
-    of the name in `UNITS`.
-
-    Raises
-    ------
-    error
-        If the unit cannot be converted, none is known for the name, or a value is masked.
+    of the name in `UNITS`. Raise `error` if it cannot be converted, none is known for the name, or a value is masked.
     """
     kind = type(values)
     if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind != "O"):

@@ -84,9 +84,12 @@ class Journal:
             lock(descriptor)
             journal._write(f"# {head}\n{','.join(columns)}\n".encode())
             settle_folder(path.parent)
-        except (FileFormatError, OSError) as error:
+        except FileFormatError:
             journal.remove()
-            raise (error if isinstance(error, FileFormatError) else unwritten(path, error)) from error
+            raise
+        except OSError as error:
+            journal.remove()
+            raise unwritten(path, error) from error
         journal.samples = 0
         return journal
 
@@ -140,19 +143,22 @@ class Journal:
             raise unwritten(self.path, error) from error
         # After a power cut a file system may have added zeros to a file whose end was not written.
         *lines, cut_off = data.rstrip(b"\0").decode("utf-8", "replace").split("\n")
-        name, meta, started = "", dict[str, Any](), None
-        if lines and lines[0].startswith("# {") and (head := _head(lines[0][2:])) is not None:
-            name, meta, started = head
-            del lines[0]
+        head = _head(lines[0][2:]) if lines and lines[0].startswith("# {") else None
         known = ",".join(hdf5.DATASETS)
         header = next((line for line in lines if line == known or line.startswith(f"{known},")), known)
         columns = header.split(",")
-        rows = [_row(line, len(columns)) for line in lines if line != header]
-        whole = _rising([row for row in rows if row is not None])
+        rows = []
+        for line in lines[head is not None :]:
+            if line != header:
+                try:
+                    rows.append(tuple(map(float, line.split(","))))
+                except ValueError:
+                    rows.append(())
+        whole = _rising([row for row in rows if len(row) == len(columns) and all(map(math.isfinite, row))])
         arrays = np.array(whole, dtype=np.float64).reshape(-1, len(columns)).T.copy()
         damaged = len(rows) - len(whole) + (len(cut_off) > _LONGEST_LINE)
         found = dict(zip(columns, arrays, strict=True))
-        return JournalContents(name, meta, started, found, cut_off[:_LONGEST_LINE], damaged)
+        return JournalContents(*(head or ("", {}, None)), found, cut_off[:_LONGEST_LINE], damaged)
 
     def close(self) -> None:
         """Close the file, which stays; may be called twice."""
@@ -238,14 +244,6 @@ def _head(text: str) -> tuple[str, dict[str, Any], str | None] | None:
     if isinstance(name, str) and isinstance(meta, dict) and isinstance(started, str | None):
         return name, meta, started
     return None
-
-
-def _row(line: str, count: int) -> _Row | None:
-    try:
-        row = tuple(map(float, line.split(",")))
-    except ValueError:
-        return None
-    return row if len(row) == count and all(map(math.isfinite, row)) else None
 
 
 def _rising(rows: list[_Row]) -> list[_Row]:
@@ -447,18 +445,14 @@ class Recording:
 
 
 def salvage(folder: PathLike) -> list[Path]:
-    """Make files, marked incomplete, of the journals that killed processes left in a folder.
+    """Make files, marked incomplete, of the journals that killed processes left in a folder; return their paths.
 
     Nothing is overwritten: if the file exists, the new one has a number in its name. A journal that a running process
-    still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not
-    three finite numbers, or a time that does not rise, except a last line cut off) is kept as ``*.part.damaged.csv``
-    beside the file. If it has no sample at all, it is only renamed so. Raise `FileFormatError` if there is no such
-    folder, or a file cannot be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order of their names. `read` refuses those of fewer than 2 samples, which only keep the meta.
+    still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not a
+    finite number for each column, or a time that does not rise, except a last line cut off) is kept as
+    ``*.part.damaged.csv`` beside the file. If it has no sample at all, it is only renamed so. `read` refuses files of
+    fewer than 2 samples, which only keep the meta. Raise `FileFormatError` if there is no such folder, or a file cannot
+    be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
     """
     hdf5.writer()
     folder = path_of(folder)
@@ -480,8 +474,11 @@ def _salvage(path: Path) -> Path | None:
             journal.set_aside()
             return None
         target = path.with_name(path.name.removesuffix(SUFFIX))
-        if size and _has_samples(target, sha256):
-            # The process may have been killed before the file was on the disk.
+        stored = None
+        with contextlib.suppress(FileFormatError, OSError):
+            stored = hdf5.decode(target.read_bytes())
+        if size and stored is not None and stored.sha256 == sha256:
+            # The process was killed before it deleted the journal, perhaps before the file was on the disk.
             settle_file(target)
             journal.remove()
             return target
@@ -494,14 +491,6 @@ def _salvage(path: Path) -> Path | None:
         _write(target, contents.columns, contents.name or target.stem, meta, why, contents.started, ended)
         (journal.set_aside if contents.damaged else journal.remove)()
     return target
-
-
-def _has_samples(path: Path, sha256: str) -> bool:
-    """Return whether a file with these samples exists: the process was killed before it deleted the journal."""
-    with contextlib.suppress(FileFormatError, OSError):
-        stored = hdf5.decode(path.read_bytes())
-        return stored is not None and stored.sha256 == sha256
-    return False
 
 
 def _write(

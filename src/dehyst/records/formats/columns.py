@@ -18,7 +18,7 @@ from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 
 
-class Quantity(NamedTuple):
+class ColumnWords(NamedTuple):
     """What is known about the columns of a quantity.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts`, `letters`:
@@ -39,7 +39,7 @@ class Quantity(NamedTuple):
 # Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
 HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
 QUANTITIES = {
-    "time": Quantity(
+    "time": ColumnWords(
         "time_s",
         frozenset(("time", "t")),
         frozenset(
@@ -62,7 +62,7 @@ QUANTITIES = {
         ("s", "ms"),
         (0.0, 1e7),
     ),
-    "voltage": Quantity(
+    "voltage": ColumnWords(
         "voltage_V",
         frozenset(("voltage", "v", "drive")),
         frozenset(
@@ -74,7 +74,7 @@ QUANTITIES = {
         (0.0, HIGHEST_VOLTAGE),
         "100 V/V",
     ),
-    "displacement": Quantity(
+    "displacement": ColumnWords(
         "displacement_um",
         frozenset(("displacement", "position", "y", "pos")),
         frozenset(["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"]),
