@@ -9,21 +9,11 @@ import numpy as np
 from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.html import escape
 from dehyst.fleet.drift import Drifts
 from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
-from dehyst.report.html import (
-    Axis,
-    Chart,
-    Charts,
-    Row,
-    Series,
-    bullets,
-    document,
-    escape,
-    number,
-    reproduction,
-    table,
-)
+from dehyst.report.charts import Axis, Chart, Series
+from dehyst.report.html import Charts, Row, bullets, document, number, reproduction, table
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
