@@ -18,11 +18,12 @@ from dehyst.baselines import (
     PrandtlIshlinskii,
     Preisach,
 )
-from dehyst.baselines.base import AbstractBaseline, PlayBank
+from dehyst.baselines.base import AbstractBaseline, PlayRows, prepare_training, ramps
+from dehyst.baselines.play_models import differences, low_pass, with_unknown_start
+from dehyst.baselines.plays import PlayBank
 from dehyst.baselines.tracking_trials import TRIALS
-from dehyst.baselines.training import PlayRows, differences, low_pass, prepare_training, ramps, with_unknown_start
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.waveforms import standard
+from dehyst.waveforms import Sampling, standard
 
 MODELS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
 VOLTS, STROKE = 200.0, 16e-6
@@ -79,7 +80,7 @@ def training(kind, **options):
         recorded(kind(seed=i, **options).play, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
     ]
     if options:
-        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Sampling(sample_rate=20.0))
+        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=Sampling(sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
         records.append(recorded(kind(seed=9, **options).play, voltage, name="stairs"))
     return records
@@ -238,7 +239,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
     one = TRIALS["boucwen"]
     found = kind.fit(one.records(), delay=2e-4)
-    slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Sampling(frequency=1.0, sample_rate=2000.0))
+    slow = standard.raised_cosine(VOLTS, cycles=2, drive=Sampling(frequency=1.0, sample_rate=2000.0))
     y = one.truth(3).play(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03
@@ -254,12 +255,16 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
     y = truth.simulate(voltage, state, time[before.size :])[0]
     record = Record(time[before.size :], voltage, y, "later")
     ready = prepare_training(record, delay=0.0, drift=False)
-    rows = PlayRows.from_training(with_unknown_start(ready, truth.times), truth.thresholds, truth.times)
-    found = rows.fit(rows.ramps())
+
+    def fitted_to(training):
+        rows = PlayRows.from_training(training, truth.thresholds)
+        passed = rows.training.sampled(lambda piece: low_pass(piece, truth.times))
+        return rows.fit(np.hstack([rows.ramps(), passed]))
+
+    found = fitted_to(with_unknown_start(ready, truth.times))
     np.testing.assert_allclose(found.weights, [5e-8, 2e-8, 3e-9, 4e-9], rtol=1e-6)
     assert found.rms < 1e-9 * STROKE
-    plain = PlayRows.from_training(ready, truth.thresholds, truth.times)
-    assert plain.fit(plain.ramps()).rms > 1e-5 * STROKE
+    assert fitted_to(ready).rms > 1e-5 * STROKE
 
 
 @pytest.mark.parametrize(
@@ -341,6 +346,6 @@ def test_impossible_curves_and_times_are_refused():
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[np.nan])
     bank = PlayBank([0.0], [()], [[1.0]])
     with pytest.raises(ModelError, match=r"values: got .*strictly increasing"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_rise(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_descent(0))
     with pytest.raises(ModelError, match=r"values: got 3, need one for each of 2 places"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_rise(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_descent(0))

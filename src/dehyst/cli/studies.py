@@ -20,7 +20,7 @@ def _folder_option(name: str, last: str) -> Callable[..., Any]:
 
 @click.command()
 @_folder_option("dehyst-demo", "an earlier demo's")
-@click.option("--report/--no-report", default=True, help="Draw the report (needs matplotlib).")
+@click.option("--report/--no-report", default=True, help="Draw the report.")
 @json_option
 def demo(output: Path, report: bool, as_json: bool) -> None:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
@@ -52,7 +52,7 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
 @_folder_option("dehyst-paper", "one of an earlier run")
 @json_option
 def paper(output: Path, as_json: bool) -> None:
-    """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers."""
+    """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
     from dehyst.studies.paper import run as study
 
     study.demand_folder(output)

@@ -99,7 +99,7 @@ def _new_axes() -> Axes:
     try:
         from matplotlib import pyplot
     except ImportError as error:
-        raise MissingExtraError.of("matplotlib", "report", "Drawing") from error
+        raise MissingExtraError.of("matplotlib", "plot", "Drawing") from error
     axes: Axes = pyplot.subplots(layout="constrained")[1]
     axes.grid(color="#ECECEC", lw=0.5)
     axes.set_axisbelow(True)

@@ -147,7 +147,7 @@ def _figure(name: str, size: tuple[float, float]) -> Iterator[Figure]:
         import matplotlib
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtraError.of("matplotlib", "report", "Drawing") from error
+        raise MissingExtraError.of("matplotlib", "plot", "Drawing") from error
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         style: Any = {**_STYLE, "svg.hashsalt": name}
