@@ -153,7 +153,7 @@ def follow(
             # After a clamped sample others follow soon: sample by sample, then, to the end.
             voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
-    if path.moves_on:
+    if path.has_dynamics:
         motion = path.simulate(voltage, start)
         reached, state = motion.displacement, motion.state
     missed = float(np.abs(wanted - reached).max(initial=0.0))
@@ -198,14 +198,14 @@ class _Path:
     acceleration: ArrayLike | None
 
     @property
-    def moves_on(self) -> bool:
+    def has_dynamics(self) -> bool:
         """Whether a mass or an amplifier still responds to voltages that were clamped before."""
-        return self.actuator.model.moves_on
+        return self.actuator.model.has_dynamics
 
     @property
     def steps_on(self) -> bool:
         """Whether nothing moves on, and the time has few runs of equal steps."""
-        return not self.moves_on and self.clock[1].size <= _FEW
+        return not self.has_dynamics and self.clock[1].size <= _FEW
 
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
