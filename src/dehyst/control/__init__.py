@@ -1,6 +1,6 @@
 """Control: from a wanted displacement to the voltage that produces it."""
 
-from dehyst.control.bank import Bank, BankClamps, BankState
+from dehyst.control.bank import Bank
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import ClampWarning, VoltageLimits
 from dehyst.control.loop import Snapshot
@@ -14,8 +14,6 @@ from dehyst.control.trajectory import Command
 
 __all__ = [
     "Bank",
-    "BankClamps",
-    "BankState",
     "ClampWarning",
     "Command",
     "Compensator",

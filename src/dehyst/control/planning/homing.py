@@ -163,7 +163,7 @@ def shortest_homing(
     stop = start if end is None else _inside(end, "end", allowed)
     if time_dependence(actuator):
         return _homing_in_time(actuator, allowed, (start, stop), drive, hold, tolerance)
-    task = _ClosedForm(actuator, allowed, (start, stop), least_width(actuator, tolerance))
+    task = _OrderedHoming(actuator, allowed, (start, stop), least_width(actuator, tolerance))
     turns = task.turns(task.stiff if stiff_only or not task.suffices(task.whole) else task.whole)
     bounds = StateBounds.at_rest(actuator, start).propagate(actuator, turns).bounds
     unknown = bounds.widths > task.tolerance
@@ -186,7 +186,7 @@ def _travel(turns: Sequence[float]) -> float:
     return float(sum(abs(b - a) for a, b in pairwise(turns)))
 
 
-class _ClosedForm:
+class _OrderedHoming:
     """The homing of an actuator whose state the order of voltages determines.
 
     A reach [m] is the `least_range` of the voltages that homes the whole state, or the stiff elements.
@@ -291,7 +291,7 @@ def _homing_in_time(
     if hold is not None and number(hold, "hold") < 0:
         raise ModelError(argument="hold", got=hold, need="a positive number")
     sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
-    task = _InTime(actuator, limits, ends, replace(sampling, base=ends[1], present=ends[0], limits=limits), least)
+    task = _TimedHoming(actuator, limits, ends, replace(sampling, base=ends[1], present=ends[0], limits=limits), least)
     wait, longest = _rest_seconds(actuator) if hold is None else float(hold), task.longest
     if hold is None and longest:
         needed = task.needed(wait)
@@ -323,7 +323,7 @@ def _homing_in_time(
     return Homing(turns, bounds, tuple(unknown), spread <= least, tuple(remarks), excitation, spread)
 
 
-class _InTime:
+class _TimedHoming:
     """A homing played in time through both limits, from all `states` that any history within them may have left.
 
     It has a number of legs, and holds at the last visit of either limit [s].
