@@ -15,7 +15,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.tx
 
 .PHONY: demo test nightly check docs wasm pictures wheel bench clean
 
-demo: $(VENV)/.report
+demo: $(VENV)/.demo
 	$(BIN)/dehyst demo
 
 test: $(VENV)/.test
@@ -66,34 +66,28 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/workbench.py
 	$(BIN)/python benchmarks/workbench_rehearsal.py
 	$(BIN)/python benchmarks/fleet.py
-	$(BIN)/python benchmarks/fleet_page.py
-	$(BIN)/python benchmarks/figure.py
-	$(BIN)/python benchmarks/readme.py
-	$(BIN)/python benchmarks/benchmarks_page.py
-	$(BIN)/python benchmarks/rules_page.py
-	$(BIN)/python benchmarks/control_page.py
-	$(BIN)/python benchmarks/safety_page.py
-	$(BIN)/python benchmarks/trust_page.py
+	$(BIN)/python benchmarks/figures.py
+	$(BIN)/python benchmarks/pages.py
 	$(BIN)/python benchmarks/architecture.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.report: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[report]'
+$(VENV)/.demo: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet .
 	touch $@
 
 $(VENV)/.test: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test]'
-	touch $@ $(VENV)/.report
+	touch $@ $(VENV)/.demo
 
 $(VENV)/.check: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test,check]'
-	touch $@ $(VENV)/.test $(VENV)/.report
+	touch $@ $(VENV)/.test $(VENV)/.demo
 
 $(VENV)/.docs: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[docs]'
-	touch $@ $(VENV)/.report
+	touch $@ $(VENV)/.demo
 
 $(VENV)/.release: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[release]'

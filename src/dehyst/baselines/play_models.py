@@ -97,19 +97,9 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
     S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
 
-    Attributes
-    ----------
-    bank : PlayBank
-        The plays, whose sum is in volts; the first threshold is 0.
-    places, values : (M,) array
-        Knots of S: [V] and [m], both strictly increasing; S continues linearly beyond.
-    state : PlayState
-        Default start: after a long descent to the lowest voltage of its records.
-
-    Raises
-    ------
-    ModelError
-        If S does not increase.
+    `bank`: the plays, whose sum is in volts; the first threshold is 0. `places`, `values` (M,): knots of S, [V] and
+    [m], both strictly increasing; S continues linearly beyond. `state`: default start, after a long descent to the
+    lowest voltage of its records. Raise `ModelError` if S does not increase.
     """
 
     bank: PlayBank
@@ -285,15 +275,10 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
         Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that just
         after a reversal. Low-passes replace the drift.
 
-        Parameters
-        ----------
-        segments : int, optional
-            Segments of each curve, over the range of its play.
-        lowpasses : (K,) array_like, optional
-            Time constants [s]; an empty one leaves creep out. Default: two per decade from two samples to a third of
-            the longest record if they lower the cross-validation error much, else none.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring slopes; it determines those that the records leave open.
+        `segments`: of each curve, over the range of its play. `lowpasses` (K,): time constants [s]; an empty one leaves
+        creep out; default: two per decade from two samples to a third of the longest record if they lower the
+        cross-validation error much, else none. `smoothing`: weight of the squared differences of neighbouring slopes;
+        it determines those that the records leave open.
         """
         count(plays, "plays")
         count(segments, "segments")
@@ -370,15 +355,10 @@ def _default_times(training: Training) -> Array:
 
 def low_pass(piece: Record, times: Array) -> Array:
     """Return low-passes (n, K) of a voltage (n,) [V]: linear between samples, at rest at its first value before it."""
-    v = piece.voltage
-    ratio = np.diff(piece.time)[:, None] / times
-    kept, taken = np.exp(-ratio), 1 + np.expm1(-ratio) / ratio
-    pushed = v[:-1, None] * (1 - kept) + np.diff(v)[:, None] * taken
-    out = np.empty((v.size, times.size))
-    out[0] = v[0]
-    for t in range(v.size - 1 if times.size else 0):
-        out[t + 1] = kept[t] * out[t] + pushed[t]
-    return out
+    v, alone = piece.voltage, np.ones(1)
+    start = PlayState(float(v[0]), EMPTY, v[:1])
+    banks = (PlayBank(EMPTY, (), (), 0.0, time, alone) for time in times[:, None])
+    return np.column_stack([np.zeros((v.size, 0)), *(bank.simulate(v, start, piece.time)[0] for bank in banks)])
 
 
 def with_unknown_start(training: Training, times: Array) -> Training:
@@ -432,12 +412,8 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
         Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that of the
         kernels with p1 = p2.
 
-        Parameters
-        ----------
-        levels : int, optional
-            Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
+        `levels`: parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels. `smoothing`: weight of
+        the squared differences of neighbouring weights; it determines those that the records leave open.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")

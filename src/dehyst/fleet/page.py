@@ -9,21 +9,11 @@ import numpy as np
 from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.html import escape
 from dehyst.fleet.drift import Drifts
 from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
-from dehyst.report.html import (
-    Axis,
-    Chart,
-    Charts,
-    Row,
-    Series,
-    bullets,
-    document,
-    escape,
-    number,
-    reproduction,
-    table,
-)
+from dehyst.report import html
+from dehyst.report.charts import Axis, Chart, Series
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
@@ -53,18 +43,18 @@ def write_fleet_page(
         "" if drifts is None else _recalibrate(drifts),
         _listed(findings),
         _section("Without a model", "", ("records", "reason", "which"), refused, 3) if refused else "",
-        bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
+        html.bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
         _distributions(findings),
         _map(findings),
-        reproduction(command),
+        html.reproduction(command),
     ]
-    write_atomically(path, document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
+    write_atomically(path, html.document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
 
 
-def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[Row], texts: int) -> str:
+def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[html.Row], texts: int) -> str:
     """Return a heading, a sentence, and the first rows of a table whose first columns are `texts`."""
     parts = [f"<h2>{title}</h2>", f"<p>{escape(words)}</p>" if words else ""]
-    parts += [table(head, rows[:_MOST], texts)] if rows else []
+    parts += [html.table(head, rows[:_MOST], texts)] if rows else []
     return "\n".join(part for part in parts if part)
 
 
@@ -76,10 +66,10 @@ def _recalibrate(drifts: Drifts) -> str:
         f"{drifts.ends[1]}: keeping the oldest model costs more than {drifts.goal:g} % of the stroke, or the cost is "
         f"out of its limits. It usually costs {drifts.usual:.2g} %."
     )
-    rows = [
-        (*map(str, (one.serial, one.sessions[0], one.sessions[-1])), number(one.costs[-1]), f"{one.signed[-1]:+.2g}")
-        for one in due
-    ]
+    rows = []
+    for one in due:
+        first, *_, last = map(str, one.sessions)
+        rows.append((str(one.serial), first, last, html.number(one.costs[-1]), f"{one.signed[-1]:+.2g}"))
     head = ("actuator", "since", "at", "cost, % of the stroke", "change of the stroke, %")
     return _section("To recalibrate", words, head, rows, 3)
 
@@ -88,13 +78,7 @@ def _listed(findings: Findings) -> str:
     if not findings.listed:
         return ""
     rows = [
-        (
-            one.record,
-            f"{one.quantity.name} ({one.quantity.unit})",
-            number(one.value),
-            number(one.median),
-            number(one.score, 2),
-        )
+        (one.record, one.quantity.title, html.number(one.value), html.number(one.median), html.number(one.score, 2))
         for one in findings.outliers
     ]
     rows += [(name, MISSED, "", "", "") for name in findings.inaccurate]
@@ -103,7 +87,7 @@ def _listed(findings: Findings) -> str:
     return _section("To look at", words, ("record", "quantity", "value", "fleet's median", "z"), rows, 2) + more
 
 
-def _distributions(findings: Findings) -> Charts | str:
+def _distributions(findings: Findings) -> html.Charts | str:
     charts = []
     for quantity, values in findings.distributions().items():
         if values.size > 1:
@@ -113,7 +97,7 @@ def _distributions(findings: Findings) -> Charts | str:
     if not charts:
         return ""
     caption = "Records over each quantity; of many records the outermost 0.2 % on either side are in the tables only."
-    return Charts("Distributions", caption, tuple(charts))
+    return html.Charts("Distributions", caption, tuple(charts))
 
 
 def _histogram(values: Array) -> tuple[Array, Array]:
@@ -125,7 +109,7 @@ def _histogram(values: Array) -> tuple[Array, Array]:
     return x, np.concatenate([[0.0], np.repeat(counts.astype(np.float64), 2), [0.0]])
 
 
-def _map(findings: Findings) -> Charts | str:
+def _map(findings: Findings) -> html.Charts | str:
     """Return width and error over the stroke, one dot a record."""
     rows = modelled(findings.fleet)
     if len(rows) < 2:
@@ -145,4 +129,4 @@ def _map(findings: Findings) -> Charts | str:
         )
         axes = Axis("stroke", "um"), Axis(quantity.name, quantity.unit)
         charts.append(Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
-    return Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))
+    return html.Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))
