@@ -23,7 +23,7 @@ from dehyst.identification.start_state import fit_start
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, Motion, State
 from dehyst.records import Record
-from dehyst.records.signals import largest, turning_points
+from dehyst.records.signals import largest, rms, turning_points
 
 # Rows in memory: more are gone through in blocks.
 MOST_ROWS = 200_000
@@ -38,6 +38,8 @@ _STOPS_AT_A_TIME = 32_768
 _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
 _LEAST = 0.05
+# Part of the samples that count as outliers.
+_OUTLIERS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,6 +355,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
             sums.add(counted_of(played, piece))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*sums.drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
+    settled = np.abs(trace.residual[_settled(voltage) :])
     slope = float(np.median(regression.slope(found)))
     offset = float(np.median(list(found.offsets.values()))) - compared.base
     return RecordErrors(
@@ -371,7 +374,16 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
         starts=tuple(starts),
+        settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
+        settled_rms=rms(settled),
     ), trace
+
+
+def _settled(voltage: Array) -> int:
+    """Return the sample of the second turning point of a voltage, its first sample aside; 0 if there is none."""
+    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
+    later = turns[turns > 0]
+    return int(later[1]) if len(later) > 2 else 0
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:

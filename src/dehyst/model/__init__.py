@@ -6,6 +6,7 @@ from dehyst.model.dynamics import Creep, Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
+from dehyst.model.promise import Promise, Validity, promise
 from dehyst.model.stage import Stage
 from dehyst.model.states import simulated
 
@@ -19,10 +20,13 @@ __all__ = [
     "MaxwellSlip",
     "Motion",
     "Physical",
+    "Promise",
     "SmoothSlip",
     "Spring",
     "Stage",
     "State",
     "Transformer",
+    "Validity",
+    "promise",
     "simulated",
 ]

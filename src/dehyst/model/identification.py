@@ -11,6 +11,7 @@ from typing import Any
 
 from dehyst._errors import ModelError
 from dehyst._validation import keep, number
+from dehyst.model.promise import Validity
 
 
 class Outcome(Enum):
@@ -82,6 +83,10 @@ def _outcome(value: object, where: str) -> Outcome | None:
     return Outcome[value]
 
 
+def _validity(value: object, where: str) -> Validity | None:
+    return value if value is None or isinstance(value, Validity) else Validity.from_dict(value)
+
+
 # Of each field its key in a model file, and the check of its value.
 _ENTRIES: dict[str, tuple[str, Callable[[object, str], Any]]] = {
     "method": ("method", _text),
@@ -98,7 +103,8 @@ _ENTRIES: dict[str, tuple[str, Callable[[object, str], Any]]] = {
     "goal": ("goal_percent", _size_or_none),
     "expected_rms": ("expected_rms_m", _size_or_none),
     "expected_largest": ("expected_largest_m", _size_or_none),
-    "tested": ("tested", _flag),
+    "validated": ("tested", _flag),
+    "validity": ("validity", _validity),
 }
 
 
@@ -133,8 +139,10 @@ class Identification:
         Allowed largest error of a path [% of the stroke].
     expected_rms, expected_largest : float or None
         Errors of a path like the records that the verdict promised [m].
-    tested : bool
+    validated : bool
         Whether they come from validation records.
+    validity : Validity or None
+        What the records tested: from it follows what to expect of a path.
 
     Raises
     ------
@@ -156,7 +164,8 @@ class Identification:
     goal: float | None = None
     expected_rms: float | None = None
     expected_largest: float | None = None
-    tested: bool = False
+    validated: bool = False
+    validity: Validity | None = None
 
     def __post_init__(self) -> None:
         keep(self, **{name: read(getattr(self, name), name) for name, (_, read) in _ENTRIES.items()})
@@ -164,12 +173,17 @@ class Identification:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         values = {key: getattr(self, name) for name, (key, _) in _ENTRIES.items()}
-        return {**values, "outcome": None if self.outcome is None else self.outcome.name}
+        validity = None if self.validity is None else self.validity.as_dict()
+        return {
+            **values,
+            "outcome": None if self.outcome is None else self.outcome.name,
+            "validity": validity,
+        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Identification:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        return cls(**{name: data[key] for name, (key, _) in _ENTRIES.items()})
+        return cls(**{name: data[key] for name, (key, _) in _ENTRIES.items() if key in data})
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Identification | None:

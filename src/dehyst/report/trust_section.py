@@ -72,13 +72,9 @@ def sections(found: Insight) -> list[Part]:
 def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
-    if found.band is not None:
-        expected = (
-            f"Expect an error of {number(100 * found.band.error / stroke, 2)} % of the range at most on this path."
-        )
-    else:
-        promised = found.judgement.words(stroke)
-        expected = f"Expect a path like the records {promised}." if promised else "The error to expect is not known."
+    promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
+    expected = f"Expect {path} {promised} of the range." if promised else "The error to expect is not known."
+    expected = " ".join([expected, *found.judgement.untested])
     share = number(100 * found.misfit / stroke)
     lines = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
@@ -100,9 +96,8 @@ def _trajectory(found: Insight) -> list[Part]:
         for key, error in band.errors().items()
         if error or key != "clamped"
     ]
-    beside = f"<div><h3>Largest error to expect</h3>\n{table(('From', 'of stroke', ''), rows, 1)}</div>"
-    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
-    caption = f"{caption} {band.sentence(stroke)}".strip()
+    beside = f"<div><h3>What a part of it comes from</h3>\n{table(('From', 'of stroke', ''), rows, 1)}</div>"
+    caption = "How far the displacement may be from the wanted path if the compensating voltage is played: the promise."
     charts = _path_chart(band), band_chart(band, stroke)
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
 
@@ -130,8 +125,7 @@ def band_chart(band: PredictionBand, stroke: float) -> Chart:
         return [Series(name, sample, low, colour, "area", opacity=opacity, top=high)]
 
     series = (
-        *area("all", (band.lowest, band.highest), "noise", 0.3),
-        *area(f"{100 * band.level:g} %", band.likely, "measured", 0.35),
+        *area("promise", (band.lowest, band.highest), "measured", 0.3),
         *area("compatible with the records", band.open, "without", 0.6),
         *area("noise", band.noise, "simulated", 0.8),
     )
