@@ -48,7 +48,7 @@ def test_insight_gives_the_same_promise_and_a_band_along_the_path():
     path = np.linspace(0.2, 0.8, 50) * STROKE
     found = insight(model, record, trajectory=path, limits=(0.0, VOLTS), repeats=20)
     judged, band = found.judgement, found.band
-    assert judged.largest == max(band.promise.largest, band.errors()["open"]) + band.errors()["clamped"]
+    assert judged.largest == max(band.promise.largest, band.errors()["open"] + band.misfit) + band.errors()["clamped"]
     assert judged.parts == band.errors()
     assert np.all(band.highest >= band.displacement + band.promise.half)
     assert np.all(band.lowest <= band.displacement - band.promise.half)

@@ -83,7 +83,10 @@ def judge(
     if evidence is not None:
         parts |= evidence.errors()
         # A model that the records do not contradict may be the true one.
-        largest = max(largest or evidence.misfit, parts.get("open", 0.0)) + parts["clamped"]
+        largest = (
+            max(largest or evidence.misfit, parts["open"] + evidence.misfit if "open" in parts else 0.0)
+            + parts["clamped"]
+        )
     largest = known.largest_error if largest is None else largest
     opened = 0.0 if path is None else path.largest / per_metre(path.units)
     return Judgement(rms, largest, parts, opened, untested, known.validated)

@@ -110,7 +110,7 @@ class PredictionBand:
         edge = self.noise[k] + way * self.misfit
         if self.promise is not None:
             edge = self.displacement + way * self.promise.half
-        return np.asarray(edge if self.open is None else further(edge, self.open[k]))
+        return np.asarray(edge if self.open is None else further(edge, self.open[k] + way * self.misfit))
 
     def columns(self) -> dict[str, Array]:
         """Columns for a file, in volts and micrometres."""
