@@ -72,7 +72,7 @@ class Envelopes:
 
 
 class Pinched:
-    """Bouc and Wen's differential equation with an exponent, asymmetric and with a loop that is narrow in its middle."""
+    """Bouc and Wen's differential equation with an exponent, asymmetric, with a loop that is narrow in its middle."""
 
     exponent, shares = 1.4, ((0.02, 14.0), (0.06, 5.0))
 
@@ -161,3 +161,5 @@ MORE = {
         Truth("moving", Moving, 0.0, 150.0, 100e-6, 20.0),
     )
 }
+
+UNSEEN: dict[str, Truth] = {}

@@ -291,7 +291,9 @@ def validity_of(
     voltages = [(records[q].time, records[q].voltage) for q in training]
     if validation and validated:
         judged = validation
-        other = new_legs([(records[q].time, records[q].voltage) for q in validation], voltages)
+        span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
+        pairs = legs_of([(records[q].time, records[q].voltage) for q in validation], span), legs_of(voltages, span)
+        other = new_legs(*map(np.concatenate, pairs))
         new = max(new[0], other[0]), max(new[1], other[1])
     vibration = max(remaining[q].vibration_amplitude for q in judged)
     # What the sensor adds, a path does not have, but for the part to which it is known.
@@ -310,17 +312,20 @@ def validity_of(
     )
 
 
-def new_legs(held_out: Sequence[tuple[Array, Array]], others: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
-    """Return how far rises, and falls, of held-out voltages are from those of others: `Validity.new`.
+def legs_of(records: Sequence[tuple[Array, Array]], span: float) -> list[Array]:
+    """Return the legs (k, 2) [V] of records, times [s] and voltages [V], of which the widest has a range of `span`."""
+    return [voltage[legs(voltage, span)] for _, voltage in records]
 
-    Both are times [s] and voltages [V]. Legs beyond the others' voltages do not count.
+
+def new_legs(held_out: Array, others: Array) -> tuple[float, float]:
+    """Return how far held-out rises, and falls, are from others: `Validity.new`.
+
+    Both are legs (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
     """
-    low, high = (end(float(end(voltage)) for _, voltage in others) for end in (min, max))
-    span = max(high - low, 1e-300)
-    own, known = (
-        np.concatenate([np.zeros((0, 2)), *((voltage[legs(voltage, span)] - low) / span for _, voltage in given)])
-        for given in (held_out, others)
-    )
+    if not len(others):
+        return 0.0, 0.0
+    low, high = float(others.min()), float(others.max())
+    own, known = ((given - low) / max(high - low, 1e-300) for given in (held_out, others))
     own = own[np.all((own > -_BEYOND) & (own < 1 + _BEYOND), axis=1)]
     apart, rising = distances(own, known), own[:, 1] > own[:, 0]
     return rms(apart[rising]), rms(apart[~rising])

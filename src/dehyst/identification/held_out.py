@@ -30,6 +30,7 @@ from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
 from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
 from dehyst.model import Actuator
+from dehyst.model.promise import legs
 from dehyst.records.signals import rms
 
 _ROWS = 4000
@@ -164,15 +165,16 @@ def new_in_time(frame: TrainingData) -> tuple[float, float]:
 
     As a part of the range: the root mean square over the parts.
     """
-    squares = []
-    for k in range(_PARTS // 2):
-        parts: tuple[list[tuple[Array, Array]], list[tuple[Array, Array]]] = ([], [])
-        for item in frame.training:
-            edges = np.linspace(0, len(item.record), _PARTS + 1).astype(int)
-            for part, (a, b) in enumerate(pairwise(edges.tolist())):
-                held_out = part in (k, k + _PARTS // 2)
-                parts[held_out].append((item.record.time[a:b], item.record.voltage[a:b]))
-        squares.append([new**2 for new in new_legs(parts[1], parts[0])])
+    low, high = frame.voltages
+    part, pairs = [], []
+    for item in frame.training:
+        voltage = item.record.voltage
+        at = legs(voltage, high - low)
+        # A leg is in the part that its middle is in.
+        part.append(np.minimum(_PARTS * at.mean(axis=1) / len(voltage), _PARTS - 1).astype(int))
+        pairs.append(voltage[at])
+    of, all_ = np.concatenate(part) % (_PARTS // 2), np.concatenate(pairs)
+    squares = [np.square(new_legs(all_[of == k], all_[of != k])) for k in range(_PARTS // 2)]
     rising, falling = np.sqrt(np.mean(squares, axis=0)).tolist()
     return rising, falling
 

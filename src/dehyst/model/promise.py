@@ -42,22 +42,26 @@ _TURNS = 60
 class Factors:
     """How a promise follows from errors that were measured: the root of the sum of squares.
 
-    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`: a part of the stroke.
+    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`: a part of the stroke; where the held-out
+    error is less than `full`, another part of it, the floor falls in proportion.
     """
 
     held_out: float
     disagreement: float
     floor: float
+    full: float = 0.0
 
     def bound(self, validity: Validity, new: Array) -> Array:
         """Return the bound [m] of legs that are `new` from 0 to 1 (k,)."""
-        squares = (self.held_out * validity.rms) ** 2 + (self.floor * validity.stroke) ** 2
+        full = self.full * validity.stroke
+        floor = self.floor * validity.stroke * (min(1.0, validity.rms / full) if full else 1.0)
+        squares = (self.held_out * validity.rms) ** 2 + floor**2
         return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
 
 
 # Of the largest and of the RMS error: where held-out legs test any path, and where they do not.
-LARGEST = Factors(4.2, 0.0, 0.0025), Factors(5.15, 8.33, 0.0052)
-RMS = Factors(1.7, 0.0, 0.0005), Factors(1.85, 3.2, 0.0022)
+LARGEST = Factors(4.6, 0.0, 0.0025, 5e-4), Factors(5.15, 8.33, 0.0052)
+RMS = Factors(1.9, 0.0, 0.0005, 5e-4), Factors(1.85, 3.2, 0.0022)
 
 
 def legs(voltage: Array, span: float) -> NDArray[np.intp]:
@@ -242,19 +246,8 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
     """
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
-    at = legs(v, validity.span) if v.size > 1 else np.zeros((0, 2), dtype=np.intp)
-    path = v[at]
-    beyond = distances(path / validity.span, validity.legs / validity.span)
-    rising = path[:, 1] > path[:, 0]
-    beyond -= np.where(rising, *validity.new)
-    # Rises and falls have errors of their own: the newer of both counts.
-    means = [
-        float(np.sqrt(np.mean((beyond[way] + held_out).clip(0) ** 2))) - held_out
-        for way, held_out in ((rising, validity.new[0]), (~rising, validity.new[1]))
-        if way.any()
-    ]
-    whole = np.array([max(means, default=0.0)])
-    rms, largest = (float(_bound(factors, validity, whole)[0]) for factors in (RMS, LARGEST))
+    at, beyond, whole = newness(validity, v)
+    rms, largest = (float(_bound(factors, validity, np.array([whole]))[0]) for factors in (RMS, LARGEST))
     largest, lagging = max(largest, validity.largest), None
     each = _bound(LARGEST, validity, beyond) if len(at) else np.array([largest])
     half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
@@ -263,6 +256,20 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
         moved, fastest = _moved_in_lag(validity, v, clock)
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
     return Promise(rms, largest, half, tuple(_untested(validity, v, clock, at, beyond)), lagging)
+
+
+def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
+    """Return the legs (k, 2) of a voltage (n,) [V], and how far each, and all, go beyond the held-out ones.
+
+    As parts of the range: the distance from the records' legs less that of the held-out ones. Of all the larger of two
+    root mean squares, of rises and of falls, which have errors of their own.
+    """
+    at = legs(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
+    path = voltage[at]
+    apart, rising = distances(path / validity.span, validity.legs / validity.span), path[:, 1] > path[:, 0]
+    ways = (rising, validity.new[0]), (~rising, validity.new[1])
+    means = [float(np.sqrt(np.mean(apart[way] ** 2))) - held_out for way, held_out in ways if way.any()]
+    return at, apart - np.where(rising, *validity.new), max(0.0, *means, 0.0)
 
 
 def longest_hold(time: Array, voltage: Array, span: float) -> float:
