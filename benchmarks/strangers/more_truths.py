@@ -162,4 +162,98 @@ MORE = {
     )
 }
 
-UNSEEN: dict[str, Truth] = {}
+
+class Wells:
+    """Dipoles in double wells, after Landau, each with a field of its own, that follow with a viscosity.
+
+    ``dp = (field + p - p^3 / well^2) step / viscosity``, in steps of time so small that p moves by little.
+    """
+
+    viscosity, reversible = 0.004, 0.7
+
+    def __init__(self, count: int = 240) -> None:
+        rng = np.random.default_rng(59)
+        self.depth = rng.lognormal(np.log(0.16), 0.55, count)
+        self.bias = rng.normal(0.52, 0.22, count)
+        self.p, self.u = np.full(count, -1.0), 0.0
+
+    def play(self, u: Array, steps: Array) -> Array:
+        """Return the displacement; steps of time count in periods."""
+        mean = np.empty(u.size)
+        for t, (now, step) in enumerate(zip(u.tolist(), steps.tolist(), strict=True)):
+            parts = int(min(max(4, np.ceil(step / (0.15 * self.viscosity))), 400))
+            pace = min(step / parts / self.viscosity, 0.2)
+            for k in range(1, parts + 1):
+                field = (self.u + (now - self.u) * k / parts - self.bias) / self.depth
+                self.p = np.clip(self.p + pace * (field + 2.6 * (self.p - self.p**3)), -1.6, 1.6)
+            self.u = now
+            mean[t] = self.p.mean()
+        return self.reversible * (u + 0.1 * u * (1 - u)) + (1 - self.reversible) * 0.5 * (1 + mean)
+
+
+class Ageing:
+    """Slip elements whose contacts strengthen with the logarithm of the time at rest, and wear in while they slide."""
+
+    rate, memory = 0.06, 0.03
+
+    def __init__(self, count: int = 40) -> None:
+        self.force = np.geomspace(0.006, 0.4, count)
+        self.weight = 1.9 * np.exp(-4.5 * self.force) * np.gradient(self.force)
+        self.held, self.rested, self.u = np.zeros(count), np.full(count, 1e-3), 0.0
+
+    def play(self, u: Array, steps: Array) -> Array:
+        """Return the displacement; steps of time count in periods."""
+        reached = np.empty(u.size)
+        for t, (now, step) in enumerate(zip(u.tolist(), steps.tolist(), strict=True)):
+            strength = self.force * (1 + self.rate * np.log1p(self.rested / 1e-3) / 7)
+            stretched = now - self.held
+            slips = np.abs(stretched) > strength
+            slid = np.where(slips, np.abs(stretched) - strength, 0.0)
+            self.held = np.where(slips, now - np.sign(stretched) * strength, self.held)
+            self.rested = np.where(slips, self.rested * np.exp(-slid / self.memory), self.rested + step) + 1e-6
+            self.u = now
+            reached[t] = 0.6 * now + 0.05 * now**2 + float(self.weight @ self.held)
+        return reached
+
+
+class Branches:
+    """Takacs' hyperbolic branches, each from the last turning point to the end of the range: no loop is wiped out.
+
+    A branch closes on the major loop at the rate of its own length, whatever happened before its turning point.
+    """
+
+    width, steepness = 0.085, 2.1
+
+    def __init__(self) -> None:
+        self.u, self.y, self.turn, self.way = 0.0, self.major(0.0, -1.0), (0.0, self.major(0.0, -1.0)), -1.0
+
+    @classmethod
+    def major(cls, u: float, way: float) -> float:
+        """The major loop, rising or falling, wider at high voltages and closed at both ends."""
+        open_ = cls.width * (1 - (2 * u - 1) ** 2) * (0.8 + 0.5 * u)
+        return 0.5 + 0.5 * float(np.tanh(cls.steepness * (u - 0.5)) / np.tanh(0.5 * cls.steepness)) - way * open_
+
+    def play(self, u: Array, steps: Array) -> Array:
+        """Return the displacement; time does not matter."""
+        reached = np.empty(u.size)
+        for t, now in enumerate(u.tolist()):
+            way = float(np.sign(now - self.u)) or self.way
+            if way != self.way:
+                self.way, self.turn = way, (self.u, self.y)
+            begun, from_ = self.turn
+            gap = from_ - self.major(begun, way)
+            left = max((1.0 - now) / max(1.0 - begun, 1e-9) if way > 0 else now / max(begun, 1e-9), 0.0)
+            self.u, self.y = now, self.major(now, way) + gap * left**2.2
+            reached[t] = self.y
+        return reached
+
+
+# Mechanisms that had no part in finding the factors of the promise.
+UNSEEN = {
+    truth.name: truth
+    for truth in (
+        Truth("wells", Wells, 0.0, 100.0, 15e-6, 20.0, parts=frozenset({"creep"})),
+        Truth("ageing", Ageing, -30.0, 150.0, 60e-6, 10.0, parts=frozenset({"creep"})),
+        Truth("branches", Branches, 0.0, 60.0, 9e-6, 20.0),
+    )
+}
