@@ -268,7 +268,10 @@ def path_trial(fit: Fit) -> Applet | str:
         "band": None if share is None else 1e6 * share * fit.errors[0].stroke,
         "tested": None if tested is None else tested.as_dict(),
     }
-    body = f'<h2>Try a path</h2>\n<p class="caption">{escape(caption)}</p>\n<section id="path-trial"></section>'
+    body = (
+        f'<div class="applet">\n<h2>Try a path</h2>\n<p class="caption">{escape(caption)}</p>\n'
+        '<section id="path-trial"></section>\n</div>'
+    )
     return Applet(body, "path_trial.js", "path-data", data)
 
 

@@ -200,6 +200,6 @@ def table(head: Row, rows: Iterable[Row], texts: int, best: Container[tuple[int,
     body = "\n".join(cells("td", row, number) for number, row in enumerate(rows))
     head_ = cells("th", head).replace("<th", '<th scope="col"')
     return (
-        '<div class="wide" tabindex="0" role="region" aria-label="Table"><table>\n'
+        '<div class="wide" tabindex="0"><table>\n'
         f"<thead>{head_}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
     )

@@ -28,16 +28,18 @@ export function drawCharts(root, { columns, charts }) {
   });
 }
 
-// The parts of a report below its title, for a place on another page; and its figures.
+// The sections of a report for a place on another page, without its title and its own script; its figures; and where
+// the records turned.
 export function reportParts(text) {
   // Its style is that of this page, whose policy may allow no other.
   const page = new DOMParser().parseFromString(text.replace(/<style>.*?<\/style>/s, ""), "text/html");
-  const stored = page.getElementById("chart-data");
+  const data = (id) => JSON.parse(page.getElementById(id)?.textContent ?? "{}");
+  const charts = data("chart-data");
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
-  for (const one of element.querySelectorAll("h1, nav")) one.remove();
-  return { element, figures: stored ? drawCharts(element, JSON.parse(stored.textContent)) : [] };
+  for (const one of element.querySelectorAll("h1, nav, .applet")) one.remove();
+  return { element, figures: charts.charts ? drawCharts(element, charts) : [], tested: data("path-data").tested };
 }
 
 const stored = document.getElementById("chart-data");
