@@ -127,8 +127,8 @@ class Snapshot(files.JsonFile):
     def resume(self, loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str) -> None:
         """Set the memory of a `loop` that `key` identifies; after an error it is as before.
 
-        Raise `ModelError` if the snapshot is of an `actuator` of another shape, another period or preview, outside of the
-        `limits`, or damaged.
+        Raise `ModelError` if the snapshot is of an `actuator` of another shape, another period or preview, outside of
+        the `limits`, or damaged.
         """
         if self.key != key:
             raise ModelError(
