@@ -189,7 +189,17 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
     except OSError as error:
         raise unwritten(path, error) from error
     kind = _kind(_sample(path))
-    if kind is not None and (_may_be_output(kind) if content is None else kind == _kind(content)):
+    if kind is not None and content is not None and kind == _kind(content):
+        return
+    if (
+        kind is not None
+        and content is None
+        and (
+            kind.startswith(("dehyst", "table of a model", "// dehyst: "))
+            or kind.endswith(".npy")
+            or _HEADER.fullmatch(kind) is not None
+        )
+    ):
         return
     raise FileFormatError(
         f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"
@@ -253,14 +263,6 @@ def _kind(content: bytes) -> str | None:
         return "table of a model"
     # Options of a command may add these columns.
     return ",".join(name for name in names if name not in ("time_s", "phase"))
-
-
-def _may_be_output(kind: str) -> bool:
-    return (
-        kind.startswith(("dehyst", "table of a model", "// dehyst: "))
-        or kind.endswith(".npy")
-        or _HEADER.fullmatch(kind) is not None
-    )
 
 
 def _sample(path: PathLike) -> bytes:

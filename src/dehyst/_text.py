@@ -16,13 +16,11 @@ def escaped(text: object) -> str:
     """
     string = str(text)
     # Spaces other than ' ' count as not printable, but are harmless.
-    return string if string.isprintable() else "".join(map(_escape, string))
-
-
-def _escape(character: str) -> str:
-    if character.isprintable() or unicodedata.category(character) == "Zs":
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    if string.isprintable():
+        return string
+    harmless = (one.isprintable() or unicodedata.category(one) == "Zs" for one in string)
+    codes = (one.encode("unicode_escape").decode("ascii") for one in string)
+    return "".join(one if kept else code for one, kept, code in zip(string, harmless, codes, strict=True))
 
 
 def to_know(sentences: Sequence[str]) -> Iterator[str]:

@@ -108,7 +108,12 @@ def read(
     choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
     table = named_and_joined(table, choice, columns, join, decimal=decimal, max_bytes=max_bytes)
     if units is not None:
-        choice = choice._replace(displacement=_in_units(table, displacement, units))
+        per_metre(units, error=FileFormatError)
+        found, known = table.select("displacement", displacement), FACTORS["displacement"]
+        if found.unit in known and known[found.unit] != known[units]:
+            words = f"got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave units out"
+            raise FileFormatError(f"{table.source}: {words}")
+        choice = choice._replace(displacement=f"{found.column.name}:{units}")
     record = record_of(table, choice, name or (stored.name if stored else path.stem), several)
     if stored is None:
         return record
@@ -182,18 +187,6 @@ def named_and_joined(
     path = named(join, "join")
     own = decimal if path.suffix.lower() in _WITH_SIGNS else None
     return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
-
-
-def _in_units(table: Table, wanted: str | None, units: str) -> str:
-    """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
-    per_metre(units, error=FileFormatError)
-    found, known = table.select("displacement", wanted), FACTORS["displacement"]
-    if found.unit in known and known[found.unit] != known[units]:
-        raise FileFormatError(
-            f"{table.source}: got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave "
-            "units out"
-        )
-    return f"{found.column.name}:{units}"
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
