@@ -15,12 +15,13 @@ def escaped(text: object) -> str:
     Printable text, in any script, does not change, nor does text that is escaped already.
     """
     string = str(text)
-    # Spaces other than ' ' count as not printable, but are harmless.
     if string.isprintable():
         return string
-    harmless = (one.isprintable() or unicodedata.category(one) == "Zs" for one in string)
-    codes = (one.encode("unicode_escape").decode("ascii") for one in string)
-    return "".join(one if kept else code for one, kept, code in zip(string, harmless, codes, strict=True))
+    # Spaces other than ' ' count as not printable, but are harmless.
+    return "".join(
+        one if one.isprintable() or unicodedata.category(one) == "Zs" else one.encode("unicode_escape").decode("ascii")
+        for one in string
+    )
 
 
 def to_know(sentences: Sequence[str]) -> Iterator[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, named, packed, reading_errors, write_atomically
+from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
@@ -96,7 +96,7 @@ def read(
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    path = named(path)
+    path = path_of(path)
     counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
     demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
     several = () if axes is None else axis_columns(axes)
@@ -184,7 +184,7 @@ def named_and_joined(
         table = renamed(table, columns)
     if join is None:
         return table
-    path = named(join, "join")
+    path = path_of(join, "join")
     own = decimal if path.suffix.lower() in _WITH_SIGNS else None
     return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
 
@@ -211,7 +211,7 @@ def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float =
     `path` is the file's. `decimal` is the decimal sign of its text, "," or ".". `max_bytes` bounds the file and its
     numbers.
     """
-    return _load(named(path), max_bytes, decimal, with_meta=False)[0]
+    return _load(path_of(path), max_bytes, decimal, with_meta=False)[0]
 
 
 def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:

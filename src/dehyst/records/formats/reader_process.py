@@ -51,8 +51,8 @@ def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
         return vendor_files.read_labview(data, allowance)
     columns = vendor_files.read_gcs(data, allowance) if vendor_files.is_gcs(data) else read_text(data, allowance)
     mark = containers.LINE.encode()
-    stated = data[len(mark) : containers.LONGEST].partition(b"\n")[0] if data.startswith(mark) else b""
-    return containers.restored(columns, stated.decode(errors="replace"))
+    first = data[len(mark) : containers.LONGEST].splitlines()[:1] if data.startswith(mark) else []
+    return containers.restored(columns, b"".join(first).decode(errors="replace"))
 
 
 LOADERS: dict[str, Format] = {
