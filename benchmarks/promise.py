@@ -180,7 +180,7 @@ def case(job):
 
 
 def factors(rows, key):
-    """Return held_out, disagreement and floor [part of the stroke] of the sharpest bound that holds `SHARE` of the rows."""
+    """Return held_out, disagreement and floor of the sharpest bound that holds `SHARE` of the rows."""
     stroke, reached = (np.array([row[name] for row in rows]) for name in ("stroke", key))
     held_out, apart = (np.array([row[name] for row in rows]) / stroke for name in ("held_out", "disagreement"))
     columns = np.column_stack(
@@ -224,9 +224,11 @@ def summary(rows, by):
 def shown(title, table):
     print(title)
     for value, one in table.items():
+        kept, kept_rms, over = (100 * one[name] for name in ("kept", "kept_rms", "over_three"))
         print(
-            f"  {value or 'all':<18}{one['paths']:>5}  kept {100 * one['kept']:3.0f} %, RMS {100 * one['kept_rms']:3.0f} %"
-            f"  sharpness {one['sharpness']:.2f}, {one['sharpness_rms']:.2f}  over three {100 * one['over_three']:3.0f} %"
+            f"  {value or 'all':<18}{one['paths']:>5}  kept {kept:3.0f} %, RMS {kept_rms:3.0f} %"
+            f"  over three {over:3.0f} %"
+            f"  sharpness {one['sharpness']:.2f}, RMS {one['sharpness_rms']:.2f}"
             f"  ready, missed by twice {one['ready_and_missed_by_twice']}"
         )
 

@@ -229,7 +229,7 @@ class Branches:
 
     @classmethod
     def major(cls, u: float, way: float) -> float:
-        """The major loop, rising or falling, wider at high voltages and closed at both ends."""
+        """Return the major loop, rising or falling, wider at high voltages and closed at both ends."""
         open_ = cls.width * (1 - (2 * u - 1) ** 2) * (0.8 + 0.5 * u)
         return 0.5 + 0.5 * float(np.tanh(cls.steepness * (u - 0.5)) / np.tanh(0.5 * cls.steepness)) - way * open_
 
