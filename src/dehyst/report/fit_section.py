@@ -34,7 +34,7 @@ def verdict(fit: Fit) -> str:
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (
-        f"is the largest error to expect on a path like the records, RMS {rms} (from {expected.basis}; the goal is "
+        f"is the largest error to expect on any path within these voltages, RMS {rms} (from {expected.basis}; the goal is "
         f"{expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )
