@@ -42,7 +42,7 @@ def test_small_errors_are_ready_and_large_ones_of_no_use():
     assert expected(ERRORS).readiness is Readiness.READY
     assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8)).readiness is Readiness.USABLE
     assert expected(replace(ERRORS, rms=2e-7, settled_rms=2e-7)).readiness is Readiness.NOT_USABLE
-    assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8), goal=4.0).readiness is Readiness.READY
+    assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8), goal=4.8).readiness is Readiness.READY
 
 
 def test_a_promise_is_no_less_than_what_the_records_show():
