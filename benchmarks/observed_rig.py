@@ -92,12 +92,12 @@ class ObservedController:
     @property
     def identity(self) -> str:
         """Its answer to the question who it is."""
-        return self._controller._identity
+        return self._controller.identity
 
     @property
     def told(self) -> int:
         """Number of samples that it has delivered."""
-        return self._controller.recorder.rows_sent
+        return self._controller.rows_sent
 
     @property
     def voltage(self) -> float:

@@ -10,8 +10,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_errors import GcsError
+from dehyst.virtual.emulator.gcs_controller import Controller, GcsError
 
 FAULTS = {
     "drop": "the connection is lost",
@@ -100,23 +99,37 @@ class Rehearsal:
         self._report = report
 
     def trigger(self, controller: Controller) -> set[str]:
-        """Trigger the due faults; return the names of those that concern the connection: drop, refuse.
-
-        `controller` is the one that fails.
-        """
+        """Trigger the due faults of a `controller`; return those that concern the connection: drop, refuse."""
         due = [fault for fault in self._pending if fault.due(controller.instrument)]
         for fault in due:
             self._pending.remove(fault)
             self.occurred.append(f"{fault.name}: {FAULTS[fault.name]}")
             self._report(self.occurred[-1])
-            self._apply(fault.name, controller)
+            # A sensor is that of the first axis.
+            first = controller.axes[0].bench
+            match fault.name:
+                case "silence":
+                    self._silent = True
+                case "garble" | "truncate":
+                    self._corruption = fault.name
+                case "error":
+                    controller.instrument.stop()
+                    controller.error = GcsError.BROKEN_CABLE
+                case "saturate":
+                    present = min(first.displacement(), 0.5 * first.stroke)
+                    first.sensor_range = (present - 2 * first.stroke, present)
+                case "unplug":
+                    first.unplugged = True
+                case "stall":
+                    for one in controller.axes:
+                        one.bench.stalled = True
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer: bytes) -> bytes:
         """Return an `answer` as it leaves the controller: whole, corrupted, or empty."""
+        corruption, self._corruption = self._corruption, ""
         if self._silent:
             return b""
-        corruption, self._corruption = self._corruption, ""
         if corruption == "truncate":
             return answer[: len(answer) // 2]
         if corruption == "garble":
@@ -125,25 +138,6 @@ class Rehearsal:
             hit[-1:] = False
             return bytes(np.where(hit, noise, np.frombuffer(answer, dtype=np.uint8)).astype(np.uint8))
         return answer
-
-    def _apply(self, name: str, controller: Controller) -> None:
-        # A sensor is that of the first axis.
-        first = controller.axes[0].bench
-        if name == "silence":
-            self._silent = True
-        elif name in ("garble", "truncate"):
-            self._corruption = name
-        elif name == "error":
-            controller.instrument.stop()
-            controller.error = GcsError.BROKEN_CABLE
-        elif name == "saturate":
-            present = min(first.displacement(), 0.5 * first.stroke)
-            first.sensor_range = (present - 2 * first.stroke, present)
-        elif name == "unplug":
-            first.unplugged = True
-        elif name == "stall":
-            for one in controller.axes:
-                one.bench.stalled = True
 
 
 def actual_limits(reported: tuple[float, float], faults: Iterable[Fault]) -> tuple[float, float]:

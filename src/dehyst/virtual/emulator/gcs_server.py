@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-import selectors
+import select
 import socket
 import threading
 import time
@@ -37,6 +37,17 @@ class _Client:
         self.link, self.received, self.waiting = link, bytearray(), bytearray()
         self.overlong, self.ended, self.last_sent = False, False, time.monotonic()
 
+    @property
+    def full(self) -> bool:
+        """Whether no more commands are read until answers have been taken."""
+        return len(self.waiting) >= _MOST_WAITING
+
+    @property
+    def ready(self) -> bool:
+        """Whether a command is waiting, and there is room for its answer."""
+        whole = self.received[:1] and (self.received[0] in _SINGLE or b"\n" in self.received)
+        return bool(whole) and not self.full
+
     def receive(self) -> None:
         """Read what has arrived; raise OSError if the connection broke."""
         with suppress(BlockingIOError):
@@ -46,21 +57,15 @@ class _Client:
 
     def send(self) -> None:
         """Send what the connection takes; raise OSError if it broke, or takes nothing for long."""
+        now = time.monotonic()
         if not self.waiting:
-            self.last_sent = time.monotonic()
+            self.last_sent = now
             return
         with suppress(BlockingIOError):
-            sent = self.link.send(self.waiting)
-            del self.waiting[:sent]
-            self.last_sent = time.monotonic()
-        if time.monotonic() - self.last_sent > _PATIENCE:
+            del self.waiting[: self.link.send(self.waiting)]
+            self.last_sent = now
+        if now - self.last_sent > _PATIENCE:
             raise ConnectionAbortedError("takes no answers")
-
-    @property
-    def ready(self) -> bool:
-        """Whether a command is waiting, and there is room for its answer."""
-        whole = self.received[:1] and (self.received[0] in _SINGLE or b"\n" in self.received)
-        return bool(whole) and len(self.waiting) < _MOST_WAITING
 
     def command(self) -> bytes:
         """Remove the first command from the received bytes: a command of one byte, or else a line."""
@@ -155,44 +160,46 @@ class Server:
             self._listening.close()
 
     def _turn(self) -> None:
-        """Wait for an event, for a tick at most, and handle it."""
-        with selectors.DefaultSelector() as selector:
-            if not self._refusing:
-                selector.register(self._listening, selectors.EVENT_READ)
-            client = self._client
-            if client is not None:
-                wanted = selectors.EVENT_WRITE if client.waiting else 0
-                if len(client.waiting) < _MOST_WAITING and not client.ready:
-                    wanted |= selectors.EVENT_READ
-                if wanted:
-                    selector.register(client.link, wanted)
+        """Wait for an event, for a tick at most, and handle it; bring the instrument up to now, and trigger faults."""
+        client = self._client
+        reading = [] if self._refusing else [self._listening]
+        if client is not None and not (client.full or client.ready):
+            reading.append(client.link)
+        writing = [client.link] if client is not None and client.waiting else []
+        readable: list[socket.socket] = []
+        if reading or writing:
             tick = 0.0 if client is not None and client.ready else _TICK
-            ready = {key.fileobj for key, _ in selector.select(tick)} if selector.get_map() else set()
-            if self._refusing and client is None:
-                self._stopped.wait(_TICK)
-        if self._listening in ready:
+            readable, _, _ = select.select(reading, writing, [], tick)
+        elif client is None:
+            self._stopped.wait(_TICK)
+        if self._listening in readable:
             self._accept()
         if client is not None:
-            self._attend(client, readable=client.link in ready)
-        self._update()
+            self._attend(client, readable=client.link in readable)
+        with self.lock:
+            self.controller.instrument.advance()
+            faults = self.rehearsal.trigger(self.controller)
+        if faults:
+            self._disconnect()
+        if "refuse" in faults:
+            self._refusing = True
+            self._listening.close()
 
     def _accept(self) -> None:
         """Accept a client; if there is one already, close the new connection at once."""
-        try:
+        with suppress(OSError):
             link, _ = self._listening.accept()
-        except OSError:
-            return
-        if self._client is None:
+            if self._client is not None:
+                link.close()
+                return
             try:
                 self._client = _Client(link)
-                return
             except OSError:
-                pass
-        link.close()
+                link.close()
 
     def _attend(self, client: _Client, *, readable: bool) -> None:
         try:
-            if readable and not client.ready and len(client.waiting) < _MOST_WAITING:
+            if readable:
                 client.receive()
             end = time.monotonic() + _TICK
             while client.ready and time.monotonic() < end:
@@ -206,22 +213,10 @@ class Server:
 
     def _answer(self, command: bytes) -> bytes:
         with self.lock:
-            if len(command) == 1 and command[0] in _SINGLE:
-                answer = self.controller.single(command[0])
-            else:
-                answer = self.controller.answer(command.decode("latin-1"))
+            single = len(command) == 1 and command[0] in _SINGLE
+            text = command.decode("latin-1")
+            answer = self.controller.single(command[0]) if single else self.controller.answer(text)
         return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
-
-    def _update(self) -> None:
-        """Bring the instrument up to now, and trigger faults."""
-        with self.lock:
-            self.controller.instrument.advance()
-            faults = self.rehearsal.trigger(self.controller)
-        if faults:
-            self._disconnect()
-        if "refuse" in faults:
-            self._refusing = True
-            self._listening.close()
 
     def _disconnect(self) -> None:
         client, self._client = self._client, None
