@@ -65,21 +65,21 @@ class SimulatedRig(AbstractRig):
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` with a whole number of servo periods between samples."""
-        return 1.0 / (self._divider(sample_rate) * self.instrument.servo_period)
-
-    def _divider(self, rate: float) -> int:
-        return max(1, round(1.0 / (rate * self.instrument.servo_period)))
+        period = self.instrument.servo_period
+        return 1.0 / (max(1, round(1.0 / (sample_rate * period))) * period)
 
     def _read(self) -> Reading:
         bench = self.instrument
         return Reading(bench.now, bench.axis.voltage, bench.axis.displacement())
 
     def _put(self, voltage: float) -> None:
-        if not self.instrument.axis.set_voltage(voltage):
-            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {self.instrument.axis.limits} V")
+        axis = self.instrument.axis
+        if not axis.set_voltage(voltage):
+            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {axis.limits} V")
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        bench, divider = self.instrument, self._divider(rate)
+        bench = self.instrument
+        divider = round(1.0 / (rate * bench.servo_period))
         period = divider * bench.servo_period
         # The last sample of the wave before may have been taken at this instant.
         self._wait(period)
