@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dehyst.waveforms.named import OPTIONS, SCANS, ScanOption, scan_of
+from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
+from dehyst.waveforms.scan import ScanOption
 
 if TYPE_CHECKING:
     from dehyst.waveforms import Scan
