@@ -24,18 +24,23 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, demand_alike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.firmware import CONFIG, CORE
 from dehyst.exports.footprint import run
-from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.exports.model_header import ExportedStart, ModelText, config_header, demand_compensator
 from dehyst.exports.naming import printable, shipped
 
 Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]
 
 _UNITS = {"s": {"s": 1}, "m": {"m": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
-_LONGEST = 60
+# Longest identifier, and bytes of the model in a line.
+_LONGEST, _A_LINE = 60, 24
 
 _WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
+_FEATURES = {
+    "2.0": ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"),
+    "3.0": ("canGetAndSetFMUState", "canSerializeFMUState"),
+}
 _BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
@@ -99,13 +104,14 @@ def export_fmu(
         state = compensator.asked_start
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
     description = Description.of(compensator, version, kind)
-    sources = _sources(compensator, version)
-    token = _token(sources, version, kind)
-    sources["fmu_model.h"] = _model(token, description)
-    texts = {"modelDescription.xml": description.xml(token, _SOURCE)}
+    sources = _sources(compensator, description)
+    token = _token(sources, description)
+    given = next(variable.name for variable in description.variables if variable.causality == "input")
+    sources["fmu_model.h"] += f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{given}"\n\n#endif\n'
+    texts = {"modelDescription.xml": description.xml(token)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
     if version == "3.0":
-        texts["sources/buildDescription.xml"] = description.build_xml(_SOURCE)
+        texts["sources/buildDescription.xml"] = description.build_xml()
     texts |= {"documentation/index.html": description.page(), "documentation/licenses/license.txt": shipped("LICENSE")}
     content = {name: text.encode() for name, text in texts.items()}
     try:
@@ -120,29 +126,35 @@ def export_fmu(
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
-    """Return the contents of `sources/`, without the file that holds the token."""
-    wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[version])
-    units = (*SOURCES, *(name for name in wrapper if name.endswith(".c")))
-    every = shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units)
-    return {**code(compensator), **{name: shipped(name) for name in wrapper}, _SOURCE: every}
+def _sources(compensator: Compensator, description: Description) -> dict[str, str]:
+    """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
+    block, text, tables = compensator.model_block(), ModelText(compensator, "double"), compensator.tables()
+    # The tables that the core computes: slopes, and of graded elements their values and the sum of their slopes.
+    computed = tables["knot"].size + 2 * tables["tau_voltage"].size + tables["grade_value"].size
+    sizes = {
+        "ACTUATOR": int(description.kind == "actuator"),
+        "ROOM": len(block) // 8 + computed + tables["grade_knot"].size,
+        "MEMORY": text.memory,
+        "SNAPSHOT": text.snapshot,
+    }
+    macros = "".join(f"#define FMU_{name} {value}\n" for name, value in sizes.items())
+    rows = ",\n".join(", ".join(map(str, block[i : i + _A_LINE])) for i in range(0, len(block), _A_LINE))
+    wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[description.version])
+    units = ("dehyst.c", *(name for name in wrapper if name.endswith(".c")))
+    return {
+        **{name: shipped(name) for name in (*CORE, *wrapper)},
+        CONFIG: config_header("double"),
+        "fmu_block.h": f"static const unsigned char fmu_block[] = {{\n{rows}}};\n",
+        "fmu_model.h": f"#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n{macros}",
+        _SOURCE: shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units),
+    }
 
 
-def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
-    digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
+def _token(sources: Mapping[str, str], description: Description) -> str:
+    digest = hashlib.sha256(f"{description.version} {description.kind} {__version__}".encode())
     for name, text in sources.items():
         digest.update(f"\n{name} {len(text)}\n{text}".encode())
     return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
-
-
-def _model(token: str, description: Description) -> str:
-    """Return the text of `fmu_model.h`."""
-    name = next(variable.name for variable in description.variables if variable.causality == "input")
-    return (
-        "#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
-        f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}\n"
-        f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{name}"\n\n#endif\n'
-    )
 
 
 def _compiled(sources: Mapping[str, str]) -> bytes:
@@ -186,6 +198,20 @@ class Variable(NamedTuple):
     start: float | None = None
     range: tuple[float, float] | None = None
 
+    @property
+    def roles(self) -> dict[str, str]:
+        """Its attributes of causality and variability."""
+        roles = {"causality": self.causality, "variability": "continuous" if self.unit else "discrete"}
+        return roles | {"initial": "calculated"} if self.causality == "output" else roles
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """Its unit, range and start, as attributes."""
+        numbers = {"unit": self.unit} if self.unit else {}
+        if self.range is not None:
+            numbers |= {"min": repr(self.range[0]), "max": repr(self.range[1])}
+        return numbers if self.start is None else numbers | {"start": repr(self.start)}
+
 
 @dataclass(frozen=True)
 class Description:
@@ -215,10 +241,28 @@ class Description:
     @classmethod
     def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
         """Describe it as it was when made or last reset."""
-        period, words = compensator.period or 0.0, printable(compensator.actuator.name)
+        words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
+        period, (low, high), ahead = compensator.period or 0.0, compensator.limits, compensator.samples_ahead
+        variables = [Variable("time", "independent", "s", "Simulation time")]
+        if kind == "compensator":
+            summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
+            if compensator.slew_rate is not None:
+                summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
+            wanted = f"Displacement wanted {f'in {ahead} steps' if ahead else 'at the end of the step'}"
+            variables += [
+                Variable("displacement", "input", "m", wanted, begin.displacement),
+                Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
+                Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
+                Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+            ]
+        else:
+            summary = f"The actuator '{words}': displacement that a voltage causes."
+            reached = "Voltage reached at the end of a step's first period, then held"
+            variables += [
+                Variable("voltage", "input", "V", reached, begin.voltage),
+                Variable("displacement", "output", "m", "Displacement"),
+            ]
         pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
-        make = _compensator if kind == "compensator" else _actuator
-        summary, variables = make(compensator, words)
         slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
         twice = slug == kind
         return cls(
@@ -228,49 +272,71 @@ class Description:
             f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
             f"{summary} {pace}",
             period,
-            (Variable("time", "independent", "s", "Simulation time"), *variables),
+            tuple(variables),
         )
 
-    @property
-    def outputs(self) -> tuple[int, ...]:
-        """Value references of the outputs."""
-        return tuple(i for i, variable in enumerate(self.variables) if variable.causality == "output")
-
-    def xml(self, token: str, source: str) -> str:
-        """Text of `modelDescription.xml`.
-
-        `token`: GUID or instantiation token. `source`: the file to compile.
-        """
+    def xml(self, token: str) -> str:
+        """Text of `modelDescription.xml`; `token` is the GUID or the instantiation token."""
+        two = self.version == "2.0"
         root = ElementTree.Element(
             "fmiModelDescription",
             {
                 "fmiVersion": self.version,
                 "modelName": self.name,
-                "guid" if self.version == "2.0" else "instantiationToken": token,
+                "guid" if two else "instantiationToken": token,
                 "description": self.summary,
                 "generationTool": f"dehyst {__version__}",
                 "variableNamingConvention": "flat",
             },
         )
-        if self.version == "2.0":
-            _fill_2(root, self, source)
-        else:
-            _fill_3(root, self)
+        features = {"canHandleVariableCommunicationStepSize": "false" if self.period else "true"}
+        features |= dict.fromkeys(_FEATURES[self.version], "true")
+        if self.period and not two:
+            features["fixedInternalStepSize"] = repr(self.period)
+        interface = _add(root, "CoSimulation", modelIdentifier=self.identifier, **features)
+        if two:
+            _add(_add(interface, "SourceFiles"), "File", name=_SOURCE)
+        units = _add(root, "UnitDefinitions")
+        for name, base in _UNITS.items():
+            exponents = {symbol: str(power) for symbol, power in base.items()}
+            _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
+        categories = _add(root, "LogCategories")
+        _add(categories, "Category", name="logStatusError", description="What was refused, and why")
+        _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
+        _add(root, "DefaultExperiment", startTime="0", **({"stepSize": repr(self.period)} if self.period else {}))
+        variables = _add(root, "ModelVariables")
+        for reference, variable in enumerate(self.variables):
+            common = {"description": variable.description, "name": variable.name, "valueReference": str(reference)}
+            common |= variable.roles
+            if two:
+                scalar = _add(variables, "ScalarVariable", **common)
+                _add(scalar, "Real" if variable.unit else "Integer", **variable.numbers)
+            else:
+                _add(variables, "Float64" if variable.unit else "UInt64", **common, **variable.numbers)
+        structure = _add(root, "ModelStructure")
+        outputs = [i for i, variable in enumerate(self.variables) if variable.causality == "output"]
+        for part in ("Output", "InitialUnknown"):
+            unknowns = _add(structure, f"{part}s") if two else structure
+            for reference in outputs:
+                if two:
+                    _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
+                else:
+                    _add(unknowns, part, valueReference=str(reference), dependencies="")
         return _text(root)
 
-    def build_xml(self, source: str) -> str:
+    def build_xml(self) -> str:
         """Text of FMI 3.0's `sources/buildDescription.xml`."""
         root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
         configuration = _add(root, "BuildConfiguration", modelIdentifier=self.identifier)
         files = _add(configuration, "SourceFileSet", language="C99")
-        _add(files, "SourceFile", name=source)
+        _add(files, "SourceFile", name=_SOURCE)
         return _text(root)
 
     def page(self) -> str:
         """Return the HTML page."""
         rows = [
-            f"<tr><td>{variable.name}</td><td>{variable.causality}</td><td>{variable.unit}</td><td>{escape(variable.description)}</td></tr>"
-            for variable in self.variables
+            f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{escape(one.description)}</td></tr>"
+            for one in self.variables
         ]
         head = (
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
@@ -282,99 +348,8 @@ class Description:
         return "\n".join([head, columns, *rows, end])
 
 
-def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    (low, high), ahead = compensator.limits, compensator.samples_ahead
-    when = f"in {ahead} steps" if ahead else "at the end of the step"
-    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
-    if compensator.slew_rate is not None:
-        summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y = ExportedStart.of(compensator).displacement
-    return summary, (
-        Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
-        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
-        Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
-        Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
-    )
-
-
-def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    v = ExportedStart.of(compensator).voltage
-    return f"The actuator '{name}': displacement that a voltage causes.", (
-        Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
-        Variable("displacement", "output", "m", "Displacement"),
-    )
-
-
-def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
-    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
-    features |= dict.fromkeys(
-        ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
-    )
-    interface = _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
-    _add(_add(interface, "SourceFiles"), "File", name=source)
-    _fill_common(root, description)
-    variables = _add(root, "ModelVariables")
-    for reference, variable in enumerate(description.variables):
-        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
-        scalar = _add(variables, "ScalarVariable", description=variable.description, **attributes)
-        if variable.unit:
-            _add(scalar, "Real", unit=variable.unit, **_numbers(variable))
-        else:
-            _add(scalar, "Integer")
-    structure = _add(root, "ModelStructure")
-    for part in ("Outputs", "InitialUnknowns"):
-        unknowns = _add(structure, part)
-        for reference in description.outputs:
-            _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
-
-
-def _fill_3(root: ElementTree.Element, description: Description) -> None:
-    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
-    features |= dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
-    if description.period:
-        features["fixedInternalStepSize"] = repr(description.period)
-    _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
-    _fill_common(root, description)
-    variables = _add(root, "ModelVariables")
-    for reference, variable in enumerate(description.variables):
-        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
-        if variable.unit:
-            attributes |= {"unit": variable.unit} | _numbers(variable)
-        _add(variables, "Float64" if variable.unit else "UInt64", description=variable.description, **attributes)
-    structure = _add(root, "ModelStructure")
-    for part in ("Output", "InitialUnknown"):
-        for reference in description.outputs:
-            _add(structure, part, valueReference=str(reference), dependencies="")
-
-
-def _fill_common(root: ElementTree.Element, description: Description) -> None:
-    units = _add(root, "UnitDefinitions")
-    for name, base in _UNITS.items():
-        exponents = {symbol: str(power) for symbol, power in base.items()}
-        _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
-    categories = _add(root, "LogCategories")
-    _add(categories, "Category", name="logStatusError", description="What was refused, and why")
-    _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
-    step = {"stepSize": repr(description.period)} if description.period else {}
-    _add(root, "DefaultExperiment", startTime="0", **step)
-
-
-def _roles(variable: Variable) -> dict[str, str]:
-    roles = {"causality": variable.causality, "variability": "continuous" if variable.unit else "discrete"}
-    return roles | {"initial": "calculated"} if variable.causality == "output" else roles
-
-
-def _numbers(variable: Variable) -> dict[str, str]:
-    numbers = {} if variable.range is None else {"min": repr(variable.range[0]), "max": repr(variable.range[1])}
-    return numbers if variable.start is None else numbers | {"start": repr(variable.start)}
-
-
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
     return ElementTree.SubElement(parent, tag, attributes)
-
-
-def _flag(value: bool) -> str:
-    return "true" if value else "false"
 
 
 def _text(root: ElementTree.Element) -> str:
