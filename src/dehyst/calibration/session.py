@@ -120,7 +120,7 @@ class Session:
             Whether to play it although it is on disk.
         """
         paths = self._paths(name)
-        stored = None if afresh or self._several else self._stored(paths[0], excitation)
+        stored = None if afresh else self._stored(name, excitation)
         if stored is not None and self._agrees(stored.with_name(name), excitation):
             self.kept.append(name)
             self.sequence.append(stored)
@@ -137,6 +137,15 @@ class Session:
             self._replayed = None
         self.sequence.append(record)
         return record
+
+    def is_complete(self, excitation: Excitation, name: str) -> bool:
+        """Return whether the complete record of an excitation is on disk."""
+        return self._stored(name, excitation) is not None
+
+    def hashes(self) -> dict[str, str]:
+        """Return the SHA-256 of the file of each requested record."""
+        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def _begin(self, excitation: Excitation) -> None:
         """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
@@ -223,19 +232,12 @@ class Session:
         self.agreement, self._replayed = result, played
         return True
 
-    def is_complete(self, excitation: Excitation, name: str) -> bool:
-        """Return whether the complete record of an excitation is on disk."""
-        return not self._several and self._stored(self._paths(name)[0], excitation) is not None
-
-    def hashes(self) -> dict[str, str]:
-        """Return the SHA-256 of the file of each requested record."""
-        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
-        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
-
-    def _stored(self, path: Path, excitation: Excitation) -> Record | None:
-        """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""
+    def _stored(self, name: str, excitation: Excitation) -> Record | None:
+        """Return the record of one axis on disk if it is complete, undamaged and of this excitation and instrument."""
+        if self._several:
+            return None
         try:
-            record = read(path)
+            record = read(self._paths(name)[0])
         except (FileFormatError, RecordError):
             return None
         meta, samples = record.meta, (record.time, record.voltage, record.displacement)
@@ -254,14 +256,13 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
 
     Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
     """
-    records = folder / "records"
+    records, path = folder / "records", folder / "campaign.json"
     try:
         records.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileFormatError(
             f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
         ) from error
-    path = folder / "campaign.json"
     instrument: dict[str, Any] = {"rig": rig, "axis": axis}
     if not os.path.lexists(path):
         write_json(path, {"format": FORMAT, "version": 1, **instrument})

@@ -490,7 +490,7 @@ def _recorded_array(controller: Controller, words: _Words) -> list[str]:
     ]
 
 
-class Command(NamedTuple):
+class GcsCommand(NamedTuple):
     """A row of `COMMANDS`: its description in HLP?, what it does, and its least and largest number of arguments.
 
     `run` returns the lines of the answer, or None where there is none.
@@ -501,22 +501,24 @@ class Command(NamedTuple):
     arguments: tuple[int, int | None] = (0, 0)
 
 
-def _of_axes(words: str, value: Callable[[ControllerAxis], float | str]) -> Command:
+def _of_axes(words: str, value: Callable[[ControllerAxis], float | str]) -> GcsCommand:
     """Return a query of axes or channels, by default of all."""
-    return Command(words, lambda c, given: [f"{one.name}={_numeral(value(one))}" for one in c.chosen(given)], (0, None))
+    return GcsCommand(
+        words, lambda c, given: [f"{one.name}={_numeral(value(one))}" for one in c.chosen(given)], (0, None)
+    )
 
 
-def _of_generators(words: str, value: Callable[[ControllerAxis], float | str]) -> Command:
+def _of_generators(words: str, value: Callable[[ControllerAxis], float | str]) -> GcsCommand:
     """Return a query of wave generators by their numbers, by default of all."""
 
     def run(controller: Controller, given: _Words) -> list[str]:
         axes = [controller.generator(word) for word in given] or controller.axes
         return [f"{controller.axes.index(one) + 1}={_numeral(value(one))}" for one in axes]
 
-    return Command(words, run, (0, None))
+    return GcsCommand(words, run, (0, None))
 
 
-def _to_axes(words: str, act: Callable[[ControllerAxis, float], None]) -> Command:
+def _to_axes(words: str, act: Callable[[ControllerAxis, float], None]) -> GcsCommand:
     """Return a command {axis value}; its axes are done in order, or none if an argument is wrong."""
 
     def run(controller: Controller, given: _Words) -> None:
@@ -525,29 +527,29 @@ def _to_axes(words: str, act: Callable[[ControllerAxis, float], None]) -> Comman
         for axis, value in list(zip(axes, [_real(word) for _, word in pairs], strict=True)):
             act(axis, value)
 
-    return Command(words, run, (2, None))
+    return GcsCommand(words, run, (2, None))
 
 
-def _of_record_tables(words: str, value: Callable[[Controller, int], str]) -> Command:
+def _of_record_tables(words: str, value: Callable[[Controller, int], str]) -> GcsCommand:
     """Return a query of recorder tables, by default of all."""
-    return Command(words, lambda c, given: [f"{n}={value(c, n)}" for n in c.record_tables(given)], (0, None))
+    return GcsCommand(words, lambda c, given: [f"{n}={value(c, n)}" for n in c.record_tables(given)], (0, None))
 
 
-COMMANDS: dict[str, Command] = {
-    "*IDN?": Command("Get device identification", lambda c, _: [c.identity]),
+COMMANDS: dict[str, GcsCommand] = {
+    "*IDN?": GcsCommand("Get device identification", lambda c, _: [c.identity]),
     "CST?": _of_axes("Get assignment of stages to axes", lambda _: "DEHYST"),
-    "CSV?": Command("Get syntax version", lambda *_: ["2.0"]),
-    "DRC": Command("Set data recorder configuration {table source option}", _set_record, (3, 3)),
+    "CSV?": GcsCommand("Get syntax version", lambda *_: ["2.0"]),
+    "DRC": GcsCommand("Set data recorder configuration {table source option}", _set_record, (3, 3)),
     "DRC?": _of_record_tables("Get data recorder configuration", lambda c, n: "{} {}".format(*c.records[n])),
     "DRL?": _of_record_tables("Get number of recorded points", lambda c, _: str(c.recorded)),
-    "DRR?": Command("Get recorded data {[first [count [table]]]}", _recorded_array, (0, None)),
-    "DRT": Command("Set data recorder trigger source {table trigger value}", _set_trigger, (3, 3)),
+    "DRR?": GcsCommand("Get recorded data {[first [count [table]]]}", _recorded_array, (0, None)),
+    "DRT": GcsCommand("Set data recorder trigger source {table trigger value}", _set_trigger, (3, 3)),
     "DRT?": _of_record_tables("Get data recorder trigger source", lambda c, _: " ".join(c.trigger)),
-    "ERR?": Command("Get error number", _take_error),
-    "HDR?": Command("Get help for data recording", _recorder_help),
-    "HLP?": Command("Get list of commands", _list_commands),
-    "HLT": Command("Halt motion", _stop, (0, None)),
-    "HPA?": Command("Get list of parameters", _list_parameters),
+    "ERR?": GcsCommand("Get error number", _take_error),
+    "HDR?": GcsCommand("Get help for data recording", _recorder_help),
+    "HLP?": GcsCommand("Get list of commands", _list_commands),
+    "HLT": GcsCommand("Halt motion", _stop, (0, None)),
+    "HPA?": GcsCommand("Get list of parameters", _list_parameters),
     "MOV": _to_axes("Set target position {axis position}", lambda one, value: _move(one, 1e-6 * value)),
     "MOV?": _of_axes("Get target position", lambda one: 1e6 * one.target),
     "MVR": _to_axes(
@@ -557,12 +559,12 @@ COMMANDS: dict[str, Command] = {
     "ONT?": _of_axes("Get on-target state", lambda one: int(one.bench.servo and one.bench.arrived)),
     "POS?": _of_axes("Get real position", lambda one: 1e6 * one.bench.displacement()),
     "PUN?": _of_axes("Get unit of position", lambda _: "um"),
-    "RTR": Command("Set record table rate {divider}", _slow_recorder, (1, 1)),
-    "RTR?": Command("Get record table rate", lambda c, _: [str(c.record_divider)]),
-    "SAI?": Command("Get list of axes {[ALL]}", _name_axes, (0, None)),
-    "SPA?": Command("Get parameters {[item parameter]}", _read_parameters, (0, None)),
-    "SSN?": Command("Get serial number", lambda c, _: [c.serial]),
-    "STP": Command("Stop all axes", _stop, (0, None)),
+    "RTR": GcsCommand("Set record table rate {divider}", _slow_recorder, (1, 1)),
+    "RTR?": GcsCommand("Get record table rate", lambda c, _: [str(c.record_divider)]),
+    "SAI?": GcsCommand("Get list of axes {[ALL]}", _name_axes, (0, None)),
+    "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
+    "SSN?": GcsCommand("Get serial number", lambda c, _: [c.serial]),
+    "STP": GcsCommand("Stop all axes", _stop, (0, None)),
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
     "SVA?": _of_axes("Get open-loop value", lambda one: one.bench.target),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
@@ -570,23 +572,23 @@ COMMANDS: dict[str, Command] = {
     "SVR": _to_axes(
         "Set relative open-loop value {axis voltage}", lambda one, value: _set_voltage(one, one.bench.voltage + value)
     ),
-    "TIM?": Command("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
+    "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
     "TMN?": _of_axes("Get lowest position", lambda _: 0.0),
     "TMX?": _of_axes("Get highest position", lambda one: 1e6 * one.bench.stroke),
-    "TNR?": Command("Get number of record tables", lambda c, _: [str(len(c.records))]),
-    "VER?": Command("Get versions", lambda c, _: [f"FW: {__version__}", f"GCS: {c.identity}"]),
+    "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
+    "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {__version__}", f"GCS: {c.identity}"]),
     "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
     "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
     "VOL?": _of_axes("Get voltage of output channel", lambda one: one.bench.voltage),
-    "WAV": Command("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
-    "WAV?": Command("Get wave tables", _wave_lengths, (0, 2)),
-    "WCL": Command("Clear wave table {table}", _clear_wave, (1, 1)),
-    "WGC": Command("Set number of cycles {generator cycles}", _repeat_waves, (2, None)),
+    "WAV": GcsCommand("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
+    "WAV?": GcsCommand("Get wave tables", _wave_lengths, (0, 2)),
+    "WCL": GcsCommand("Clear wave table {table}", _clear_wave, (1, 1)),
+    "WGC": GcsCommand("Set number of cycles {generator cycles}", _repeat_waves, (2, None)),
     "WGC?": _of_generators("Get number of cycles", lambda one: one.cycles),
-    "WGO": Command("Start or stop wave generator {generator mode}", _run_waves, (2, None)),
+    "WGO": GcsCommand("Start or stop wave generator {generator mode}", _run_waves, (2, None)),
     "WGO?": _of_generators("Get wave generator state", lambda one: int(one.bench.playing)),
-    "WSL": Command("Set connection of wave table {generator table}", _select_waves, (2, None)),
+    "WSL": GcsCommand("Set connection of wave table {generator table}", _select_waves, (2, None)),
     "WSL?": _of_generators("Get connection of wave table", lambda one: one.table),
-    "WTR": Command("Set wave generator rate {generator divider interpolation}", _slow_waves, (3, None)),
+    "WTR": GcsCommand("Set wave generator rate {generator divider interpolation}", _slow_waves, (3, None)),
     "WTR?": _of_generators("Get wave generator rate", lambda one: f"{one.divider} {one.interpolation}"),
 }
