@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
 from dehyst.identification.preprocessing.denoising import derivatives, remove_dynamics
-from dehyst.identification.regression.fold_sums import TrainingErrors
+from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.training_data import SensedDynamics, find_dynamics
 
 PLANT = plain_records.plant(20, seed=2)
@@ -119,7 +119,7 @@ def test_a_mass_that_is_not_worth_it_is_left_out():
     frame = wide.frame([record])
     tried = []
 
-    training_error = TrainingErrors()
+    training_error = training_errors()
 
     def error(inertia):
         tried.append(inertia)

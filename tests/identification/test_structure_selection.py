@@ -93,7 +93,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     """A second way, block by block: no row of a fold enters its own prediction."""
     whole = regression()
     weights = np.ones(len(whole.rows))
-    errors = FoldSums(whole, weights).held_out_errors()
+    errors = FoldSums(whole, weights, folds=3).held_out_errors()
     fold = blocks(whole.rows.voltage, whole.rows.epoch) % 3
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)

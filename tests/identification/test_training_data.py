@@ -14,7 +14,7 @@ from dehyst import Record, State
 from dehyst.identification import Structure
 from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.preprocessing.regressors import InternalStates
+from dehyst.identification.preprocessing.regressors import internal_states
 from dehyst.virtual import BoucWenActuator
 from dehyst.waveforms import Sampling, descending_tops
 
@@ -56,7 +56,7 @@ def test_a_record_goes_on_from_its_lead():
     record = plant.record()
 
     def moved_along(grid, piece, lead):
-        return np.vstack(list(InternalStates(grid, piece, lead).blocks(97)))
+        return np.vstack(list(internal_states(grid, piece, lead, 97)))
 
     whole = moved_along(plant.grid, record, None)
     cut = 200

@@ -191,7 +191,7 @@ class _Run:
         modelled = planner.compensated(known.model, session.sequence)
         if "nominal" in session.kept and not session.is_complete(modelled.excitation, "compensated"):
             # Only a record just before shows what crept meanwhile.
-            before = self._play(linear, afresh=True)
+            before = self._play(linear, again=True)
             modelled = planner.compensated(known.model, session.sequence)
         nominal, compensated = (
             TrackedPath.of(planned, record, self.rig.rows(len(planned.excitation)))
@@ -230,10 +230,10 @@ class _Run:
             write_traces(folder / RESULTS[1], fit.traces)
         write_json(folder / RESULTS[-1], {"format": "dehyst-calibration-results", "version": 1, **numbers})
 
-    def _play(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
+    def _play(self, planned: PlannedRun, *, again: bool = False) -> Record:
         excitation = planned.excitation
         return self.session.record(
-            excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, afresh=afresh
+            excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, again=again
         )
 
     def _measure_axes(self) -> _Measured:

@@ -99,7 +99,7 @@ class Session:
         *,
         wanted: Array | None = None,
         stroke: Any = None,
-        afresh: bool = False,
+        again: bool = False,
     ) -> Record:
         """Play an excitation and write its record, unless it is on disk already.
 
@@ -116,11 +116,11 @@ class Session:
             Wanted displacement [m] at each voltage, for the listener; NaN where none is wanted.
         stroke : float or (axes,) array, optional
             Reference of its error [m].
-        afresh : bool
+        again : bool
             Whether to play it although it is on disk.
         """
         paths = self._paths(name)
-        stored = None if afresh else self._stored(name, excitation)
+        stored = None if again else self._stored(name, excitation)
         if stored is not None and self._agrees(stored.with_name(name), excitation):
             self.kept.append(name)
             self.sequence.append(stored)

@@ -125,10 +125,11 @@ class PathPlanner:
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
         if isinstance(model, Stage):
             several = StageCompensator(model, limits=bounds, slew_rate=rates, states=states)
-            command = several.trajectory(ahead, time=time)
-            pairs = zip(model.axes, command.remarks, strict=True)
-            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own)
-            return self._run("compensated", wanted, command.voltage, place, remarks)
+            commands = several.trajectory(ahead, time=time)
+            pairs = zip(model.axes, commands, strict=True)
+            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
+            voltage = np.column_stack([one.voltage for one in commands])
+            return self._run("compensated", wanted, voltage, place, remarks)
         one = Compensator(model, bounds[0], rates[0])
         present = float(self.homing.voltage[-1])
         followed = one.trajectory(ahead[:, 0], time=time, state=states[0], present=present)
@@ -154,10 +155,10 @@ class PathPlanner:
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
-        homed = stage.simulate(rows, time=homing.time, states=played.states, extrapolate=True)
+        homed = stage.simulate(rows, time=homing.time, states=played.state, extrapolate=True)
         start = homed.displacement[-1] + datum
         if self.ends is not None:
-            return _Place.between(*self.ends), start, homed.states, datum
+            return _Place.between(*self.ends), start, homed.state, datum
         # Each actuator alone at the ends of its major loop.
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
@@ -167,7 +168,7 @@ class PathPlanner:
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + datum
         low = apply(stage.coupling, bottom[None])[0] + datum
         place = _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
-        return place, start, homed.states, datum
+        return place, start, homed.state, datum
 
     def _wanted(self, place: _Place, start: Array) -> Array:
         """Return the way from the end of the homing to the path, and the path [m]: (n, axes)."""

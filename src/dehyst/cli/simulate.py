@@ -124,14 +124,14 @@ def _runs(
     known: AxesModel, voltage: Any, time: dict[str, Any], starts: list[PossibleStart | None], *, home: bool
 ) -> list[HomedPath]:
     """Return the motion of each axis by voltages (n, axes), perhaps with a homing before them."""
-    from dehyst.control import Compensator, StageCompensator, plan_stage_voltage, plan_voltage
+    from dehyst.control import Compensator, StageCompensator, plan_voltage
 
     when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
     if known.stage is None:
         compensator = Compensator(known.actuators[0], ranges[0])
         return [plan_voltage(compensator, voltage[:, 0], time=when, start=starts[0], home=home)]
     several = StageCompensator(known.stage, limits=ranges, period=period_of(time))
-    return [*plan_stage_voltage(several, voltage, time=when, starts=starts, home=home)]
+    return [*plan_voltage(several, voltage, time=when, start=starts, home=home)]
 
 
 def _displacements(known: AxesModel, runs: list[HomedPath], clock: dict[str, Any], lag: bool) -> dict[str, Any]:

@@ -134,10 +134,10 @@ def given_starts(
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: tuple[float, float] | None) -> PossibleStart:
     """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
-    from dehyst.control.stage_compensator import start_within
+    from dehyst.model.states import state_after_loops
 
     allowed = limits or actuator.limits
-    state = start.state if allowed is None else start_within(actuator, start.state, allowed)
+    state = start.state if allowed is None else state_after_loops(actuator, start.state, allowed)
     if allowed is None or state is start.state:
         return start
     remark = (
@@ -318,7 +318,7 @@ WantedPath = tuple[Any, dict[str, Any], dict[str, Any]]
 
 def planned(model: AxesModel, requests: Sequence[Request], path: WantedPath) -> list[HomedPath]:
     """Return the voltages of each axis along a path: from its start, or if that matters, after a homing."""
-    from dehyst.control import Compensator, StageCompensator, plan_path, plan_stage_path
+    from dehyst.control import Compensator, StageCompensator, plan_path
 
     first, (wanted, time, derivatives), when = requests[0], path, path[1].get("time_s")
     if model.stage is None:
@@ -329,7 +329,7 @@ def planned(model: AxesModel, requests: Sequence[Request], path: WantedPath) -> 
     several = StageCompensator(model.stage, limits=limits, slew_rate=slews, period=period_of(time))
     starts = [each.start for each in requests if each.start is not None]
     present = None if first.present is None else [first.present] * len(requests)
-    return [*plan_stage_path(several, wanted, time=when, starts=starts or None, home=first.home, present=present)]
+    return [*plan_path(several, wanted, time=when, start=starts or None, home=first.home, present=present)]
 
 
 def period_of(clock: dict[str, Any]) -> float | None:

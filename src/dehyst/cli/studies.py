@@ -52,7 +52,7 @@ def demo(output: Path, report: bool, as_json: bool) -> None:
 @_folder_option("dehyst-paper", "one of an earlier run")
 @json_option
 def paper(output: Path, as_json: bool) -> None:
-    """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers."""
+    """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
     from dehyst.studies.paper import run as study
 
     study.demand_folder(output)

@@ -135,11 +135,12 @@ def _table_dict(table: WaveTable, scan: Scan, start: dict[str, Any]) -> dict[str
 
 def _start(request: Request, scan: Scan, axis: str) -> PossibleStart:
     """Return the start that was given, or the unknown one at the first sample."""
-    from dehyst.control import start_at
+    from dehyst.control import PossibleStart
 
     if request.start is not None:
         return request.start
-    return start_at(request.actuator, float(scan.path(axis).displacement[0]), request.limits or request.actuator.limits)
+    first, limits = float(scan.path(axis).displacement[0]), request.limits or request.actuator.limits
+    return PossibleStart.unknown_near(request.actuator, first, limits)
 
 
 def _unwritten_warnings(request: Request, start: PossibleStart, table: WaveTable) -> list[str]:

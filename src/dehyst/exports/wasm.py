@@ -74,7 +74,7 @@ def wasm_module(compensator: Compensator) -> bytes:
         "period": compensator.period,
         "needsPeriod": actuator.model.needs_time or compensator.preview,
         "samplesAhead": compensator.samples_ahead,
-        "reach": list(compensator.afresh("m").reach),
+        "reach": list(compensator.clone("m").reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
     text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
-from dehyst.identification.regression.fold_sums import FoldSums, blocks, first_weights, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import FoldSums, blocks, equally_weighted, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
@@ -108,7 +108,7 @@ class _Parts:
         part = np.zeros(len(rows), dtype=np.intp)
         for q in range(len(self.frame.training)):
             part[rows.record == q] = self._part(q, rows.time[rows.record == q])
-        weights = first_weights(self.regression)
+        weights = equally_weighted(self.regression).inverse_slopes
         for k in range(_PARTS // 2):
             group = k, k + _PARTS // 2
             out = np.isin(part, group)
@@ -190,7 +190,7 @@ def size_error(regression: Regression) -> float:
     smaller = np.unique(step[step < _LARGEST * _SIZES])
     third = 3 * np.searchsorted(smaller, step) // max(smaller.size, 1)
     fold = np.minimum(third, 2)[np.unique(cycle, return_inverse=True)[1]]
-    sums = FoldSums(few, first_weights(few), folds=3, given=fold)
+    sums = FoldSums(few, equally_weighted(few).inverse_slopes, folds=3, given=fold)
     errors = [sums.errors_of(k) for k in (0, 1) if smaller.size and np.count_nonzero(fold == k) >= _FEWEST]
     return max((rms(left) for left in errors if left is not None), default=0.0)
 

@@ -14,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst.identification import paper_methods
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
+from dehyst.identification.diagnostics.identifiability import identifiability, probes
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, unsupported
 from dehyst.identification.preprocessing.denoising import left_of
@@ -214,7 +214,7 @@ def _identify_structure(
     frame = replace(data, inertia=run.lagging, datum=plain.datum, denoised=True)
     if isinstance(structure, str):
         # Without loops within loops nothing that distinguishes structures can be held out.
-        missing = messages.of_turns(probe_identifiability(run.on_axis(plain.datum), plain.rows, run.span), run.drive)
+        missing = messages.of_turns(identifiability(run.on_axis(plain.datum), probes(run.span)), run.drive)
         if missing:
             run.remarks += missing
             return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
@@ -273,13 +273,13 @@ class _MaxwellSlipProgram:
         run.report(f"solving the {run.settings.norm} program for {len(regression)} samples")
         run.publish_first_model(regression)
         found = run.solve_with_fallback(regression.fit_weighted, lambda: least_squares_of_sums(regression))
-        structure = Structure(elements=rho.size, knots=regression.knots.size, smoothing=0.0, reach=reach)
+        structure = Structure(elements=rho.size, knots=regression.grid.knots.size, smoothing=0.0, reach=reach)
         frame = replace(self._data, datum=regression.datum)
         return StructuredFit(frame, structure, run.settings.norm, regression, found)
 
     def judge(self, made: StructuredFit, actuator: Actuator) -> Outcome:
         """Return the outcome; remark on directions of the stiffnesses that the records leave open."""
-        directions = identifiability(self._run.on_axis(made.regression.datum), made.regression)
+        directions = identifiability(self._run.on_axis(made.regression.datum), made.regression.grid)
         outcome, remarks = messages.of_plain(directions, made.regression, made.found)
         self._run.remarks += remarks
         return outcome

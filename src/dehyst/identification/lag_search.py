@@ -14,7 +14,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.held_out import block_error
-from dehyst.identification.regression.fold_sums import TrainingErrors
+from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.regression.nuisances import searched_delay
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
@@ -78,7 +78,7 @@ class _LagSearch:
         frame = self.frame
         structure = replace(_STRUCTURE, creep=0) if frame.creepless else _STRUCTURE
         self._grid = structure.grid(frame.span, frame.voltages, (_SLOWER * self.cycle / 3, frame.times[1]))
-        self._training_error = TrainingErrors()
+        self._training_error = training_errors()
         self._residual: dict[tuple[float, float], float] = {}
         self._held_out: dict[tuple[float, float], float] = {}
 

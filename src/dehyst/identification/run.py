@@ -23,7 +23,7 @@ from dehyst.identification.preprocessing.denoising import disturbs
 from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import TrainingErrors, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import least_squares_of_sums, training_errors
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
@@ -162,7 +162,7 @@ class IdentificationRun:
     def maxwell_slip_error(self) -> float:
         """RMS residual of Maxwell-slip elements in few rows of the training records [m]."""
         rho = self.stroke / 60 * np.arange(1.0, 31.0)
-        return TrainingErrors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
+        return training_errors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
 
     def can_drift(self) -> list[int]:
         """Return the training records that may drift."""

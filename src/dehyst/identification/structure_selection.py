@@ -11,13 +11,15 @@ import numpy as np
 
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
-from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
+from dehyst.identification.regression.fold_sums import FoldSums, Nearby, equally_weighted
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Structure
 from dehyst.records.signals import rms
 
+# Cycles are held out in turn, one of so many.
+_FOLDS = 3
 Build = Callable[[Structure], Regression]
 # Parts, tried one by one.
 PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -192,9 +194,9 @@ def try_structure(build: Build, structure: Structure, progress: Progress, before
     regression = build(structure)
     weights = None if before is None else before.weights
     if before is None or weights is None:
-        sums = FoldSums(regression, first_weights(regression))
+        sums = FoldSums(regression, equally_weighted(regression).inverse_slopes, folds=_FOLDS)
     else:
-        sums = FoldSums(regression, weights, before.nearby)
-    held_out, training = rms(sums.held_out_errors()), sums.training_error()
+        sums = FoldSums(regression, weights, before.nearby, _FOLDS)
+    held_out, training = rms(sums.held_out_errors()), sums.training_error
     trial = StructureTrial(structure, held_out, training, time.perf_counter() - begin)
     return Tried(trial, sums.inverse_slopes, sums.handed_on())

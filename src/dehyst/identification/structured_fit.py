@@ -293,7 +293,9 @@ class _Iterate:
     @classmethod
     def of(cls, fit: StructuredFit) -> _Iterate:
         grid = Grid.of_actuator(fit.actuator)
-        regression = replace(fit.regression, grid=grid, strained=(), lasting=None)
+        regression = replace(
+            fit.regression, grid=grid, strained=(), drifting=(), lasting=None, ranges=(), epochs=np.zeros(0, np.intp)
+        )
         x = np.concatenate(regression.unknowns(Coefficients.from_actuator(fit.actuator)))
         return cls(fit.actuator, regression, fit.playback(), x, grid.breakaway)
 
@@ -303,7 +305,7 @@ class _Iterate:
         grid = replace(self.regression.grid, breakaway=self.breakaway)
         given, first = self.given, float(self.given.spring.voltage[0])
         return self.regression.at(self.x).to_actuator(
-            grid, first, least=-1.0, dynamics=given.dynamics, lag=given.lag, delay=given.delay
+            grid, first, every_part=True, dynamics=given.dynamics, lag=given.lag, delay=given.delay
         )
 
     def errors(self) -> Array:

@@ -16,7 +16,12 @@ from dehyst.identification.preprocessing.denoising import left_of, remove_dynami
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import FoldSums, TrainingErrors, first_weights, nearly_least_absolute
+from dehyst.identification.regression.fold_sums import (
+    FoldSums,
+    equally_weighted,
+    nearly_least_absolute,
+    training_errors,
+)
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
@@ -170,7 +175,7 @@ class TrainingData:
         regression = self.regression(structure)
         if not regression.whole:
             return regression, regression.fit_weighted(norm)
-        weights = FoldSums(regression, first_weights(regression), folds=1).inverse_slopes
+        weights = FoldSums(regression, equally_weighted(regression).inverse_slopes).inverse_slopes
         return regression, regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
 
     def _rows_of(self, structure: Structure, most: int) -> Regression:
@@ -182,7 +187,7 @@ class TrainingData:
     def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Regression:
         """Return the regression of all records on a grid, about `most` rows in memory."""
         source = self._source(grid, drifts)
-        ranges = source.ranges() if grid.reaches_beyond else ()
+        ranges = source.numbered() if grid.reaches_beyond else ()
         return Regression(
             source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges, source=source
         )
@@ -225,7 +230,7 @@ class TrainingData:
         if cycle > RULES.slowest_cycle * step:
             return self
 
-        training_error = TrainingErrors()
+        training_error = training_errors()
 
         def error(inertia: SensedDynamics) -> float:
             if deadline is not None:
@@ -250,7 +255,7 @@ class TrainingData:
         """Records that drift, seen from Maxwell-slip elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
-        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, TrainingErrors()
+        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, training_errors()
         return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, stroke)
 
     def drifts_steadily(self) -> bool:
@@ -258,7 +263,7 @@ class TrainingData:
         if not self.can_drift:
             return False
         lines = replace(self, training=[replace(item, steady=True) for item in self.training])
-        error, grid = TrainingErrors(), _DRIFTING.grid(self.span, self.voltages, self.times)
+        error, grid = training_errors(), _DRIFTING.grid(self.span, self.voltages, self.times)
         by_logarithm, by_time = (
             error(replace(one.on_grid(grid, _FEW_ROWS), drifting=self.can_drift)) for one in (self, lines)
         )
@@ -267,7 +272,7 @@ class TrainingData:
     @cached_property
     def strained(self) -> tuple[int, ...]:
         """Records that creep as if they had not been at rest as they began, where that explains much."""
-        regression, error = self._rows_of(_CREEPING, _FEW_ROWS), TrainingErrors()
+        regression, error = self._rows_of(_CREEPING, _FEW_ROWS), training_errors()
         kept: tuple[int, ...] = ()
         cost = error(regression)
         alone = [error(replace(regression, strained=(q,))) for q in range(len(self.training))]

@@ -162,15 +162,16 @@ def of_plain(
             f"The records determine {identifiability.determined} of {identifiability.of} directions of the "
             "stiffnesses; minor loops with other turning points determine more (run dehyst insight for proposals)."
         )
-    still = int(np.count_nonzero(~regression.movable))
-    if still > 1 or not regression.movable.any():
+    movable = regression.grid.movable
+    still = int(np.count_nonzero(~movable))
+    if still > 1 or not movable.any():
         remarks.append(
-            f"{still} of {regression.movable.size} elements slide at half of the range or more: they never slide over "
+            f"{still} of {movable.size} elements slide at half of the range or more: they never slide over "
             "all of it, act as part of the spring, and got no stiffness."
         )
     low = np.flatnonzero(coefficients.slopes <= regression.floor * (1 + 1e-6))
     if low.size:
-        ends = regression.knots * 1e6
+        ends = regression.grid.knots * 1e6
         places = ", ".join(f"{ends[j]:.4g} to {ends[j + 1]:.4g} um" for j in low[:4])
         remarks.append(f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}.")
     if identifiability.determined < identifiability.of:
