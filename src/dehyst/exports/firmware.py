@@ -14,7 +14,7 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
-from dehyst.exports.footprint import Footprint, Measured, measure
+from dehyst.exports.footprint import Footprint, Measurement, measure
 from dehyst.exports.golden_trace import Loop, golden_trace, trace_header
 from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header, demand_compensator
 from dehyst.exports.naming import DEFAULT, demand_name, name_in, printable, shipped, text_of
@@ -192,11 +192,11 @@ def export(
     return Exported(folder, *found)
 
 
-def _complete(draft: Path, compensator: Loop, number: Number, name: str, measured: bool) -> Measured:
+def _complete(draft: Path, compensator: Loop, number: Number, name: str, measured: bool) -> Measurement:
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    found = measure(draft, number, name) if measured else Measured({}, None, "not asked for")
+    found = measure(draft, number, name) if measured else Measurement({}, None, "not asked for")
     if number == "float":
         most = _UNMEASURED if found.error is None else _MARGIN * found.error
         _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
@@ -251,7 +251,7 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             settle(stream.fileno())
 
 
-def _readme(compensator: Loop, number: Number, rows: int, found: Measured, own: str) -> str:
+def _readme(compensator: Loop, number: Number, rows: int, found: Measurement, own: str) -> str:
     period, sizes = compensator.period, []
     if found.unmeasured is not None:
         sizes.append(

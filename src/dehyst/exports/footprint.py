@@ -43,7 +43,7 @@ class Footprint(NamedTuple):
     stack: int | None
 
 
-class Measured(NamedTuple):
+class Measurement(NamedTuple):
     """Bytes by processor, the largest error of floats as a share of the range, and why some were not measured."""
 
     footprints: dict[str, Footprint]
@@ -51,7 +51,7 @@ class Measured(NamedTuple):
     unmeasured: str | None
 
 
-def measure(folder: Path, number: str, name: str) -> Measured:
+def measure(folder: Path, number: str, name: str) -> Measurement:
     """Measure an exported folder, whose model has a `name`, by the compilers at hand."""
     error, reason, footprints = None, None, {}
     try:
@@ -66,7 +66,7 @@ def measure(folder: Path, number: str, name: str) -> Measured:
             footprints[processor] = sizes(folder, compiler, flags)
         except FileFormatError as failure:
             reason = _reason(failure) if compiler == _COMPILER else reason
-    return Measured(footprints, error, reason)
+    return Measurement(footprints, error, reason)
 
 
 def _reason(failure: FileFormatError) -> str:
