@@ -15,7 +15,8 @@ from dehyst._validation import vector
 class VirtualActuator(ABC):
     """A simulated actuator that keeps its state from one voltage to the next.
 
-    `stroke` [m] is its displacement at the `highest` voltage [V] on the major loop.
+    `stroke` [m] is its displacement at the `highest` voltage [V] on the major loop, `noise` [m] the standard deviation
+    of its sensor, with a `seed`.
     """
 
     stroke: float

@@ -57,24 +57,11 @@ class Extremes:
 class BenchAxis:
     """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is that of the bench.
 
-    Attributes
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage [V] of the amplifier.
-    voltage, target : float
-        Present output of the amplifier, and the voltage that it moves to [V].
-    log : Extremes
-        Extremes of the output so far.
-    stroke : float
-        Stroke of the actuator [m].
-    sensor_range : (float, float) or None
-        Lowest and highest displacement [m] of the sensor; it saturates beyond them.
-    unplugged : bool
-        Whether the sensor's cable is disconnected: the reading is constant.
-    stalled : bool
-        Whether the wave generator has stalled: it plays nothing more, and does not end.
-    played : int
-        Samples of the present or last wave that were put out so far.
+    `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: its present output, and the voltage
+    that it moves to [V]. `log`: extremes of the output so far. `stroke`: of the actuator [m]. `sensor_range`: lowest
+    and highest displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is
+    constant. `stalled`: the wave generator plays nothing more, and does not end. `played`: samples of the present or
+    last wave that were put out so far.
     """
 
     def __init__(
@@ -294,15 +281,16 @@ class VirtualBench:
     Every method and property of the bench first brings it up to the present. Between them time stands still: what is
     done on several of its `axes` happens at one instant. It is not thread-safe: a server must hold a lock.
 
+    Raise `ModelError` if limits are no interval, or the slew rate is not positive.
+
     Parameters
     ----------
     device : VirtualActuator, Actuator or VirtualStage
-        The connected actuator, or the body with one an axis, at rest at 0 V.
+        The connected actuator, or the body with one an axis, at rest at 0 V; its fingerprint is the `serial` number.
     limits : (float, float) or sequence of (float, float), optional
-        Lowest and highest voltage [V] of the amplifiers, for all axes or for each; default: 0 V to its actuator's
-        highest.
+        Of the amplifiers [V], for all axes or for each; default: 0 V to its actuator's highest.
     slew_rate : float, optional
-        Slew rate of the amplifiers [V/s], for voltages and waves. Default: a voltage is reached at once.
+        Of the amplifiers [V/s], for voltages and waves; default: a voltage is reached at once.
     servo_period : float, optional
         [s]; samples of a wave are whole numbers of it apart.
     wave_points, record_points : int, optional
@@ -315,17 +303,6 @@ class VirtualBench:
         Seconds of the device in each second of the clock.
     noise, seed : float, int, optional
         Standard deviation [m] and seed of the sensors' noise; default: those of the device, or no noise.
-
-    Attributes
-    ----------
-    axes : tuple of BenchAxis
-    serial : str
-        Serial number: the device's `fingerprint`, which depends on neither its name nor the server.
-
-    Raises
-    ------
-    ModelError
-        If limits are no interval, or the slew rate is not positive.
     """
 
     def __init__(

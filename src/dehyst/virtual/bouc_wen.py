@@ -31,10 +31,6 @@ class BoucWenActuator(VirtualActuator):
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage, reached slowly.
-    highest : float
-        Highest voltage [V].
     lag, slope, power, closing : float
         Largest z, its initial slope, the sharpness of its levelling off, and the share that a reversal undoes;
         2 slope closing < 1.
@@ -46,10 +42,6 @@ class BoucWenActuator(VirtualActuator):
         zeta, above 0 and below 1.
     delay : float
         Of the voltage [s], 0 or more.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     """
 
     stroke: float = 16.0e-6

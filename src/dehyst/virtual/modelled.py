@@ -29,14 +29,9 @@ _DIGITS = 12
 
 
 class ModelledActuator(VirtualActuator):
-    """An identified `actuator` as a virtual one, without a sensor.
+    """An identified `actuator` as a virtual one, without noise.
 
-    Attributes
-    ----------
-    highest : float
-        Upper limit of the actuator [V], or the voltage at the end of its spring.
-    stroke : float
-        Displacement between 0 V and `highest` on the major loop [m].
+    Its `highest` voltage [V] is the upper limit of the actuator, or the voltage at the end of its spring.
     """
 
     def __init__(self, actuator: Actuator) -> None:

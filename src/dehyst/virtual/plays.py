@@ -26,20 +26,12 @@ class PlayActuator(VirtualActuator):
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage.
-    highest : float
-        Highest voltage [V]; displacement is 0 at 0 V after a long descent.
     width : float
         Share of the plays in w, 0 to 1.
     asymmetry, bend : float
         Of the map; it must stay increasing.
     plays : int
         Number of play operators, thresholds uniform up to half of `highest`.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     creep : float
         Share of a step that is added in each decade of time; 0.01 is 1 %. With creep, `play` needs the time.
     """

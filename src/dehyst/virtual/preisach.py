@@ -30,20 +30,12 @@ class PreisachActuator(VirtualActuator):
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage.
-    highest : float
-        Highest voltage [V].
     reversible : float
         Share of the stroke without relays, above 0 and below 1.
     bend : float
         Curvature of the reversible share.
     ridge, centre, spread, uniform : float
         Of the density, in units of the highest voltage; `uniform` relative to its peak.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     """
 
     stroke: float = 16.0e-6

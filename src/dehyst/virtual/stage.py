@@ -23,6 +23,9 @@ _WIDE = 0.95
 class VirtualStage:
     """Virtual actuators on one moving body: ``y = C h(v)``, and with hysteretic coupling ``y = C h(v) + K g(v)``.
 
+    Raise `ModelError` if the matrices do not fit the actuators, or the diagonal of the coupling is not 1. `strokes` [m]
+    and `highest` [V] (axes,) are those of the actuators; the `serial` number is the same for equal parameters.
+
     Parameters
     ----------
     actuators : sequence of VirtualActuator or Actuator
@@ -30,25 +33,9 @@ class VirtualStage:
     coupling : (axes, axes) array_like
         Displacement of axis i by the displacement of actuator j; 1 on the diagonal.
     hysteretic : (axes, axes) array_like, optional
-        Displacement of axis i by the second element of actuator j, whose loop has another shape; default: none.
-    seconds : sequence of VirtualActuator, optional
-        The second elements; default: plays with wide loops and the strokes of the actuators.
-    noise : float
-        Standard deviation of each sensor [m].
-    seed : int
-        Of the noise.
-
-    Attributes
-    ----------
-    strokes, highest : (axes,) array
-        Stroke [m] and highest voltage [V] of each actuator.
-    serial : str
-        The same for equal parameters.
-
-    Raises
-    ------
-    ModelError
-        If the matrices do not fit the actuators, or the diagonal of the coupling is not 1.
+        Displacement of axis i by a second element of actuator j, a play with a wide loop; default: none.
+    noise, seed : float, int
+        Standard deviation [m] and seed of the noise of each sensor.
     """
 
     def __init__(
@@ -57,7 +44,6 @@ class VirtualStage:
         coupling: ArrayLike,
         *,
         hysteretic: ArrayLike | None = None,
-        seconds: Sequence[VirtualActuator] | None = None,
         noise: float = 2e-9,
         seed: int = 0,
     ) -> None:
@@ -69,14 +55,10 @@ class VirtualStage:
             )
         none = np.zeros_like(self.coupling)
         self.hysteretic = none if hysteretic is None else _square(hysteretic, len(driven), "hysteretic")
-        others = seconds or [
-            PlayActuator(stroke=one.stroke, highest=one.highest, width=_WIDE, noise=0.0) for one in driven
-        ]
-        if len(others) != len(driven):
-            raise ModelError(argument="seconds", got=len(others), need=f"{len(driven)}, one an axis")
         # A second element that moves nothing is left out.
-        used = [other if column.any() else None for other, column in zip(others, self.hysteretic.T, strict=True)]
-        self._driven = list(zip(driven, used, strict=True))
+        self._driven = [
+            (one, _second(one) if column.any() else None) for one, column in zip(driven, self.hysteretic.T, strict=True)
+        ]
         # Of each axis what was played since the last `take`: time, voltage, own and second displacement, (4, n) each.
         self._motions: list[list[Array]] = [[] for _ in driven]
         self.strokes = np.array([one.stroke for one in driven])
@@ -119,7 +101,7 @@ class VirtualStage:
         return np.column_stack([sensor.read(y[:, i]) for i, sensor in enumerate(self._sensors)]) if measured else y
 
     def drive(self, axis: int, voltage: Array, time: ArrayLike | None = None) -> None:
-        """Play a `voltage` (n,) [V] on the actuator of one `axis` (0, 1, ...), and note what it does."""
+        """Play a `voltage` (n,) [V] at `time` (n,) [s] on the actuator of one `axis` (0, 1, ...), and note its motion."""
         actuator, second = self._driven[axis]
         at = np.full(voltage.size, np.nan) if time is None else np.asarray(time, dtype=np.float64)
         own = actuator.play(voltage, time=time, measured=False)
@@ -156,6 +138,10 @@ def spread_coupling(axes: int, share: float) -> Array:
     sign = np.where((i + j) % 2 == 0, 1.0, -1.0)
     size = 1.0 - 0.5 * ((axes * i + j) % (axes * axes)) / (axes * axes)
     return np.asarray(np.where(i == j, 0.0, share * sign * size))
+
+
+def _second(one: VirtualActuator) -> PlayActuator:
+    return PlayActuator(stroke=one.stroke, highest=one.highest, width=_WIDE, noise=0.0)
 
 
 def _square(values: ArrayLike, count: int, what: str) -> Array:

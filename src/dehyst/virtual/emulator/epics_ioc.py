@@ -177,30 +177,12 @@ class Ioc:
 
 
 def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
-    """Serve an instrument by EPICS Channel Access, in threads of its own, until the process ends.
+    """Serve an `instrument` by EPICS Channel Access, in threads of its own, until the process ends.
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of
-    EPICS_CAS_SERVER_PORT.
-
-    Parameters
-    ----------
-    instrument : VirtualBench
-    prefix : str
-        Prefix of the names of all process variables, without the colon that follows it.
-    lock : context manager
-        Held around every use of the instrument.
-
-    Returns
-    -------
-    Ioc
-        The process variables, which are already served.
-
-    Raises
-    ------
-    MissingExtraError
-        If softioc is not installed.
-    RigError
-        If this process already serves an instrument, or the prefix cannot begin a name.
+    EPICS_CAS_SERVER_PORT. `prefix`: of the names of all process variables, without the colon that follows it. `lock`:
+    held around every use of the instrument. Raise `MissingExtraError` if softioc is not installed, `RigError` if this
+    process already serves an instrument, or the prefix cannot begin a name.
     """
     if _running:
         raise RigError(

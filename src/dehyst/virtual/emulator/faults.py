@@ -33,16 +33,10 @@ _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<at>\d+(\.\d*)?)(?P<unit>s?))?")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault, and the time at which it occurs.
+    """A fault by its `name`, one of `FAULTS`, and when it occurs.
 
-    Attributes
-    ----------
-    name : str
-        One of `FAULTS`.
-    seconds : float or None
-        Device time at which it occurs [s].
-    samples : float or None
-        Samples of a wave after which it occurs. Without either it occurs in the middle of the first wave.
+    That is at a device time of `seconds`, or after so many `samples` of a wave; without either in the middle of the
+    first wave.
     """
 
     name: str
@@ -51,10 +45,7 @@ class Fault:
 
     @classmethod
     def parse(cls, text: str) -> Fault:
-        """Read NAME, NAME@SAMPLES or NAME@SECONDSs, such as drop@2000 or unplug@3.5s. `text` has that form.
-
-        Raise `ModelError` if it is none of these.
-        """
+        """Read a `text` NAME, NAME@SAMPLES or NAME@SECONDSs, as drop@2000 or unplug@3.5s; raise `ModelError`."""
         match = _FORM.fullmatch(text.strip())
         if match is None or match["name"] not in FAULTS or (match["name"] == "narrow" and match["at"]):
             raise ModelError(
@@ -65,7 +56,7 @@ class Fault:
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
     def due(self, instrument: VirtualBench) -> bool:
-        """Return whether its time has come. `instrument` has the clock and the wave."""
+        """Return whether its time has come by the clock and the wave of an `instrument`."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
         recorded = instrument.recorded
@@ -73,20 +64,9 @@ class Fault:
 
 
 class Rehearsal:
-    """The faults of one controller, each of which occurs once.
+    """The `faults` of one controller, each of which occurs once.
 
-    Parameters
-    ----------
-    faults : iterable of Fault
-    seed : int, optional
-        Seed of the garbled bytes.
-    report : callable, optional
-        Called with a sentence when a fault occurs.
-
-    Attributes
-    ----------
-    occurred : list of str
-        A sentence for each fault that has occurred.
+    `seed`: of the garbled bytes. `report`: called with a sentence when a fault occurs; all are kept in `occurred`.
     """
 
     def __init__(

@@ -118,54 +118,26 @@ class ControllerAxis:
 
 
 class Controller:
-    """Axes with an output channel and a wave generator each, and one data recorder, around an instrument.
+    """Axes 1, 2, ... with an output channel and a wave generator each, and one data recorder, around an `instrument`.
 
-    Parameters
-    ----------
-    instrument : VirtualBench
-    axis : str, optional
-        Name of the only axis and of its channel; those of several are 1, 2, ...
-    reported_limits : (float, float) or sequence of (float, float), optional
-        Limits [V] that the controller reports, of its only axis or of each; default: its actual limits.
-    serial : str, optional
-        Serial number, in ASCII; default: the instrument's.
-
-    Attributes
-    ----------
-    axes : tuple of ControllerAxis
-    error : GcsError
-        The error that is latched until ERR?.
-    identity : str
-        The answer to *IDN?.
-    tables : dict of int to array
-        The wave tables [V].
-    rows_sent : int
-        Rows that DRR? has returned so far.
+    `reported_limits`: those [V] that the controller reports, of its only axis or of each; default: the actual ones.
+    `error`: latched until ERR?. `tables`: the wave tables [V]. `rows_sent`: rows that DRR? has returned so far.
     """
 
-    def __init__(
-        self,
-        instrument: VirtualBench,
-        *,
-        axis: str = "1",
-        reported_limits: _Limits | Sequence[_Limits] | None = None,
-        serial: str | None = None,
-    ) -> None:
+    def __init__(self, instrument: VirtualBench, *, reported_limits: _Limits | Sequence[_Limits] | None = None) -> None:
         self.instrument, self.error, self.rows_sent = instrument, GcsError.NONE, 0
-        count = len(instrument.axes)
-        names = [axis] if count == 1 else [str(number + 1) for number in range(count)]
-        own = [one.limits for one in instrument.axes]
+        count, own = len(instrument.axes), [one.limits for one in instrument.axes]
         limits = np.array(own if reported_limits is None else reported_limits).reshape(count, 2).tolist()
         self.axes = tuple(
-            ControllerAxis(name, bench, (low, high))
-            for name, bench, (low, high) in zip(names, instrument.axes, limits, strict=True)
+            ControllerAxis(str(j + 1), bench, (low, high))
+            for j, (bench, (low, high)) in enumerate(zip(instrument.axes, limits, strict=True))
         )
         self.named = {one.name: one for one in self.axes}
-        self.serial = (serial or instrument.serial).replace(",", " ")
+        self.serial = instrument.serial.replace(",", " ")
         self.identity = ",".join((_IDENTITY, self.serial, __version__))
         self.tables = {number: np.zeros(0) for number in range(1, max(_TABLES, count) + 1)}
         # Of each recorder table: the name of the axis, and what is recorded.
-        kinds = [(name, kind) for name in names for kind in (_POSITION, _VOLTAGE)]
+        kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
         self.records = dict(enumerate(kinds, 1))
         self.trigger, self.record_divider, self.stride = ("1", "0"), 1, 1
         self.record_period = instrument.servo_period
@@ -218,16 +190,16 @@ class Controller:
         return -(-self.instrument.recorded // self.stride)
 
     def chosen(self, words: _Words) -> Sequence[ControllerAxis]:
-        """Return the axes of these names, or all of them."""
+        """Return the axes whose names are `words`, or all of them."""
         _demand(all(word in self.named for word in words), GcsError.AXIS)
         return [self.named[word] for word in words] or self.axes
 
     def generator(self, word: str) -> ControllerAxis:
-        """Return the axis of a wave generator's number."""
+        """Return the axis whose wave generator has the number `word`."""
         return self.axes[_whole(word, 1, len(self.axes)) - 1]
 
     def record_tables(self, words: _Words) -> list[int]:
-        """Return the numbers of recorder tables, by default of all."""
+        """Return the numbers of recorder tables in `words`, by default of all."""
         return [_whole(word, 1, len(self.records), GcsError.RECORD_TABLE) for word in words] or list(self.records)
 
 
