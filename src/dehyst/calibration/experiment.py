@@ -35,27 +35,11 @@ STAGE_RESULTS = ("stage.json", "calibration.json")
 class Calibration:
     """The result of a calibration.
 
-    Attributes
-    ----------
-    fit : Fit or StageFit
-        A StageFit of several axes.
-    training, held_out : tuple of Record
-    nominal, compensated : TrackedPath
-        The measured path, by a constant ratio and by the model.
-    goal : float
-        [% of the stroke].
-    unreached : tuple of str
-        Where the voltage could not follow, in sentences.
-    instrument : mapping
-        Rig, axis, limits.
-    insight : Insight or None
-        None of several axes.
-    creep : CreepCheck or None
-        Of the first look; None of several axes.
-    kept, played : tuple of str
-        Records that were on disk already, and those that were played.
-    agreement : Agreement or None
-        Of a loop on disk with the same loop played now; None if no record was on disk.
+    `fit` is a StageFit of several axes, which have no `insight` and no `creep` of a first look. `nominal` and
+    `compensated` are the measured path, by a constant ratio and by the model; `goal` is the error allowed on it [% of
+    the stroke], `unreached` where the voltage could not follow, in sentences. `training` and `held_out` are the
+    records: those in `kept` were on disk already, those in `played` were played, and `agreement` is that of a loop on
+    disk with the same loop played now. `instrument` is the rig with its axes and limits.
     """
 
     fit: Fit | StageFit
@@ -134,16 +118,14 @@ def calibrate(
         several axes are moved aside.
     plan : Plan, optional
     watcher : ProgressListener, optional
-        Receives the progress, like the result of `dehyst.cli.output.live.display`.
+        Receives the progress.
 
     Raises
     ------
     RigError
         If the instrument fails; the samples that arrived are on disk.
-    RecordError, IdentifyError
-        If the records cannot be used, or those in the folder look like those of another actuator.
-    FileFormatError
-        If the folder cannot be written.
+    RecordError, IdentifyError, FileFormatError
+        If the records cannot be used, those in the folder look like those of another actuator, or it cannot be written.
     """
     listener = watcher or NullProgress()
     plan = plan or Plan()

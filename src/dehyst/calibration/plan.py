@@ -48,22 +48,11 @@ _HEIGHT, _PERIOD, _SEED = 0.97, 0.83, 100
 
 @dataclass(frozen=True)
 class ExcitationPlan:
-    """The excitations of a calibration of one axis, by their speed and their voltages.
+    """The excitations of a calibration of one axis, from `low` to `high` [V], at a `sample_rate` [Hz] of the rig.
 
-    Raise `RecordError` if a number is impossible, or there are fewer than 8 samples a cycle.
-
-    Parameters
-    ----------
-    low, high : float
-        Voltages [V] between which the actuator is driven.
-    sample_rate : float
-        Samples a second [Hz], a rate that the rig can play.
-    frequency : float
-        Cycles a second [Hz]: a leg takes half a cycle.
-    hold : float
-        Time [s] at each voltage of the holds that measure creep.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s]; steeper legs are stretched.
+    A leg takes half a cycle of the `frequency` [Hz], or more if the `slew_rate` [V/s] stretches it; each hold that
+    measures creep lasts `hold` [s]. Raise `RecordError` if a number is impossible, or there are fewer than 8 samples a
+    cycle.
     """
 
     low: float
@@ -257,10 +246,7 @@ class PlannedStep(NamedTuple):
 
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
-    """Return what a calibration would send, without sending it.
-
-    Raise `RecordError` if it cannot be played within the rig's limits.
-    """
+    """Return what a calibration would send; raise `RecordError` if that cannot be played within the rig's limits."""
     planned = tuple(_steps_of_one(rig, plan) if len(rig.axes) == 1 else _steps_of_several(rig, plan))
     for step in planned:
         if step.excitation is not None:
@@ -353,17 +339,8 @@ class WantedVoltage(NamedTuple):
 def read_voltage(path: Path, *, max_bytes: float = MOST) -> WantedVoltage:
     """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it.
 
-    Parameters
-    ----------
-    path : Path
-        A table with time [s] and voltage [V], and perhaps the wanted displacement.
-    max_bytes : float
-        Largest size of the file.
-
-    Raises
-    ------
-    FileFormatError
-        If it cannot be read, or the times do not rise, or not evenly.
+    The file is a table of `max_bytes` at most, with time [s] and voltage [V], and perhaps the wanted displacement.
+    Raise `FileFormatError` if it cannot be read, or the times do not rise, or not evenly.
     """
     table = read_table(path, max_bytes=max_bytes)
     voltage = table.column("voltage")

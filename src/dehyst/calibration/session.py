@@ -53,29 +53,13 @@ class NullProgress:
 class Session:
     """Records on one rig, in one folder: ``records/NAME.h5``, of several axes ``records/NAME-AXIS.h5``.
 
-    Records of one axis that are complete are kept. Those of several are moved to ``records/set-aside`` before the first
-    one is played.
+    Records of one axis that are complete are kept: the session continues in the folder of a calibration of the same
+    instrument. Those of several are moved to ``records/set-aside`` before the first one is played. The listener
+    receives the samples, of several axes those of the axis that is farthest off its path.
 
-    Raise `FileFormatError` if the folder cannot be made, or belongs to another instrument.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist. The session continues in the folder of a calibration of the same instrument.
-    rig : AbstractRig
-    listener : ProgressListener
-        Receives the samples, of several axes those of the axis that is farthest off its path.
-
-    Attributes
-    ----------
-    sequence : list of Record
-        The requested records, in order.
-    played, kept : list of str
-        Names of the records that were played, and of those that were on disk.
-    agreement : Agreement or None
-        Of a loop on disk, played again; None if no record on disk was kept.
-    salvaged : tuple of Path
-        Records that a killed process had left incomplete.
+    `sequence`: the requested records, in order. `played`, `kept`: names of those that were played, and that were on
+    disk. `agreement`: of a loop on disk, played again; None if no record on disk was kept. Raise `FileFormatError` if
+    the folder cannot be made, or belongs to another instrument.
     """
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
@@ -101,23 +85,14 @@ class Session:
         stroke: Any = None,
         again: bool = False,
     ) -> Record:
-        """Play an excitation and write its record, unless it is on disk already.
+        """Play an excitation and write its record, unless it is on disk already and is not to be played `again`.
 
         Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
         `RigError` as `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
         Raise `FileFormatError` if nothing can be written.
 
-        Parameters
-        ----------
-        excitation : Excitation
-        name : str
-            Of the record and its files.
-        wanted : (n,) or (n, axes) array, optional
-            Wanted displacement [m] at each voltage, for the listener; NaN where none is wanted.
-        stroke : float or (axes,) array, optional
-            Reference of its error [m].
-        again : bool
-            Whether to play it although it is on disk.
+        For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN where none is wanted, and
+        the `stroke` [m] to which their error refers, of each axis.
         """
         paths = self._paths(name)
         stored = None if again else self._stored(name, excitation)

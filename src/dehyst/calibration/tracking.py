@@ -30,17 +30,9 @@ _USED, _LATER = 0.96, 3
 class PlannedRun:
     """A path to follow after a homing, and a voltage for it.
 
-    Attributes
-    ----------
-    wanted : (n,) or (n, axes) array
-        Wanted reading of the sensor [m] at each sample of the excitation; NaN during the homing.
-    begin : int
-        First sample of the path, after the homing and the way to the path.
-    excitation : Excitation
-    stroke : float or (axes,) array
-        Of the major loop [m].
-    warnings : tuple of str
-        Where the voltage could not follow.
+    `wanted`: readings of the sensor [m] at each sample of the `excitation`, (n,) or (n, axes); NaN during the homing.
+    `begin`: first sample of the path, after the homing and the way to the path. `stroke`: of the major loop [m], of
+    each axis. `warnings`: where the voltage could not follow.
     """
 
     wanted: Array
@@ -72,17 +64,10 @@ class _Place(NamedTuple):
 class PathPlanner:
     """A planner of a path through most of the stroke after a homing, of one axis or of several that move together.
 
-    Parameters
-    ----------
-    homing : Excitation
-        Two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate too.
-    limits : sequence of VoltageLimits
-        Voltages allowed [V] on each axis, and their slew rate.
-    leg : int
-        Samples from one turning point to the next, of the first axis; several axes have periods that do not repeat.
-    ends : (float, float), optional
-        Of one axis, measured displacement [m] at the lowest and highest voltage of the homing. Those of several axes
-        follow from the model.
+    `homing`: two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate
+    too. `limits`: voltages allowed on each axis, and their slew rate. `leg`: samples from one turning point to the
+    next, of the first axis; several axes have periods that do not repeat. `ends`: of one axis, measured displacement
+    [m] at the lowest and highest voltage of the homing; those of several axes follow from the model.
     """
 
     homing: Excitation
@@ -212,16 +197,8 @@ def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:
 class TrackedPath:
     """A measured path of one axis or several.
 
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    wanted, reached : (n,) or (n, axes) array
-        Displacement [m].
-    stroke : float or (axes,) array
-        [m].
-    axes : tuple of str
-        Names of several axes.
+    `time` (n,) [s], `wanted` and `reached` displacement (n,) or (n, axes) [m], `stroke` [m] of each axis; `axes`: names
+    of several.
     """
 
     time: Array

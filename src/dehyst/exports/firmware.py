@@ -48,17 +48,11 @@ Stack: the deepest chain of calls, without that arithmetic."""
 
 
 class Exported(NamedTuple):
-    """An exported folder.
+    """An exported `folder`, and what was measured of it.
 
-    Attributes
-    ----------
-    folder : Path
-    footprints : dict of str to Footprint
-        Bytes by processor, for each compiler that was found.
-    error : float or None
-        Of floats: the largest error of the trace, as a share of the limits or of the reach; None if not measured.
-    unmeasured : str or None
-        Why bytes or error were not measured on this computer; None if they were.
+    `footprints`: bytes by processor, for each compiler that was found. `error`: of floats, the largest of the trace, as
+    a share of the limits or of the reach; None if not measured. `unmeasured`: why bytes or error were not measured on
+    this computer; None if they were.
     """
 
     folder: Path
@@ -160,10 +154,6 @@ def export(
         the files of the model are then NAME.c and NAME.h, and macros begin with it.
     measure : bool, optional
         Compile the export to measure bytes and the error of floats, which takes seconds.
-
-    Returns
-    -------
-    Exported
 
     Raises
     ------

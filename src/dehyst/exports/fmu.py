@@ -215,19 +215,10 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True)
 class Description:
-    """An FMU of a compensator, or of its actuator.
+    """An FMU of a compensator, or of its actuator; `version` and `kind` as in `export_fmu`.
 
-    Attributes
-    ----------
-    version, kind : str
-        As in `export_fmu`.
-    name, identifier : str
-        The actuator's and the kind, as text and as a name in C.
-    summary : str
-        A sentence or two.
-    period : float
-        Seconds; 0: it does not depend on time.
-    variables : tuple of Variable
+    `name`, `identifier`: the actuator's and the kind, as text and as a name in C. `summary`: a sentence or two.
+    `period`: seconds; 0: it does not depend on time.
     """
 
     version: Version

@@ -87,27 +87,14 @@ def _float_error(folder: Path, name: str) -> float:
 
 
 def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O2",)) -> Footprint:
-    """Compile an exported folder and measure it.
+    """Compile a `directory` that `dehyst.export` wrote, and measure it.
 
-    Parameters
-    ----------
-    directory : path
-        A folder that `dehyst.export` wrote.
-    compiler : str, optional
-        The compiler for the processor, such as ``arm-none-eabi-gcc``; its `size` is expected beside it.
-    flags : sequence of str, optional
-        Optimisation and processor; ``-flto`` leaves out what this model does not need.
+    `compiler`: that for the processor, such as ``arm-none-eabi-gcc``; its ``size`` is expected beside it. `flags`:
+    optimisation and processor; ``-flto`` leaves out what this model does not need.
 
-    Returns
-    -------
-    Footprint
-        Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else. Stack is
-        that of the deepest chain of calls without this arithmetic; only gcc reports it.
-
-    Raises
-    ------
-    FileFormatError
-        If there is no such compiler, or it cannot compile the folder.
+    Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else; stack is that
+    of the deepest chain of calls without this arithmetic, which only gcc reports. Raise `FileFormatError` if there is
+    no such compiler, or it cannot compile the folder.
     """
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)

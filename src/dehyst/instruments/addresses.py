@@ -20,6 +20,9 @@ def open_rig(
 ) -> AbstractRig:
     """Open the rig at an address, of one axis or of several that move together.
 
+    Raise `RigError` if the address is not valid or names other axes, or no instrument with these axes answers there;
+    `MissingExtraError` if a required package is not installed.
+
     Parameters
     ----------
     address : str
@@ -36,13 +39,6 @@ def open_rig(
         Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
     slew_rate : float or sequence of float, optional
         Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
-
-    Raises
-    ------
-    RigError
-        If the address is not valid or names other axes, or no instrument with these axes answers there.
-    MissingExtraError
-        If a required package is not installed.
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     word, separator, rest = address.partition("://")

@@ -64,7 +64,8 @@ class AbstractRig(ABC):
     A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
     the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that send a
     voltage are final. A rig of several axes is made of a rig of each axis, whose limits, readings, ramps and stops are
-    used; its own are `_wave`, which plays all axes from one instant, and `_close`.
+    used; its own are `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no voltage is
+    allowed by both device and user, or two axes have one name.
 
     Parameters
     ----------
@@ -79,21 +80,9 @@ class AbstractRig(ABC):
     longest : int, optional
         Most samples of one `_wave`; default any number.
     axis : str
-        Of the device; of several axes their names, joined by commas.
+        Of the device; of several axes their names, joined by commas. They are `axes`.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
-
-    Attributes
-    ----------
-    axes : tuple of str
-        Names of the axes.
-    rigs : tuple of AbstractRig
-        The rig of each axis; of one axis, the rig itself.
-
-    Raises
-    ------
-    RigError
-        If no voltage is allowed by both device and user, or two axes have one name.
     """
 
     def __init__(
@@ -165,14 +154,8 @@ class AbstractRig(ABC):
     def set_voltage(self, voltage: float) -> float:
         """Ramp to a `voltage` [V] within the slew rate, the whole range in a second at least; return the voltage sent.
 
-        A voltage outside the limits is clamped, with a `ClampWarning`.
-
-        Raises
-        ------
-        RecordError
-            If it is not a finite number; nothing was sent.
-        RigError
-            If the device fails; a retreat was attempted.
+        A voltage outside the limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite
+        number: nothing was sent; `RigError` if the device fails: a retreat was attempted.
         """
         self._refuse_closed()
         try:
@@ -210,14 +193,8 @@ class AbstractRig(ABC):
         Returns voltage and displacement as the device recorded them, in its own time; several axes play together, a
         column each. `listen` is called with each batch of `Samples` as it arrives. After any error, in `listen` too,
         and on Ctrl-C or SIGTERM, the wave is stopped and all voltages ramped to the safe ones; `listen` has received
-        all samples that arrived.
-
-        Raises
-        ------
-        RecordError
-            If the excitation has not one voltage for each axis, leaves the limits or is too steep; nothing was sent.
-        RigError
-            If the device, its link or its sensor fails.
+        all samples that arrived. Raise `RecordError` if the excitation has not one voltage for each axis, leaves the
+        limits or is too steep: nothing was sent; `RigError` if the device, its link or its sensor fails.
         """
         rate, axes = self.check(excitation), self.axes if self._parts else ()
         spans = np.array([one.limits.high - one.limits.low for one in self.rigs])
@@ -490,11 +467,7 @@ def bounds_of_axes(
 
 
 def _common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
-    """Return the limits that device and user both allow, always with a slew rate.
-
-    Raise `RigError` if they have less than a millivolt in common, or a ramp through them takes more than an hour. Raise
-    `ModelError` if the user's limits are not valid.
-    """
+    """Return the limits that device and user both allow, always with a slew rate; refuse ramps of over an hour."""
     given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
     low, high = max(device.low, given.low), min(device.high, given.high)
     if not low < high:

@@ -49,13 +49,15 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     sent becomes part of the actuator's memory. Before the first `set` the axis must be homed, in a plan by
     ``yield from homing(axis)``: the history of the actuator is unknown.
 
-    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage. Raise
+    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage. Signals:
+    `wanted` [um], after a stop the displacement of the model; `voltage` [V] that was sent, and if anything else sets
+    it, the axis must be homed again; `position` [um], the reading of the sensor, in the device's hints. Raise
     `ModelError` if a number is impossible.
 
     Parameters
     ----------
-    prefix : str
-        Of the process variables, as for `dehyst.instruments.epics.EpicsRig`.
+    prefix, names : str, PvNames
+        Of the process variables, as for `dehyst.instruments.epics.EpicsRig`; `name` is that of the device.
     actuator : Actuator
         Its inertia and its amplifier's lag are ignored: steps are slow against them.
     limits : (float, float), optional
@@ -64,22 +66,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         Largest abs(dv/dt) [V/s], where the IOC allows it; default: the IOC's, or the whole range in a second.
     period : float, optional
         Seconds from one step to the next.
-    settle : float, optional
-        Seconds to wait at the end of a move, so that the IOC has read the sensor again.
-    timeout : float, optional
-        Seconds that one exchange with the IOC may take.
-    names : PvNames, optional
-    name : str, optional
-        Of the device.
-
-    Attributes
-    ----------
-    wanted : SignalR
-        Displacement [um] that was set; after a stop, the displacement of the model.
-    voltage : SignalRW
-        The voltage that was sent [V]. If anything else sets it, the axis must be homed again.
-    position : SignalR
-        The reading of the sensor [um]; it is in the device's hints.
+    settle, timeout : float, optional
+        Seconds to wait at the end of a move, so that the IOC has read the sensor again, and that one exchange may take.
     """
 
     def __init__(
@@ -136,15 +124,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     async def home(self) -> None:
         """Play the shortest voltage after which the actuator's state is known, whatever it was.
 
-        Raises
-        ------
-        RigError
-            If the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped on the way.
-
-        Warns
-        -----
-        UserWarning
-            If the limits are too narrow to determine the state well.
+        Raise `RigError` if the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped
+        on the way. Warn if the limits are too narrow to determine the state well.
         """
         async with self._move_lock:
             self._stopped = None
@@ -166,12 +147,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     async def set(self, value: float) -> AsyncIterator[WatcherUpdate[float]]:
         """Move to a displacement [um]; done when the voltage has reached its end.
 
-        Raises
-        ------
-        RigError
-            In the status: if the axis is not homed, something else sent a voltage, or it is stopped without success.
-        ModelError
-            In the status: if the displacement is out of reach; nothing has moved.
+        The status fails with `RigError` if the axis is not homed, something else sent a voltage, or it is stopped
+        without success; with `ModelError` if the displacement is out of reach: nothing has moved.
         """
         async with self._move_lock:
             self._stopped = None
@@ -189,13 +166,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             await asyncio.sleep(self._settle)
 
     async def check_value(self, value: float) -> None:
-        """Raise `ModelError` for a displacement [um] that cannot be reached; nothing moves.
-
-        Raises
-        ------
-        RigError
-            If the axis is not homed.
-        """
+        """Raise `ModelError` for a displacement [um] that cannot be reached, `RigError` if the axis is not homed."""
         compensator = self._homed()
         wanted = _MICRO * number(value, f"{self.name}: displacement")
         needed = self._actuator.voltage(state_at(self._actuator, compensator.state, wanted))

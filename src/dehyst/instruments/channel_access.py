@@ -51,11 +51,9 @@ _worker = _Worker()
 
 
 class ChannelAccess:
-    """Process variables with a common prefix.
+    """Process variables with a common `prefix`, put before each name as it is.
 
-    Raise `MissingExtraError` if aioca is not installed.
-
-    `prefix`: put before each name, as it is. `timeout`: seconds that one exchange may take.
+    `timeout`: seconds that one exchange may take. Raise `MissingExtraError` if aioca is not installed.
     """
 
     def __init__(self, prefix: str, timeout: float) -> None:
@@ -91,10 +89,7 @@ class ChannelAccess:
         return numbers
 
     def arrays(self, *names: str, count: int) -> list[Array]:
-        """Read the first `count` numbers of each array.
-
-        Raise `LinkError` if an answer is late, or has fewer numbers.
-        """
+        """Read the first `count` numbers of each array; raise `LinkError` if an answer is late, or has fewer."""
         columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
         for name, values in zip(names, columns, strict=True):
             if values.size < count or values.dtype.kind not in "fiu":
@@ -116,10 +111,7 @@ class ChannelAccess:
         return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
 
     def metres(self, name: str) -> float | None:
-        """Return the unit of a record in metres; None if it has no unit.
-
-        Raise `LinkError` if it is not a unit of length.
-        """
+        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is no length."""
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
         count = COUNTS["m"].get(symbol_of(unit))

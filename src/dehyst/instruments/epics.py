@@ -114,32 +114,20 @@ class EpicsRig(AbstractRig):
     ) -> Self:
         """Connect to all variables; nothing is sent.
 
+        Raise `LinkError` if variables are missing, `RigError` if the device's limits are not an interval. Warn if all
+        variables for waves are missing: the host then times every voltage, slowly.
+
         Parameters
         ----------
         prefix : str
-            Prefix of all names, without the colon.
+            Of all `names`, without the colon.
         limits : (float, float), optional
             Voltages that the user allows [V]. Those of the device come from variables of their own, or from the limits
             of the voltage's record.
         slew_rate : float, optional
-            [V/s].
+            Largest abs(dv/dt) [V/s] that the user allows.
         timeout : float, optional
             Seconds that one exchange may take.
-        names : PvNames, optional
-
-        Raises
-        ------
-        LinkError
-            If variables are missing; their names are in the message.
-        RigError
-            If the device's limits are not an interval.
-        MissingExtraError
-            If aioca is not installed.
-
-        Warns
-        -----
-        UserWarning
-            If all variables for waves are missing: the host then times every voltage, slowly.
         """
         link = ChannelAccess(prefix + names.joint, timeout)
         names = _available(link, names)

@@ -56,9 +56,7 @@ class AbstractGcsLink(ABC):
 
 
 class TcpLink(AbstractGcsLink):
-    """A socket to a controller, which takes one client at a time.
-
-    Raise `LinkError` if no connection can be made.
+    """A socket to a controller, which takes one client at a time; raise `LinkError` if there is no connection.
 
     `timeout`: seconds without a byte after which an answer is abandoned.
     """
@@ -185,12 +183,10 @@ class TcpLink(AbstractGcsLink):
 
 
 class DeviceLink(AbstractGcsLink):
-    """A device object that the user has connected; it stays open.
+    """A `device` object that the user has connected; it stays open.
 
-    Raise `LinkError` if it does not have them.
-
-    `device`: with two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
-    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
+    It has two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
+    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`. Else raise `LinkError`.
     """
 
     def __init__(self, device: Any) -> None:
@@ -235,20 +231,10 @@ class DeviceLink(AbstractGcsLink):
 
 
 class GcsClient:
-    """A client of a controller over a link; it sends nothing twice.
+    """A client of a controller over a `link`; it sends nothing twice.
 
-    Raise `LinkError` if the answers are not those of a controller. Raise `DeviceError` if its version is not GCS 2.
-
-    Parameters
-    ----------
-    link : AbstractGcsLink
-
-    Attributes
-    ----------
-    identity : str
-        Its answer to *IDN?.
-    commands : frozenset of str
-        The commands that it supports.
+    `identity`: the controller's answer to *IDN?. `commands`: those that it supports. Raise `LinkError` if the answers
+    are not those of a controller, `DeviceError` if its version is not GCS 2.
     """
 
     def __init__(self, link: AbstractGcsLink) -> None:
@@ -314,11 +300,7 @@ class GcsClient:
         return self.query(line, lambda lines: gcs_syntax.parameter(lines, item, number))
 
     def set(self, *commands: str, expect: frozenset[int] = frozenset()) -> None:
-        """Send commands and query the error number.
-
-        Raise `DeviceError` if there is an error that is not in `expect`. Raise `LinkError` if the controller does not
-        answer.
-        """
+        """Send commands and query the error number; raise `DeviceError` for one that is not in `expect`."""
         number = self.query("ERR?", gcs_syntax.error, commands)
         if number and number not in expect:
             after = f" after {gcs_syntax.shown(commands)}" if commands else ""

@@ -34,8 +34,7 @@ class NiRig(AbstractRig):
 
     The hardware's clock, which the inputs share, times a wave; the wave is not repeated. An input is read at the edge
     that changes the output, so the sample of a voltage is taken at the next edge, at the end of that voltage. Raise
-    `MissingExtraError` if the package nidaqmx is not installed. Raise `RigError` if the card or channel does not exist,
-    has no hardware-timed output, or the output cannot be read back.
+    `RigError` if the card or channel does not exist, has no hardware-timed output, or the output cannot be read back.
 
     Parameters
     ----------
@@ -51,9 +50,7 @@ class NiRig(AbstractRig):
     monitor_gain : float, optional
         Volts on the actuator for each volt of the monitor; default `gain`.
     limits, slew_rate, longest
-        As of `AbstractRig`.
-    clock : callable, optional
-        Seconds of the host.
+        As of `AbstractRig`; `clock` returns seconds of the host.
     """
 
     def __init__(

@@ -84,10 +84,12 @@ class PiRig(AbstractRig):
     """Axes of a PI controller in open loop.
 
     The wave generators play and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not
-    those of a controller. Raise `DeviceError` if it cannot send voltages in open loop, does not report its limits and
-    none are given, or cannot play and record several axes together. Raise `RigError` if it has no such axis, or its
-    limits and the given ones have no voltage in common.
+    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Positions are assumed to be in
+    micrometres. A servo that is on is switched off. No command is sent twice.
+
+    Raise `LinkError` if the answers are not those of a controller; `DeviceError` if it cannot send voltages in open
+    loop, does not report its limits and none are given, or cannot play and record several axes together; `RigError` if
+    it has no such axis, or its limits and the given ones have no voltage in common.
 
     Parameters
     ----------
@@ -101,10 +103,6 @@ class PiRig(AbstractRig):
         Largest abs(dv/dt) [V/s], of all axes or of each.
     patience : float
         Seconds without a new sample after which a recorder has stopped.
-
-    Notes
-    -----
-    Positions are assumed to be in micrometres. A servo that is on is switched off. No command is sent twice.
     """
 
     waves: WaveTraits | None

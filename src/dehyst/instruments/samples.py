@@ -74,25 +74,11 @@ def inspected(
     after: float,
     axes: tuple[str, ...] = (),
 ) -> Generator[Samples, None, None]:
-    """Yield each batch of a wave that is not empty, admitted, and compared with the sent voltages after its use.
+    """Yield each batch of a `wave` that is not empty, admitted, and compared with the `sent` voltages after its use.
 
-    Raise `LinkError` if samples cannot follow those before, `DeviceError` if they are not of the sent voltages, or some
-    are missing. Whatever the driver raises is re-raised as `DeviceError`; its generator is closed.
-
-    Parameters
-    ----------
-    name : str
-        The rig.
-    wave : callable
-        Begins the wave, and returns its batches.
-    sent : (n,) or (n, axes) array
-        Voltages [V].
-    spans : array
-        Range of the voltage of each axis [V].
-    after : float
-        Time of the last sample before the wave [s].
-    axes : tuple of str
-        Names of several axes.
+    Raise `LinkError` if samples cannot follow those before, the last of which came at `after` [s]; `DeviceError` if
+    they are not of the sent voltages, where each axis has a range in `spans` [V], or some are missing. Whatever the
+    driver of the rig `name` raises is re-raised as `DeviceError`; its generator is closed.
     """
     # A recorder may be a sample or two late.
     steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)

@@ -20,23 +20,10 @@ _BATCHES = 100
 class SimulatedRig(AbstractRig):
     """A virtual actuator behind a virtual amplifier, generator, recorder and sensor.
 
-    Parameters
-    ----------
-    truth : VirtualActuator or Actuator
-        The driven actuator, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
-    limits : (float, float), optional
-        Voltages that the user allows [V].
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] that the user allows.
-    device_limits : (float, float), optional
-        Output range of the amplifier [V]; default: the actuator's limits, or 0 V to its highest voltage.
-    options : optional
-        Of `VirtualBench`, except its limits, slew rate, clock and speed.
-
-    Attributes
-    ----------
-    instrument : VirtualBench
-        The bench itself; the `log` of its axis records the output.
+    The actuator is a `truth`, virtual or a model, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and
+    `slew_rate` [V/s] are those that the user allows, `device_limits` [V] the range of the amplifier, by default the
+    actuator's limits, or 0 V to its highest voltage. Other `options` are those of `VirtualBench`, which is the
+    `instrument`.
     """
 
     def __init__(

@@ -101,7 +101,7 @@ class VirtualStage:
         return np.column_stack([sensor.read(y[:, i]) for i, sensor in enumerate(self._sensors)]) if measured else y
 
     def drive(self, axis: int, voltage: Array, time: ArrayLike | None = None) -> None:
-        """Play a `voltage` (n,) [V] at `time` (n,) [s] on the actuator of one `axis` (0, 1, ...), and note its motion."""
+        """Play a `voltage` (n,) [V] at `time` (n,) [s] on the actuator of an `axis` (0, 1, ...), noting it."""
         actuator, second = self._driven[axis]
         at = np.full(voltage.size, np.nan) if time is None else np.asarray(time, dtype=np.float64)
         own = actuator.play(voltage, time=time, measured=False)
