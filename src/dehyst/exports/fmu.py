@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import io
 import os
 import platform
@@ -14,11 +15,10 @@ import uuid
 import warnings
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
-from html import escape
 from pathlib import Path
+from string import Template
 from typing import Literal, NamedTuple, TypeAlias, get_args
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, demand_alike, path_of, write_atomically
@@ -32,22 +32,53 @@ from dehyst.exports.naming import printable, shipped
 Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]
 
-_UNITS = {"s": {"s": 1}, "m": {"m": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
 # Longest identifier, and bytes of the model in a line.
 _LONGEST, _A_LINE = 60, 24
-
-_WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
-_FEATURES = {
-    "2.0": ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"),
-    "3.0": ("canGetAndSetFMUState", "canSerializeFMUState"),
-}
-_BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
+# The only file to compile.
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
 _TIME = (1980, 1, 1, 0, 0, 0)
 # Limits that no voltage meets.
 _NONE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
+
+
+class _Fmi(NamedTuple):
+    """A version of FMI: its sources, the folder of the binary, and how the description writes variables and outputs.
+
+    A variable is `number` if it has a unit, else `whole`; an output is also an `unknown`.
+    """
+
+    description: str
+    wrappers: tuple[str, ...]
+    binary: str
+    number: str
+    whole: str
+    output: str
+    unknown: str
+
+
+_COMMON = 'description="{description}" name="{name}" valueReference="{reference}" causality="{causality}"'
+_FMI = {
+    "2.0": _Fmi(
+        "modelDescription2.xml",
+        ("fmi2.h", "fmi2.c"),
+        "binaries/linux64",
+        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Real {{numbers}} />\n    </ScalarVariable>",
+        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Integer />\n    </ScalarVariable>",
+        '      <Unknown index="{index}" dependencies="" />',
+        "",
+    ),
+    "3.0": _Fmi(
+        "modelDescription3.xml",
+        ("fmi3.h", "fmi3.c", "fmi3_absent.c"),
+        "binaries/x86_64-linux",
+        f"    <Float64 {_COMMON} {{role}} {{numbers}} />",
+        f"    <UInt64 {_COMMON} {{role}} />",
+        '    <Output valueReference="{reference}" dependencies="" />',
+        '    <InitialUnknown valueReference="{reference}" dependencies="" />',
+    ),
+}
 
 
 class SourceOnlyWarning(UserWarning):
@@ -103,19 +134,26 @@ def export_fmu(
         # The same actuator in the same state, for any voltage.
         state = compensator.initial_state
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
-    description = Description.of(compensator, version, kind)
-    sources = _sources(compensator, description)
-    token = _token(sources, description)
-    given = next(variable.name for variable in description.variables if variable.causality == "input")
+    fmi, summary, variables = _FMI[version], *_interface(compensator, kind)
+    sources = _sources(compensator, fmi, kind)
+    digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
+    for name, text in sources.items():
+        digest.update(f"\n{name} {len(text)}\n{text}".encode())
+    token, given = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}", variables[1].name
     sources["fmu_model.h"] += f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{given}"\n\n#endif\n'
-    texts = {"modelDescription.xml": description.xml(token)}
+    title, identifier = _names(compensator.actuator.name, kind)
+    texts = {"modelDescription.xml": _description(compensator, fmi, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
     if version == "3.0":
-        texts["sources/buildDescription.xml"] = description.build_xml()
-    texts |= {"documentation/index.html": description.page(), "documentation/licenses/license.txt": shipped("LICENSE")}
+        build = Template(shipped("buildDescription.xml"))
+        texts["sources/buildDescription.xml"] = build.substitute(identifier=identifier)
+    texts |= {
+        "documentation/index.html": _page(title, summary, variables),
+        "documentation/licenses/license.txt": shipped("LICENSE"),
+    }
     content = {name: text.encode() for name, text in texts.items()}
     try:
-        content[f"{_BINARY[version]}/{description.identifier}.so"] = _compiled(sources)
+        content[f"{fmi.binary}/{identifier}.so"] = _compiled(sources)
     except _NoBinaryError as reason:
         warnings.warn(
             f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
@@ -126,20 +164,20 @@ def export_fmu(
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, description: Description) -> dict[str, str]:
+def _sources(compensator: Compensator, fmi: _Fmi, kind: Kind) -> dict[str, str]:
     """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
     block, text, tables = compensator.model_block(), ModelText(compensator, "double"), compensator.tables()
     # The tables that the core computes: slopes, and of graded elements their values and the sum of their slopes.
     computed = tables["knot"].size + 2 * tables["tau_voltage"].size + tables["grade_value"].size
     sizes = {
-        "ACTUATOR": int(description.kind == "actuator"),
+        "ACTUATOR": int(kind == "actuator"),
         "ROOM": len(block) // 8 + computed + tables["grade_knot"].size,
         "MEMORY": text.memory,
         "SNAPSHOT": text.snapshot,
     }
     macros = "".join(f"#define FMU_{name} {value}\n" for name, value in sizes.items())
     rows = ",\n".join(", ".join(map(str, block[i : i + _A_LINE])) for i in range(0, len(block), _A_LINE))
-    wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[description.version])
+    wrapper = ("fmu.h", "fmu.c", *fmi.wrappers)
     units = ("dehyst.c", *(name for name in wrapper if name.endswith(".c")))
     return {
         **{name: shipped(name) for name in (*CORE, *wrapper)},
@@ -148,13 +186,6 @@ def _sources(compensator: Compensator, description: Description) -> dict[str, st
         "fmu_model.h": f"#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n{macros}",
         _SOURCE: shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units),
     }
-
-
-def _token(sources: Mapping[str, str], description: Description) -> str:
-    digest = hashlib.sha256(f"{description.version} {description.kind} {__version__}".encode())
-    for name, text in sources.items():
-        digest.update(f"\n{name} {len(text)}\n{text}".encode())
-    return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
 
 
 def _compiled(sources: Mapping[str, str]) -> bytes:
@@ -198,151 +229,87 @@ class Variable(NamedTuple):
     start: float | None = None
     range: tuple[float, float] | None = None
 
-    @property
-    def roles(self) -> dict[str, str]:
-        """Its attributes of causality and variability."""
-        roles = {"causality": self.causality, "variability": "continuous" if self.unit else "discrete"}
-        return roles | {"initial": "calculated"} if self.causality == "output" else roles
 
-    @property
-    def numbers(self) -> dict[str, str]:
-        """Its unit, range and start, as attributes."""
-        numbers = {"unit": self.unit} if self.unit else {}
-        if self.range is not None:
-            numbers |= {"min": repr(self.range[0]), "max": repr(self.range[1])}
-        return numbers if self.start is None else numbers | {"start": repr(self.start)}
-
-
-@dataclass(frozen=True)
-class Description:
-    """An FMU of a compensator, or of its actuator; `version` and `kind` as in `export_fmu`.
-
-    `name`, `identifier`: the actuator's and the kind, as text and as a name in C. `summary`: a sentence or two.
-    `period`: seconds; 0: it does not depend on time.
-    """
-
-    version: Version
-    kind: Kind
-    name: str
-    identifier: str
-    summary: str
-    period: float
-    variables: tuple[Variable, ...]
-
-    @classmethod
-    def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
-        """Describe it as it was when made or last reset."""
-        words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
-        period, (low, high), ahead = compensator.period or 0.0, compensator.limits, compensator.samples_ahead
-        variables = [Variable("time", "independent", "s", "Simulation time")]
-        if kind == "compensator":
-            summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
-            if compensator.slew_rate is not None:
-                summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-            wanted = f"Displacement wanted {f'in {ahead} steps' if ahead else 'at the end of the step'}"
-            variables += [
-                Variable("displacement", "input", "m", wanted, begin.displacement),
-                Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
-                Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
-                Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
-            ]
-        else:
-            summary = f"The actuator '{words}': displacement that a voltage causes."
-            reached = "Voltage reached at the end of a step's first period, then held"
-            variables += [
-                Variable("voltage", "input", "V", reached, begin.voltage),
-                Variable("displacement", "output", "m", "Displacement"),
-            ]
-        pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
-        slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
-        twice = slug == kind
-        return cls(
-            version,
-            kind,
-            words if twice else f"{words}, {kind}",
-            f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
-            f"{summary} {pace}",
-            period,
-            tuple(variables),
-        )
-
-    def xml(self, token: str) -> str:
-        """Text of `modelDescription.xml`; `token` is the GUID or the instantiation token."""
-        two = self.version == "2.0"
-        root = ElementTree.Element(
-            "fmiModelDescription",
-            {
-                "fmiVersion": self.version,
-                "modelName": self.name,
-                "guid" if two else "instantiationToken": token,
-                "description": self.summary,
-                "generationTool": f"dehyst {__version__}",
-                "variableNamingConvention": "flat",
-            },
-        )
-        features = {"canHandleVariableCommunicationStepSize": "false" if self.period else "true"}
-        features |= dict.fromkeys(_FEATURES[self.version], "true")
-        if self.period and not two:
-            features["fixedInternalStepSize"] = repr(self.period)
-        interface = _add(root, "CoSimulation", modelIdentifier=self.identifier, **features)
-        if two:
-            _add(_add(interface, "SourceFiles"), "File", name=_SOURCE)
-        units = _add(root, "UnitDefinitions")
-        for name, base in _UNITS.items():
-            exponents = {symbol: str(power) for symbol, power in base.items()}
-            _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
-        categories = _add(root, "LogCategories")
-        _add(categories, "Category", name="logStatusError", description="What was refused, and why")
-        _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
-        _add(root, "DefaultExperiment", startTime="0", **({"stepSize": repr(self.period)} if self.period else {}))
-        variables = _add(root, "ModelVariables")
-        for reference, variable in enumerate(self.variables):
-            common = {"description": variable.description, "name": variable.name, "valueReference": str(reference)}
-            common |= variable.roles
-            if two:
-                scalar = _add(variables, "ScalarVariable", **common)
-                _add(scalar, "Real" if variable.unit else "Integer", **variable.numbers)
-            else:
-                _add(variables, "Float64" if variable.unit else "UInt64", **common, **variable.numbers)
-        structure = _add(root, "ModelStructure")
-        outputs = [i for i, variable in enumerate(self.variables) if variable.causality == "output"]
-        for part in ("Output", "InitialUnknown"):
-            unknowns = _add(structure, f"{part}s") if two else structure
-            for reference in outputs:
-                if two:
-                    _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
-                else:
-                    _add(unknowns, part, valueReference=str(reference), dependencies="")
-        return _text(root)
-
-    def build_xml(self) -> str:
-        """Text of FMI 3.0's `sources/buildDescription.xml`."""
-        root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-        configuration = _add(root, "BuildConfiguration", modelIdentifier=self.identifier)
-        files = _add(configuration, "SourceFileSet", language="C99")
-        _add(files, "SourceFile", name=_SOURCE)
-        return _text(root)
-
-    def page(self) -> str:
-        """Return the HTML page."""
-        rows = [
-            f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{escape(one.description)}</td></tr>"
-            for one in self.variables
+def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable]]:
+    """Return what an FMU is, in a sentence or two, and its variables: time, the input, and outputs."""
+    words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
+    period, (low, high), ahead = compensator.period, compensator.limits, compensator.samples_ahead
+    time = Variable("time", "independent", "s", "Simulation time")
+    pace = f" One step every {period!r} s." if period else " It does not depend on time: any step is one sample."
+    if kind == "actuator":
+        reached = "Voltage reached at the end of a step's first period, then held"
+        return f"The actuator '{words}': displacement that a voltage causes.{pace}", [
+            time,
+            Variable("voltage", "input", "V", reached, begin.voltage),
+            Variable("displacement", "output", "m", "Displacement"),
         ]
-        head = (
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-            f"<title>{escape(self.name)}</title></head><body>\n"
-            f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>"
-        )
-        columns = "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>"
-        end = f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n"
-        return "\n".join([head, columns, *rows, end])
+    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
+    if compensator.slew_rate is not None:
+        summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
+    wanted = f"Displacement wanted {f'in {ahead} steps' if ahead else 'at the end of the step'}"
+    return summary + pace, [
+        time,
+        Variable("displacement", "input", "m", wanted, begin.displacement),
+        Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
+        Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
+        Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+    ]
 
 
-def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, attributes)
+def _names(actuator: str, kind: Kind) -> tuple[str, str]:
+    """Return the name of an actuator and the kind, as text and as a name in C."""
+    words = printable(actuator)
+    slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
+    return (words, f"dehyst_{slug}") if slug == kind else (f"{words}, {kind}", f"dehyst_{slug}_{kind}")
 
 
-def _text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+def _description(
+    compensator: Compensator,
+    fmi: _Fmi,
+    title: str,
+    identifier: str,
+    token: str,
+    summary: str,
+    variables: list[Variable],
+) -> str:
+    """Return the text of `modelDescription.xml`; `token` is the GUID or the instantiation token."""
+    listed, outputs, unknowns = [], [], []
+    for reference, one in enumerate(variables):
+        role = f'variability="{"continuous" if one.unit else "discrete"}"'
+        numbers = f'unit="{one.unit}"'
+        if one.range is not None:
+            numbers += f' min="{one.range[0]!r}" max="{one.range[1]!r}"'
+        if one.start is not None:
+            numbers += f' start="{one.start!r}"'
+        if one.causality == "output":
+            role += ' initial="calculated"'
+            outputs.append(fmi.output.format(reference=reference, index=reference + 1))
+            unknowns.append(fmi.unknown.format(reference=reference))
+        form = fmi.number if one.unit else fmi.whole
+        listed.append(form.format(**one._asdict(), reference=reference, role=role, numbers=numbers))
+    period = compensator.period
+    quoted = {'"': "&quot;"}
+    return Template(shipped(fmi.description)).substitute(
+        name=escape(title, quoted),
+        token=token,
+        summary=escape(summary, quoted),
+        program=__version__,
+        identifier=identifier,
+        any_step="false" if period else "true",
+        fixed_step=f' fixedInternalStepSize="{period!r}"' if period else "",
+        step=f' stepSize="{period!r}"' if period else "",
+        variables="\n".join(listed),
+        outputs="\n".join(outputs),
+        unknowns="\n".join(unknowns),
+    )
+
+
+def _page(title: str, summary: str, variables: list[Variable]) -> str:
+    """Return the HTML page."""
+    rows = (
+        f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{html.escape(one.description)}</td></tr>"
+        for one in variables
+    )
+    return Template(shipped("fmu.html")).substitute(
+        name=html.escape(title), summary=html.escape(summary), rows="\n".join(rows), program=__version__
+    )
