@@ -101,11 +101,7 @@ class Calibration:
 
 
 def calibrate(
-    rig: AbstractRig,
-    folder: PathLike,
-    *,
-    plan: Plan | None = None,
-    watcher: ProgressListener | None = None,
+    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: ProgressListener | None = None
 ) -> Calibration:
     """Run the complete experiment; records, model and numbers go to a folder, the voltage ends at a safe value.
 

@@ -17,15 +17,7 @@ from dehyst.instruments import AbstractRig
 from dehyst.records import Record, read_table
 from dehyst.records.files import time_of
 from dehyst.records.formats.file_content import MOST
-from dehyst.waveforms import (
-    Excitation,
-    Leg,
-    Sampling,
-    descending_tops,
-    raised_cosine,
-    stage_excitation,
-    staircase,
-)
+from dehyst.waveforms import Excitation, Leg, Sampling, descending_tops, raised_cosine, stage_excitation, staircase
 from dehyst.waveforms.excitation import positive
 
 _SAMPLES_A_CYCLE = 400

@@ -77,13 +77,7 @@ class Session:
         self._replayed: Record | None = None
 
     def record(
-        self,
-        excitation: Excitation,
-        name: str,
-        *,
-        wanted: Array | None = None,
-        stroke: Any = None,
-        again: bool = False,
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = None, again: bool = False
     ) -> Record:
         """Play an excitation and write its record, unless it is on disk already and is not to be played `again`.
 

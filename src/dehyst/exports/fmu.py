@@ -89,12 +89,7 @@ class _NoBinaryError(Exception):
     """The reason why no binary could be built."""
 
 
-def export_fmu(
-    compensator: Compensator,
-    path: PathLike,
-    version: Version = "3.0",
-    kind: Kind = "compensator",
-) -> None:
+def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0", kind: Kind = "compensator") -> None:
     """Write an FMU for co-simulation, which starts from the state in which the compensator was made or last reset.
 
     Its step is the compensator's period, or a whole multiple of it, over which the input is held; without a period any
