@@ -25,7 +25,7 @@ import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import loop_figure
+import figures
 import numpy as np
 import stage
 from stage import HIGHEST, PERIOD, Stage
@@ -297,7 +297,7 @@ def main() -> None:
     warnings.simplefilter("ignore", dehyst.ClampWarning)  # fast large sines ask for more than the limits
     found, shown = measure(*identified(parser.parse_args().model))
     OUTPUT.write_text(json.dumps(found, indent=1) + "\n")
-    loop_figure.draw(found, shown, PERIOD)
+    figures.draw_loop(found, shown, PERIOD)
 
 
 if __name__ == "__main__":

@@ -90,28 +90,15 @@ class AbstractBaseline(AbstractModel):
 class Training:
     """Pieces of records, each simulated from its first sample, and their samples that count.
 
-    Attributes
-    ----------
-    pieces : tuple of Record
-        Their voltages are delayed.
-    kept : tuple of (k,) int array
-        Samples of each piece that count.
-    displacement : (n,) array
-        Displacement [m] of the samples that count, of all pieces.
-    reach : (n,) array
-        Range of the voltage [V] before the epoch of each of them: what has been through it is in a known state.
-    nuisances : (n, m) array
-        Columns that every fit is free to use: one constant for each epoch, then drifts.
-    epochs : int
-        Number of constants.
-    reference : int
-        Column whose coefficient is the model's own constant: that of the widest record's last epoch.
-    limits : (float, float)
-        Lowest and highest voltage [V].
-    stroke : float
-        Range of the widest record's loops [m].
-    delay : float
-        Seconds by which the displacement lags the voltage.
+    `pieces`: their voltages are delayed. `kept`: samples of each piece that count. `displacement` (n,) [m]: of the
+    samples that count, of all pieces. `reach` (n,) [V]: range of the voltage before the epoch of each of them; what has
+    been through it is in a known state.
+
+    `nuisances` (n, m): columns that every fit is free to use, one constant for each of the `epochs`, then drifts.
+    `reference`: the column whose coefficient is the model's own constant, that of the widest record's last epoch.
+
+    `limits`: lowest and highest voltage [V]. `stroke`: range of the widest record's loops [m]. `delay`: seconds by
+    which the displacement lags the voltage.
     """
 
     pieces: tuple[Record, ...]
@@ -177,10 +164,8 @@ def fit_with_delay(
 ) -> Model:
     """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
 
-    The delay is estimated with plays; they can mistake for a delay what another model explains. Raise `RecordError` or
-    `IdentifyError` as `prepare_training`.
-
-    `fit`: training -> model and its RMS residual.
+    The delay is estimated with plays; they can mistake for a delay what another model explains. `fit`: training ->
+    model and its RMS residual. Raise as `prepare_training`.
     """
     training = prepare_training(records, delay=delay, drift=drift)
     model, residual = fit(training)
@@ -192,14 +177,10 @@ def fit_with_delay(
 
 
 def prepare_training(records: Record | Sequence[Record], *, delay: float | None = None, drift: bool = True) -> Training:
-    """Prepare records for the fit of a model that maps voltage to displacement.
+    """Prepare records for the fit of a model that maps voltage to displacement; parameters are those of a `fit`.
 
-    Raise `RecordError` if a record cannot be used. Raise `IdentifyError` if there is none, no sample counts, or the
-    delay is impossible.
-
-    `records`: at least one loop. `delay`: seconds by which the displacement lags the voltage; default: estimated, 0
-    unless a delay lowers the residual clearly. `drift`: whether a record may creep by a logarithm of the time since its
-    start; the drift is then removed.
+    Without a `delay` one is estimated, 0 unless a delay lowers the residual clearly. Raise `RecordError` if a record
+    cannot be used, `IdentifyError` if there is none, no sample counts, or the delay is impossible.
     """
     items = [prepare(record) for record in as_list(records)]
     if not items:

@@ -48,23 +48,10 @@ class BoucWen(AbstractBaseline):
 
     ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
 
-    Parameters
-    ----------
-    alpha : float
-        Above 0 and below 1.
-    beta, gamma : float
-        [1/V]; beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma: then w, and y, follow v.
-    limits : (float, float)
-        Lowest and highest w [V] of the cubic map.
-    cubic : (4,) array_like
-        c [m]; it increases from 0 to 1.
-    state : BoucWenState, optional
-        Default start of a motion: at the lower limit, after a long fall.
-
-    Raises
-    ------
-    ModelError
-        If the displacement would fall somewhere while the voltage rises.
+    `alpha`: above 0 and below 1. `beta`, `gamma` [1/V]: beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma;
+    then w, and y, follow v. `limits`: lowest and highest w [V] of the cubic map. `cubic` (4,): c [m]; it increases from
+    0 to 1. `state`: default start of a motion, by default at the lower limit, after a long fall. Raise `ModelError` if
+    the displacement would fall somewhere while the voltage rises.
     """
 
     alpha: float

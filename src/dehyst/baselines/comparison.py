@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Real
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
+from dehyst._validation import choice
 from dehyst._views.fields import json_value, json_values
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
@@ -27,7 +28,7 @@ from dehyst.baselines.play_models import (
     PrandtlIshlinskii,
 )
 from dehyst.baselines.preisach import Preisach
-from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
+from dehyst.baselines.tracking_trials import TRIALS, TrackingErrors, TrackingTrial
 from dehyst.identification import identify, state_after
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
@@ -117,15 +118,8 @@ class ModelScore:
 class ModelComparison:
     """A table with one row for each model.
 
-    Attributes
-    ----------
-    rows : tuple of ModelScore
-    stroke : float
-        Stroke [m] to which the percentages refer.
-    records, held_out, truths : tuple of str
-        Names of the training records, of the held-out records and of the virtual actuators.
-    lead : float
-        Lead-in of the held-out records [s].
+    `stroke` [m]: to which the percentages refer. `records`, `held_out`, `truths`: names of the training records, of the
+    held-out records and of the virtual actuators. `lead`: lead-in of the held-out records [s].
     """
 
     rows: tuple[ModelScore, ...]
@@ -201,14 +195,14 @@ def compare(
 
     Raises
     ------
-    RecordError
-        If a record cannot be used at all.
+    RecordError, ModelError
+        If a record cannot be used at all; if there is no such virtual actuator.
     IdentifyError
         If there is neither a record nor a virtual actuator, or the lead-in is impossible.
-    ModelError
-        If there is no such virtual actuator.
     """
-    trials = [trial(name) for name in truths]
+    for name in truths:
+        choice(name, "truths", TRIALS, error=ModelError)
+    trials = [TRIALS[name] for name in truths]
     if not isinstance(lead, Real) or not 0 <= float(lead) < np.inf:
         raise IdentifyError(argument="lead", got=repr(lead), need="seconds, 0 or more")
     given, held_out = as_list(records), as_list(validate)
@@ -218,66 +212,56 @@ def compare(
         raise IdentifyError("got held-out records but no training records; give these too")
     training = given or list(trials[0].records())
     held_out = held_out if given else list(trials[0].held_out())
-    run = _ComparisonRun(training, list(map(prepare, training)), list(map(prepare, held_out)), float(lead))
+    played = [_Played(prepare(record), "training", 0.0) for record in training]
+    stroke = max(high - low for low, high in (one.item.span() for one in played))
+    for record in held_out:
+        played.append(_Played(prepare(record), "validation", float(lead)))
+        if not played[-1].counted():
+            raise IdentifyError(
+                f"{record.name}: no sample counts after {lead:g} s; need samples after the voltage has been through "
+                "its range. Give a longer record or a shorter lead-in"
+            )
     # The same list, so that one fit serves both.
     trial_records = [(item, list(item.records()) if given or i else training) for i, item in enumerate(trials)]
     chosen = contenders() if models is None else models
-    rows = tuple(_row(name, fit, run, trial_records, progress or (lambda _: None)) for name, fit in chosen.items())
+    report = progress or (lambda _: None)
+    rows = tuple(_row(name, fit, training, played, stroke, trial_records, report) for name, fit in chosen.items())
     names = (tuple(one.name for one in group) for group in (training, held_out, trials))
-    return ModelComparison(rows, run.stroke, *names, run.lead)
+    return ModelComparison(rows, stroke, *names, float(lead))
 
 
-@dataclass(frozen=True, eq=False)
-class _ComparisonRun:
-    """The records, as given and as prepared."""
+class _Played(NamedTuple):
+    """A prepared record, and the seconds at its start that do not count."""
 
-    records: list[Record]
-    training: list[Prepared]
-    held_out: list[Prepared]
+    item: Prepared
+    role: str
     lead: float
 
-    def __post_init__(self) -> None:
-        for item in self.held_out:
-            if not _counted(item, self.lead):
-                raise IdentifyError(
-                    f"{item.name}: no sample counts after {self.lead:g} s; need samples after the voltage has been "
-                    "through its range. Give a longer record or a shorter lead-in"
-                )
-
-    @property
-    def stroke(self) -> float:
-        """Range of the widest training record's loops [m]."""
-        return max(high - low for low, high in (item.span() for item in self.training))
-
-    def scores(self, model: AbstractModel) -> tuple[RecordScore, ...]:
-        """Return one score for each record, training first."""
-        training = (self._score(model, item, "training", 0.0) for item in self.training)
-        return *training, *(self._score(model, item, "validation", self.lead) for item in self.held_out)
-
-    def _score(self, model: AbstractModel, item: Prepared, role: str, lead: float) -> RecordScore:
+    def score(self, model: AbstractModel, stroke: float) -> RecordScore:
+        """Return the errors of a model [% of the stroke]."""
+        item = self.item
         residuals = [
-            _residual(model, piece, kept, item.noise, self.stroke if lead else None)
-            for piece, kept in _counted(item, lead, float(getattr(model, "delay", 0.0)))
+            _residual(model, piece, kept, item.noise, stroke if self.lead else None)
+            for piece, kept in self.counted(float(getattr(model, "delay", 0.0)))
         ]
         error = np.concatenate([np.zeros(0), *residuals])
         if not np.isfinite(error).all():
             raise IdentifyError(f"{item.name}: the simulation diverges")
         free = error - error.mean() if error.size else error
-        figures = (percent(figure(e), self.stroke) for e in (free, error) for figure in (largest, rms))
-        return RecordScore(item.name, role, error.size, item.samples - error.size, *figures)
+        figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
+        return RecordScore(item.name, self.role, error.size, item.samples - error.size, *figures)
 
-
-def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Record, NDArray[np.bool_]]]:
-    """Return pieces with their voltage delayed, and which of their samples count."""
-    counted = []
-    for _, piece, _ in item.delayed(0, delay):
-        kept = np.zeros(len(piece), dtype=bool)
-        for epoch in epochs(piece, item.noise)[-1:]:
-            kept[epoch.start : epoch.stop] = True
-        kept &= piece.time >= item.start + lead
-        if kept.any():
-            counted.append((piece, kept))
-    return counted
+    def counted(self, delay: float = 0.0) -> list[tuple[Record, NDArray[np.bool_]]]:
+        """Return pieces with their voltage delayed, and which of their samples count."""
+        counted = []
+        for _, piece, _ in self.item.delayed(0, delay):
+            kept = np.zeros(len(piece), dtype=bool)
+            for epoch in epochs(piece, self.item.noise)[-1:]:
+                kept[epoch.start : epoch.stop] = True
+            kept &= piece.time >= self.item.start + self.lead
+            if kept.any():
+                counted.append((piece, kept))
+        return counted
 
 
 def _residual(
@@ -305,7 +289,9 @@ def _residual(
 def _row(
     name: str,
     fit: Identification,
-    run: _ComparisonRun,
+    training: list[Record],
+    played: list[_Played],
+    stroke: float,
     trials: list[tuple[TrackingTrial, list[Record]]],
     progress: Progress,
 ) -> ModelScore:
@@ -315,15 +301,16 @@ def _row(
     row, tracking, failures = ModelScore(name), dict[str, TrackingErrors](), list[str]()
     begin = time.perf_counter()
     try:
-        model = fitted[id(run.records)] = fit(run.records)
+        model = fitted[id(training)] = fit(training)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         progress(f"simulating {name}")
-        simulate, compensate = speeds(model, run.training[0].record)
-        row = replace(row, scores=run.scores(model), simulate=simulate, compensate=compensate)
+        simulate, compensate = speeds(model, played[0].item.record)
+        scores = tuple(one.score(model, stroke) for one in played)
+        row = replace(row, scores=scores, simulate=simulate, compensate=compensate)
     except _FAILURES as error:
         failures.append(str(error) or type(error).__name__)
     for item, records in trials:
-        if records is run.records and not fitted:
+        if records is training and not fitted:
             continue
         progress(f"tracking with {name} on {item.name}")
         try:

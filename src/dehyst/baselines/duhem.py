@@ -48,21 +48,10 @@ class Duhem(AbstractBaseline):
     ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y continues with its mean slope, and the
     distance does not decay.
 
-    Parameters
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage [V].
-    rate : float
-        a times the range of the voltage, above 0.
-    anhysteretic, reversible : (k,) array_like
-        Coefficients [m] of f, and of g times the range, the constant first.
-    state : DuhemState, optional
-        Default start of a motion: at the lowest voltage, at the bottom of the major loop.
-
-    Raises
-    ------
-    ModelError
-        If y does not follow v, rising and falling, everywhere within the major loop.
+    `limits`: lowest and highest voltage [V]. `rate`: a times the range of the voltage, above 0. `anhysteretic`,
+    `reversible` (k,): coefficients [m] of f, and of g times the range, the constant first. `state`: default start of a
+    motion, by default at the lowest voltage, at the bottom of the major loop. Raise `ModelError` if y does not follow
+    v, rising and falling, everywhere within the major loop.
     """
 
     limits: tuple[float, float]

@@ -57,21 +57,12 @@ class GoldfarbCelanovic(AbstractBaseline):
         beside it are those of one straight segment: the model's rise is the least concave one above the break points,
         and passes through all that were kept.
 
-        Parameters
-        ----------
-        record : Record
-            Its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
-            alternation. It may rest before; noise is allowed.
-        elements : int, optional
-            Number N of elements; the rise X is divided into equal parts, rho_i = i X / (N + 1).
-        breakaway : (N,) array_like, optional
-            Elongations rho_i [m] in place of equal parts; `elements` is then ignored.
+        `record`: its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
+        alternation. It may rest before; noise is allowed. `elements`: number N; the rise X is divided into equal parts,
+        rho_i = i X / (N + 1). `breakaway` (N,): elongations rho_i [m] in place of equal parts and `elements`.
 
-        Raises
-        ------
-        IdentifyError
-            If `record` is not a Record, its voltage does not rise first, the rise is too short for so many elements,
-            or a break point is impossible.
+        Raise `IdentifyError` if `record` is not a Record, its voltage does not rise first, the rise is too short for so
+        many elements, or a break point is impossible.
         """
         if not isinstance(record, Record):
             raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")

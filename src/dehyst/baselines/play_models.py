@@ -97,19 +97,9 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
     S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
 
-    Attributes
-    ----------
-    bank : PlayBank
-        The plays, whose sum is in volts; the first threshold is 0.
-    places, values : (M,) array
-        Knots of S: [V] and [m], both strictly increasing; S continues linearly beyond.
-    state : PlayState
-        Default start: after a long descent to the lowest voltage of its records.
-
-    Raises
-    ------
-    ModelError
-        If S does not increase.
+    `bank`: the plays, whose sum is in volts; the first threshold is 0. `places`, `values` (M,): knots of S, [V] and
+    [m], both strictly increasing; S continues linearly beyond. `state`: default start, after a long descent to the
+    lowest voltage of its records. Raise `ModelError` if S does not increase.
     """
 
     bank: PlayBank
@@ -285,15 +275,10 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
         Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that just
         after a reversal. Low-passes replace the drift.
 
-        Parameters
-        ----------
-        segments : int, optional
-            Segments of each curve, over the range of its play.
-        lowpasses : (K,) array_like, optional
-            Time constants [s]; an empty one leaves creep out. Default: two per decade from two samples to a third of
-            the longest record if they lower the cross-validation error much, else none.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring slopes; it determines those that the records leave open.
+        `segments`: of each curve, over the range of its play. `lowpasses` (K,): time constants [s]; an empty one leaves
+        creep out; default: two per decade from two samples to a third of the longest record if they lower the
+        cross-validation error much, else none. `smoothing`: weight of the squared differences of neighbouring slopes;
+        it determines those that the records leave open.
         """
         count(plays, "plays")
         count(segments, "segments")
@@ -432,12 +417,8 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
         Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that of the
         kernels with p1 = p2.
 
-        Parameters
-        ----------
-        levels : int, optional
-            Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
+        `levels`: parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels. `smoothing`: weight of
+        the squared differences of neighbouring weights; it determines those that the records leave open.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")

@@ -49,20 +49,10 @@ class Preisach(AbstractBaseline):
     linear, which makes them reversible. Then y is piecewise linear along every branch, and the inverse exact. Beyond
     the grid no relay switches and y continues with its mean slope.
 
-    Parameters
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage of the plane [V].
-    everett : (n + 1, n + 1) array_like
-        E [m] at (alpha, beta) of node (i, j), i > j; the rest is ignored. E is strictly greater for a triangle than for
-        any triangle inside it: y has to follow v.
-    bottom : float
-        Displacement with every relay down [m].
-
-    Raises
-    ------
-    ModelError
-        If the table is no square, or does not increase away from the diagonal.
+    `limits`: lowest and highest voltage of the plane [V]. `everett` (n + 1, n + 1): E [m] at (alpha, beta) of node (i,
+    j), i > j; the rest is ignored. E is strictly greater for a triangle than for any triangle inside it: y has to
+    follow v. `bottom`: displacement with every relay down [m]. Raise `ModelError` if the table is no square, or does
+    not increase away from the diagonal.
     """
 
     limits: tuple[float, float]
@@ -129,14 +119,8 @@ class Preisach(AbstractBaseline):
 
         Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
         penalty on the density's second differences fills it. Parameters are those of every baseline, see
-        `AbstractBaseline`, and those below. The relays on the diagonal provide the least slope.
-
-        Parameters
-        ----------
-        cells : int, optional
-            Cells n of a side of the plane; n (n + 1) / 2 densities.
-        smoothing : float, optional
-            Weight of the penalty; 0 for none.
+        `AbstractBaseline`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
+        the penalty, 0 for none. The relays on the diagonal provide the least slope.
         """
         n = count(cells, "cells", 2, _MOST_CELLS)
         fraction(smoothing, "smoothing", 0.0)

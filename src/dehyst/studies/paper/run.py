@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,12 +55,12 @@ def demand_folder(folder: PathLike) -> None:
 
 
 def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) -> list[Path]:
-    """Write every figure (SVG, PNG, CSV), the tables, the numbers and a page to a folder; return the paths.
+    """Write every figure (SVG, PNG, CSV), the numbers and a page to a folder; return the paths.
 
-    Files are index.html, results.json, summary.csv, limits.csv, table1.csv, and figNN.svg, .png and .csv. Each is
-    written wholly or not at all, the page last, and none if a figure cannot be drawn. Each figure is reported to
-    `progress` before it is drawn. Raise `FileFormatError` if the folder cannot be made or written to, or holds files
-    that are not of this experiment. Raise `MissingExtraError` if matplotlib is not installed.
+    Files are index.html, results.json with the numbers of all tables, and figNN.svg, .png and .csv. Each is written
+    wholly or not at all, the page last, and none if a figure cannot be drawn. Each figure is reported to `progress`
+    before it is drawn. Raise `FileFormatError` if the folder cannot be made or written to, or holds files that are not
+    of this experiment. Raise `MissingExtraError` if matplotlib is not installed.
     """
     from dehyst.studies.paper.figures import plates
     from dehyst.studies.paper.page import render
@@ -78,42 +75,7 @@ def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) 
         for suffix, columns in plate.data.items():
             written.append(target / f"{plate.name}{suffix}.csv")
             write_columns(written[-1], columns)
-    write_columns(target / "table1.csv", tables.table1(result.asymmetric))
-    write_atomically(target / "summary.csv", _csv(_summary(result)))
-    write_atomically(
-        target / "limits.csv",
-        _csv(
-            {"actuator": name} | row.as_dict()
-            for name, found in result.experiments.items()
-            for row in tables.limits(found)
-        ),
-    )
-    written += [target / name for name in ("results.json", "table1.csv", "summary.csv", "limits.csv")]
+    written.append(target / "results.json")
     page = render(result.asymmetric, result.symmetric, drawn, [path.name for path in written])
     write_atomically(target / "index.html", page)
     return [target / "index.html", *written]
-
-
-def _summary(result: Paper) -> list[dict[str, Any]]:
-    return [
-        {
-            "actuator": name,
-            "quantity": row.key,
-            "unit": row.unit.replace("µ", "u"),
-            "paper": row.paper,
-            "measured": row.actuator,
-            **{key: row.models.get(key) for key in tables.MODELS},
-            **{f"{key}_against_noise": row.against_noise.get(key) for key in tables.MODELS},
-        }
-        for name, found in result.experiments.items()
-        for row in tables.summary(found)
-    ]
-
-
-def _csv(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Write rows as CSV, with numbers at full precision and empty cells for None."""
-    listed, text = list(rows), io.StringIO()
-    writer = csv.DictWriter(text, list(listed[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(listed)
-    return text.getvalue()
