@@ -112,12 +112,13 @@ class Server:
                     link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
             while self._client is writer:
                 writer.write(self._answer(await _command(reader)))
-                await asyncio.wait_for(writer.drain(), _PATIENCE)
+                if writer.transport.get_write_buffer_size():
+                    await asyncio.wait_for(writer.drain(), _PATIENCE)
                 self._update()
                 # Many commands that wait must not keep others waiting.
                 await asyncio.sleep(0)
-        except (TimeoutError, OSError, EOFError):
-            # The client has gone, or takes no answers.
+        except (OSError, EOFError, asyncio.CancelledError):
+            # The client has gone, or takes no answers, or the server ends.
             pass
         finally:
             if self._client is writer:
