@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from dehyst.report.html import MINUS, Row, bullets, document, escape, table
+from dehyst._views.html import escape
+from dehyst.report.html import MINUS, Row, bullets, document, table
 from dehyst.studies.paper import tables
 from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
 from dehyst.studies.paper.figures import Plate
