@@ -161,12 +161,10 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
 
 def _sources(compensator: Compensator, fmi: _Fmi, kind: Kind) -> dict[str, str]:
     """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
-    block, text, tables = compensator.model_block(), ModelText(compensator, "double"), compensator.tables()
-    # The tables that the core computes: slopes, and of graded elements their values and the sum of their slopes.
-    computed = tables["knot"].size + 2 * tables["tau_voltage"].size + tables["grade_value"].size
+    block, text = compensator.model_block(), ModelText(compensator, "double")
     sizes = {
         "ACTUATOR": int(kind == "actuator"),
-        "ROOM": len(block) // 8 + computed + tables["grade_knot"].size,
+        "ROOM": text.room,
         "MEMORY": text.memory,
         "SNAPSHOT": text.snapshot,
     }

@@ -38,8 +38,10 @@ static const dehyst_model piezo_model = {{{
  $amplifier,
  $stiffness,
  {$start, $memory},
- $period, $ahead, ${id}ul};""")
+ $period, $ahead, ${id}ul, ${shape}ul};""")
 _A_LINE = 4
+# Bytes before the numbers of a block.
+_HEADER = 64
 # Slider positions [m] of one state, but for rounding.
 _SAME = 1e-13
 _LARGEST = float(np.finfo(np.float64).max)
@@ -151,7 +153,16 @@ class ModelText:
     @property
     def snapshot(self) -> int:
         """Bytes of a snapshot of it."""
-        return 32 + 8 * (8 + self.memory - self._start.carts.size)
+        return 40 + 8 * (8 + self.memory - self._start.carts.size)
+
+    @property
+    def room(self) -> int:
+        """How many numbers a block of these sizes and the tables that the core computes have."""
+        tables, elements = self._tables, self._tables["rho"].size
+        grades = max(tables["grade_knot"].size - 1, 0)
+        computed = tables["knot"].size + 2 * tables["tau_voltage"].size
+        computed += grades + (elements + 1) * (grades + 1) if grades else 0
+        return (len(self._compensator.model_block()) - _HEADER) // 8 + computed
 
     def macros(self) -> str:
         """Return the macros that `piezo.h` begins with."""
@@ -162,6 +173,8 @@ class ModelText:
 #define MODEL_BRANCHES {tables["creep"].size}
 #define MODEL_SMOOTH {tables["length"].size}
 #define MODEL_TAPS {tables["tap"].size}
+/* Numbers that dehyst_model_load needs for another block of these sizes. */
+#define MODEL_ROOM {self.room}
 
 /* Seconds between steps; 0: this model does not depend on time. */
 #define MODEL_PERIOD {self._decimal(compensator.period or 0.0)}
@@ -192,6 +205,7 @@ class ModelText:
         moves = transition if transition.size else np.zeros(8)
         low, high, change, *amplifier, stiffness = tables["loop"].tolist()
         motion = start.motion if start.motion.size else np.array([start.w, 0.0])
+        model_id, shape = compensator.model_ids()
 
         def at(*names: str) -> str:
             return ", ".join(f"piezo_{name}" if arrays[name].size else "0" for name in names)
@@ -225,7 +239,8 @@ class ModelText:
             memory=at("cart", "strain", "elongation"),
             period=self._one(compensator.period or 0.0),
             ahead=compensator.samples_ahead,
-            id=compensator.model_id(),
+            id=model_id,
+            shape=shape,
         )
 
     def _one(self, value: float) -> str:
