@@ -57,9 +57,7 @@ def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Arr
     improve the prediction of the other spans by more than three standard errors of the improvement, and by more than
     0.04 % of the stroke (RMS).
     """
-    residual = np.concatenate(
-        [block_means(one.residual(coupling), every) for one, every in zip(traces, columns.samples, strict=True)]
-    )
+    residual = np.concatenate([block_means(one.residual(coupling), columns.every) for one in traces])
     spans = columns.groups(_SPANS)
     count = residual.shape[1]
     size, certainty = np.zeros((count, count)), np.zeros((count, count))
