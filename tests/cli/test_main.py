@@ -53,7 +53,7 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
     verdict, outcome = out.splitlines()[:2]
     assert re.match(r"(Ready|Usable, with care): expect a path to be followed within \d\.\d+ % of the stroke", verdict)
     assert outcome.startswith("Identified")
-    assert "<svg" in (folder / "r.html").read_text()
+    assert "data-chart=" in (folder / "r.html").read_text()
     assert err == ""  # beside a terminal, progress is for longer work only
 
 
@@ -252,7 +252,7 @@ def test_insight_of_loops_that_tell_all_warns_of_nothing_but_its_precision(folde
     names = ("lowest_um", "wanted_um", "highest_um")
     lowest, wanted, highest = (band.column("displacement", name) for name in names)
     assert np.all((lowest < wanted) & (wanted < highest))
-    assert "<svg" in (folder / "i.html").read_text()
+    assert "data-chart=" in (folder / "i.html").read_text()
 
 
 def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agree(folder):
@@ -267,12 +267,13 @@ def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agre
     status, out, _ = run(*arguments, "--verbose", cwd=folder)
     sentence = "3 of 3 stiffnesses and 4 of 4 spring segments are known within 20 %."
     assert (status, "WARNING" in out, sentence in out) == (0, False, True)
-    assert f'outcome green"><strong>Known</strong> {sentence}' in (folder / "exact.html").read_text()
+    page = (folder / "exact.html").read_text()
+    assert 'class="outcome green"' in page and sentence in page
     status, out, _ = run(*arguments, "--precision", "1e-12", "--json", cwd=folder)
     found = json.loads(out)
     assert (status, found["known"]["all"], found["known"]["precision"]) == (1, False, 1e-12)
     assert any(found["known"]["sentence"] in warning for warning in found["warnings"])
-    assert 'outcome amber"><strong>Warning</strong>' in (folder / "exact.html").read_text()
+    assert 'class="outcome amber"' in (folder / "exact.html").read_text()
 
 
 def test_the_newcomers_trap_is_caught(folder):

@@ -7,7 +7,7 @@ import pytest
 
 from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.jobs import Finished, brief_insight
+from dehyst.workbench.jobs import Finished
 from dehyst.workbench.requests import RequestError, identify_words, path_words, read_words, written_path
 from dehyst.workbench.server import Events
 from dehyst.workbench.session import SessionError, WorkbenchSession
@@ -243,17 +243,10 @@ async def test_a_calibration_brings_its_model(stage):
         "insight",
         "calibrations/rig/model.json",
         "calibrations/rig/records/look.h5",
+        "--report",
+        "reports/model-insight.html",
         "--json",
     ]
-
-
-def test_what_is_known_is_not_repeated_as_a_warning():
-    result = {
-        "warnings": ["4 of 7 are known. 3 are not.", "The limits go beyond."],
-        "known": {"sentence": "4 of 7 are known."},
-    }
-    assert brief_insight(result)["warnings"] == ["The limits go beyond."]
-    assert brief_insight({"warnings": ["The limits go beyond."]})["warnings"] == ["The limits go beyond."]
 
 
 def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):

@@ -36,7 +36,7 @@ _SHOWN = 10
     "--history",
     type=PATH,
     metavar="FOLDER",
-    help="Keep the check here, print the earlier ones of this model, and draw them (history.svg, or one an axis).",
+    help="Keep the check here, print the earlier ones of this model, and draw them (history.html, or one an axis).",
 )
 @axes_option("those of the records")
 @force_option
@@ -64,7 +64,7 @@ def check(
     from dehyst.trust.history import demand_folder
 
     known = AxesModel.read(model)
-    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.svg" for axis in known.axes]
+    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.html" for axis in known.axes]
     if history is not None:
         demand_folder(history)
         for drawing in filter(None, pictures):
@@ -117,12 +117,12 @@ def _checked(known: AxesModel, record: Record, goal: float | None) -> tuple[list
 
 def _drawn(history: CheckHistory, picture: Path) -> Path | None:
     """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
-    from dehyst._errors import FileFormatError, MissingExtraError
+    from dehyst._errors import FileFormatError
     from dehyst.report import write_check_history
 
     try:
         write_check_history(picture, history)
-    except (FileFormatError, MissingExtraError) as error:
+    except FileFormatError as error:
         note(error)
         return None
     return picture

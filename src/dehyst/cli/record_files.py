@@ -157,7 +157,7 @@ def time_of_table(table: Table, size: int, columns: dict[str, Any]) -> dict[str,
     """Return the time column, if the file has one or a rate was given."""
     from dehyst.records.files import time_of
 
-    if columns["time"] is None and columns["sample_rate"] is None and not table.has("time"):
+    if columns["time"] is None and columns["sample_rate"] is None and table.fitting("time") != 1:
         return {}
     return {"time_s": time_of(table, size, columns["time"], columns["sample_rate"])}
 

@@ -157,6 +157,9 @@ def _understood(record: Record, options: dict[str, Any]) -> list[tuple[str, str,
     volts = f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}"
     lengths = f"{y0 * 1e6:.5g} to {y1 * 1e6:.5g} um: {record.stroke * 1e6:.4g} um, noise {record.noise * 1e9:.2g} nm"
     named = {"time": times, "voltage": volts, "displacement": lengths}
+    for one in record.others:
+        unit = one.unit.replace("degC", "°C")
+        named[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {unit}"
     return [(quantity, origin(quantity), words) for quantity, words in named.items()]
 
 
@@ -202,6 +205,7 @@ def _numbers(record: Record, table: Table) -> dict[str, Any]:
         "duration_s": float(record.time[-1] - record.time[0]),
         "voltage_V": list(record.voltage_range),
         "displacement_um": [1e6 * value for value in record.displacement_range],
+        "others": {one.column: [float(one.values.min()), float(one.values.max())] for one in record.others},
         "noise_nm": 1e9 * record.noise,
         "cycles": len(record.cycles()),
         "problems": [*_unusable(record), *record.problems()],

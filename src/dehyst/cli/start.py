@@ -214,7 +214,7 @@ def start_reader(
 
 
 def _has_displacement(table: Table, columns: Mapping[str, str]) -> bool:
-    return columns["displacement"] in table.names if "displacement" in columns else table.has("displacement")
+    return columns["displacement"] in table.names if "displacement" in columns else table.fitting("displacement") == 1
 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:

@@ -20,7 +20,7 @@ def _folder_option(name: str, last: str) -> Callable[..., Any]:
 
 @click.command()
 @_folder_option("dehyst-demo", "an earlier demo's")
-@click.option("--report/--no-report", default=True, help="Draw the report (needs matplotlib).")
+@click.option("--report/--no-report", default=True, help="Draw the report.")
 @json_option
 def demo(output: Path, report: bool, as_json: bool) -> None:
     """Record, identify, compensate and verify on an embedded virtual actuator."""

@@ -21,6 +21,7 @@ from dehyst._types import Array
 from dehyst.identification.results import read_traces
 from dehyst.model import Actuator
 from dehyst.records import read, read_table
+from dehyst.trust.turn_plane import turn_plane
 from dehyst.workbench.entries import JobEntry, ModelEntry, RecordEntry, VoltageEntry
 from dehyst.workbench.folder import Folder
 
@@ -335,22 +336,6 @@ def fill_model(entry: ModelEntry, finished: Finished) -> None:
     entry.summary = [fit["sentence"], *fit["repairs"]]
 
 
-def brief_insight(result: dict[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of what `dehyst insight --json` printed."""
-    known, directions = result.get("known") or {}, result.get("directions") or {}
-    # What is known is a warning too where it is little: the page says it once.
-    warnings = [one for one in result.get("warnings") or () if not one.startswith(known.get("sentence") or "\0")]
-    parts = ("part", "unit", "known", "of", "estimate", "interval", "words")
-    kept = ("not_judged", "advice", "suggested", "state", "homing", "level", "stroke_m", "misfit_m", "judgement")
-    return {
-        **{name: result.get(name) for name in kept},
-        "warnings": warnings,
-        "known": {name: known.get(name) for name in ("all", "sentence", "others", "next", "rule")},
-        "parts": [{name: part.get(name) for name in parts} for part in known.get("parts", ())],
-        "directions": {name: directions.get(name) for name in ("determined", "of", "sentences")},
-    }
-
-
 def fill_voltage(entry: VoltageEntry, finished: Finished, file: Path) -> None:
     """Fill in what `dehyst compensate --json` printed."""
     result: dict[str, Any] = finished.result or {}
@@ -395,19 +380,20 @@ def voltage_columns(file: Path) -> tuple[Array, ...]:
     return time, voltage, wanted, columns.get("expected_um", wanted)
 
 
-def trace_heads(file: Path) -> list[dict[str, Any]]:
-    """Return name, role, samples and gaps [s] of each record of a file of traces; none if there is no file."""
-    if not file.exists():
-        return []
-    return [
+def trace_heads(file: Path) -> dict[str, Any]:
+    """Return name, role, samples and gaps [s] of each record of a file of traces, and where they turned."""
+    traces = list(read_traces(file)) if file.exists() else []
+    plane = turn_plane((trace.record, trace.time, trace.voltage) for trace in traces)
+    heads = [
         {
             "name": trace.record,
             "role": trace.role,
             "samples": int(trace.time.size),
             "shaded": list(_gaps(trace.time, trace.began)),
         }
-        for trace in read_traces(file)
+        for trace in traces
     ]
+    return {"records": heads, "turns": None if plane is None else plane.as_dict()}
 
 
 def trace_columns(file: Path, number: int) -> tuple[Array, ...]:

@@ -24,7 +24,6 @@ from dehyst.workbench.jobs import (
     Finished,
     Jobs,
     Runner,
-    brief_insight,
     fill_model,
     fill_ranges,
     fill_record,
@@ -193,11 +192,14 @@ class WorkbenchSession:
         if not records:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
+        report = self.folder.new(places.REPORTS, f"{Path(entry.file).stem}-insight", ".html")
+
         def done(finished: Finished) -> None:
             if finished.result is not None:
-                entry.insight = brief_insight(finished.result)
+                entry.insight = {"report": report}
 
-        return self.jobs.start("insight", entry.id, ["insight", entry.file, *records, "--json"], done)
+        words = ["insight", entry.file, *records, "--report", report, "--json"]
+        return self.jobs.start("insight", entry.id, words, done)
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
         """Compute the voltage for a path with a model: `points`, `scan` or `record`; return the job."""
