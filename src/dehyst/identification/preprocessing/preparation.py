@@ -13,7 +13,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
-from dehyst.identification.preprocessing.regressors import Epoch, epochs
+from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import Creep
 from dehyst.records import Record
@@ -182,9 +182,9 @@ class Prepared:
                 late = replace(late, voltage=late.voltage - strain)
             yield late
 
-    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
-        """Return (record number, piece with acting voltage, drift curve) of each piece, for `collect`."""
-        return [(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
+    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[Piece]:
+        """Return each piece with acting voltages and its drift curve, as one of the record of this number."""
+        return [Piece(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
 
     def drift_curve(self, piece: Record) -> Array:
         """Return the curve of a drift at the samples of a piece: a logarithm of the time since the record began.
