@@ -227,11 +227,11 @@ class StageFit:
             return
         i, j = np.unravel_index(int(np.argmax(talk.size)), talk.size.shape)
         largest = f"at most {100 * talk.size[i, j]:.2g} % of the stroke (RMS, {axes[j]} into {axes[i]})"
-        floor = f"{100 * float(talk.floor.max()):.2g} %"
+        floor, matrix = f"{100 * float(talk.floor.max()):.2g} %", "Coupling is a matrix: beside it"
         if not talk.size.any():
-            yield f"Coupling is a matrix: beside it no voltage moves another axis; {floor} of the stroke (RMS) would count."
+            yield f"{matrix} no voltage moves another axis; {floor} of the stroke (RMS) would count."
         elif self.is_matrix:
-            yield f"Coupling is a matrix: beside it a voltage moves another axis by {largest}; {floor} would count."
+            yield f"{matrix} a voltage moves another axis by {largest}; {floor} would count."
         else:
             yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."
 
