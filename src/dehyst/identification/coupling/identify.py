@@ -14,17 +14,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
+from dehyst.identification.coupling import matrix
 from dehyst.identification.coupling.cross_talk import CrossTalk, cross_talk
-from dehyst.identification.coupling.matrix import (
-    AxisTraces,
-    PlayColumns,
-    coupling_by_models,
-    coupling_by_plays,
-    refuse_inseparable,
-    refuse_still_or_equal,
-    refuse_unmoved,
-    separate_motion,
-)
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
@@ -276,14 +267,14 @@ def identify_stage(
                 f"{', '.join(training[0].axes)}; give records of the same axes in the same order"
             )
     names, strokes = training[0].axes, np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
-    refuse_still_or_equal(training)
+    matrix.refuse_still_or_equal(training)
     report("coupling of the axes")
     with one_thread():
-        columns = PlayColumns.of(training)
-        own = separate_motion(columns)
-        remarks = refuse_inseparable(names, own)
-        refuse_unmoved(columns, names)
-        coupling = coupling_by_plays(columns)
+        columns = matrix.PlayColumns.of(training)
+        own = matrix.separate_motion(columns)
+        remarks = matrix.refuse_inseparable(names, own)
+        matrix.refuse_unmoved(columns, names)
+        coupling = matrix.coupling_by_plays(columns)
     # Axes and coupling are identified in turn until the matrix settles.
     for passes in range(1, _MOST_PASSES + 1):
         used = coupling.matrix
@@ -293,8 +284,8 @@ def identify_stage(
             talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
             found = used, coupling.uncertainty, coupling.share, talk
             return StageFit(None, fits, *found, (), own, passes, tuple(remarks), names)
-        traces = [AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
-        refined = coupling_by_models(traces, coupling.share)
+        traces = [matrix.AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
+        refined = matrix.coupling_by_models(traces, coupling.share)
         change = np.abs(refined.matrix - used) * strokes[None, :] / strokes[:, None]
         settled = change.max() <= _SETTLED
         coupling = replace(refined, matrix=used) if settled else refined
@@ -303,7 +294,7 @@ def identify_stage(
     final = coupling.matrix
     report("what is left of the coupling")
     talk = cross_talk(columns, traces, final, strokes)
-    traces += [AxisTraces.of(one, fits, k, used) for k, one in enumerate(held_out, len(training))]
+    traces += [matrix.AxisTraces.of(one, fits, k, used) for k, one in enumerate(held_out, len(training))]
     roles = ["training"] * len(training) + ["validation"] * len(held_out)
     errors = [e for one, role in zip(traces, roles, strict=True) for e in _errors(one, role, final, strokes)]
     stage = Stage(
@@ -354,7 +345,7 @@ def _axis_fits(
     return tuple(fits)
 
 
-def _errors(traces: AxisTraces, role: str, coupling: Array, strokes: Array) -> list[AxisError]:
+def _errors(traces: matrix.AxisTraces, role: str, coupling: Array, strokes: Array) -> list[AxisError]:
     residual = traces.residual(coupling)
     rows = np.isfinite(residual).all(axis=1)
     left = residual[rows]
