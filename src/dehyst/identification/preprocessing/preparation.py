@@ -33,16 +33,12 @@ def block_of(record: Record, most: float) -> int:
     if not cycles:
         return 1
     fastest = min(cycle.stop - cycle.start for cycle in cycles) / _A_CYCLE
-    of_motion = 1 / (_TIMES * bandwidth(_without_jumps(record), record.sample_time, _SHARE) * record.sample_time)
+    voltage = record.voltage
+    if record.counted is not None:
+        # Changes in what is set aside do not count.
+        voltage = np.cumsum(np.where(record.counted, np.diff(voltage, prepend=voltage[0]), 0.0))
+    of_motion = 1 / (_TIMES * bandwidth(voltage, record.sample_time, _SHARE) * record.sample_time)
     return max(int(min(fastest, of_motion, most)), 1)
-
-
-def _without_jumps(record: Record) -> Array:
-    """Return the voltage (n,) [V] without its changes in what is set aside, where no sample counts."""
-    if record.counted is None:
-        return record.voltage
-    moves = np.diff(record.voltage, prepend=record.voltage[0])
-    return np.asarray(np.cumsum(np.where(record.counted, moves, 0.0)))
 
 
 def block_means(record: Record, block: int) -> Record:
