@@ -8,14 +8,12 @@ import numpy as np
 
 from dehyst._errors import IdentifyError
 from dehyst._io import PathLike, write_atomically
-from dehyst.identification import StageFit
-from dehyst.identification.coupling.matrix import AxisTraces
+from dehyst.identification import AxisTraces, StageFit
 from dehyst.records import Record
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Series, thinned
 from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
-from dehyst.trust import CheckHistory
-from dehyst.trust.history import ControlChart
+from dehyst.trust import CheckHistory, ControlChart
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
