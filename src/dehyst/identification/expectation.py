@@ -11,104 +11,14 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace, Verdict
+from dehyst._views.lines import percent
+from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model.identification import Outcome
-from dehyst.model.promise import Validity, distances, legs
-from dehyst.records import Record
-from dehyst.records.signals import NOISE_PEAK, rms, turning_points, white_noise
+from dehyst.model import Outcome, Validity, distances, legs
+from dehyst.records import NOISE_PEAK, Record, rms
 
-_NEIGHBOURS = 20
-# The middle of a line is known to this part of a step.
-_APART = 0.15
 # Held-out legs may go beyond the voltages of the others by this part of the range.
 _BEYOND = 0.02
-
-
-def remaining_error(trace: Trace) -> RemainingError:
-    """Split the mean square of a record's residual.
-
-    White noise is what differs from one sample to the next. Slow is what remains in means over a cycle: drift,
-    temperature, creep that the model lacks. A line that the voltage does not have is a vibration. The rest repeats
-    with the voltage: the model's own error.
-    """
-    residual = trace.residual - trace.residual.mean()
-    total = float(np.mean(residual**2))
-    if residual.size < 64 or not total:
-        return RemainingError(trace.record, trace.role, float(np.sqrt(total)), 0.0, 0.0, 0.0, 0.0, 0.0)
-    white = min(white_noise(trace.residual) ** 2, total)
-    slow = _slow(trace, residual)
-    fast = residual - slow
-    frequency, line = _vibration(trace, fast)
-    drifting = float(np.mean(slow**2))
-    model = max(total - white - drifting - line, 0.0)
-    # Estimates of parts may add up to more than the whole.
-    scale = total / max(white + drifting + line + model, total)
-    noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
-    means = _means(trace, fast)
-    return RemainingError(
-        trace.record, trace.role, float(np.sqrt(total)), noise, drift, vibration, rest, frequency, means
-    )
-
-
-def _means(trace: Trace, residual: Array) -> tuple[float, ...]:
-    """Return the mean residual by thirds of the displacements, where the voltage rises, then where it falls."""
-    y = trace.simulated
-    third = np.clip((3 * (y - y.min()) / max(float(np.ptp(y)), 1e-300)).astype(int), 0, 2)
-    change = np.gradient(trace.voltage)
-    places = [(change * way > 0) & (third == k) for way in (1, -1) for k in range(3)]
-    return tuple(float(residual[place].mean()) if place.any() else 0.0 for place in places)
-
-
-def _slow(trace: Trace, residual: Array) -> Array:
-    """Return means over a cycle of the voltage (n,)."""
-    turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
-    cycle = max(int(2 * residual.size / max(len(turns), 2)), 2)
-    if cycle >= residual.size:
-        return np.zeros(residual.size)
-    padded = np.pad(residual, (cycle // 2, cycle - 1 - cycle // 2), mode="reflect")
-    sums = np.cumsum(np.append(0.0, padded))
-    return np.asarray((sums[cycle:] - sums[:-cycle]) / cycle)
-
-
-def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
-    """Return frequency [Hz] and mean square [m2] of the strongest line that the voltage does not have; 0 if none."""
-    step = float(np.median(np.diff(trace.time)))
-    window = np.hanning(residual.size)
-    power = np.abs(np.fft.rfft(residual * window)) ** 2
-    drive = np.abs(np.fft.rfft((trace.voltage - trace.voltage.mean()) * window)) ** 2
-    k = int(np.argmax(power[2:])) + 2
-    near = slice(max(k - 2, 1), k + 3)
-    around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
-    share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
-    driven = float(drive[near].max()) > RULES.driven_line * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
-    if driven or share < RULES.line_power or not around.size or power[k] < RULES.line_height * float(np.median(around)):
-        return 0.0, 0.0
-    frequency, amplitude = _line(residual, step, k / (step * residual.size))
-    return frequency, 0.5 * amplitude**2
-
-
-def _harmonic(drive: Array, k: int) -> bool:
-    """Whether line k is a multiple of the one that holds most of the voltage: hysteresis makes those."""
-    first = int(np.argmax(drive[1:])) + 1
-    lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
-    own = drive[lines]
-    if first < RULES.fewest_periods or float(own.sum()) < RULES.periodic * float(drive[1:].sum()):
-        return False
-    middle = float(lines @ own / own.sum())
-    multiple = max(round(k / middle), 1)
-    within = _APART * multiple + 1
-    # Beyond a quarter of the distance between multiples, any line would count as one.
-    return abs(k - multiple * middle) <= within <= middle / 4
-
-
-def _line(residual: Array, step: float, near: float) -> tuple[float, float]:
-    """Return frequency [Hz] and amplitude [m] of the sine next to a frequency that holds most of a residual."""
-    time = np.arange(residual.size) * step
-    frequencies = near + np.linspace(-1, 1, 21) / time[-1]
-    sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
-    k = int(np.argmax(sizes))
-    return float(frequencies[k]), float(sizes[k])
 
 
 class Readiness(Enum):
@@ -169,12 +79,6 @@ class Expectation:
         return self.sentence
 
     @property
-    def words(self) -> str:
-        """The verdict with its two numbers, in a few words."""
-        rms, largest = (_percent(error, self.stroke) for error in (self.rms, self.largest))
-        return f"{self.readiness.value}; expect {rms} RMS and {largest} at most of {self.stroke * 1e6:.4g} um"
-
-    @property
     def largest_percent(self) -> float:
         """Expected largest error [% of the stroke]."""
         return 100 * self.largest / self.stroke
@@ -184,7 +88,7 @@ class Expectation:
         """The verdict."""
         if self.largest_percent > RULES.useless:
             return Readiness.NOT_USABLE
-        return Readiness.READY if self.largest_percent <= self.goal and not self.reasons else Readiness.USABLE
+        return Readiness.USABLE if self.why_not_ready else Readiness.READY
 
     @property
     def why_not_ready(self) -> tuple[str, ...]:
@@ -192,25 +96,41 @@ class Expectation:
         above = self.largest_percent > self.goal
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
+    def _part(self, error: float) -> str:
+        return percent(error, self.stroke)
+
+    def _both(self, error: float) -> str:
+        length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
+        return f"{self._part(error)} of the stroke ({length})"
+
+    @property
+    def words(self) -> str:
+        """The verdict with its two numbers, in a few words."""
+        errors = f"expect {self._part(self.rms)} RMS and {self._part(self.largest)} at most"
+        return f"{self.readiness.value}; {errors} of {self.stroke * 1e6:.4g} um"
+
     @property
     def headline(self) -> str:
         """The verdict and the largest error to expect, which is the number to remember, with the RMS error."""
         return (
-            f"{self.readiness.value.capitalize()}: expect an error of {_both(self.largest, self.stroke)} at most on a "
-            f"path, {_both(self.rms, self.stroke)} RMS"
+            f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
+            f"{self._both(self.rms)} RMS"
+        )
+
+    @property
+    def _missed(self) -> str:
+        return (
+            f"The records are missed by {self._part(self.measured)} RMS, the sensor's noise is "
+            f"{self._part(self.noise)}."
         )
 
     @property
     def origin(self) -> str:
         """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
-        missed, noise = (_percent(error, self.stroke) for error in (self.measured, self.noise))
-        text = (
-            f"Judged on {self.basis}; the goal is {self.goal:g} %. The records are missed by {missed} RMS, the "
-            f"sensor's noise is {noise}."
-        )
+        text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
         if self.if_actuator_lags is None:
             return text
-        rms, largest = (_percent(error, self.stroke) for error in self.if_actuator_lags)
+        rms, largest = map(self._part, self.if_actuator_lags)
         return f"{text} If the actuator lags, and not the sensor, expect {largest} at most and {rms} RMS."
 
     @property
@@ -222,17 +142,14 @@ class Expectation:
     def sentence(self) -> str:
         """The verdict in one line, with its numbers and reasons."""
         text = (
-            f"{self.readiness.value.capitalize()}: expect a path to be followed within {_both(self.rms, self.stroke)} "
-            f"RMS and {_both(self.largest, self.stroke)} at most (from {self.basis}; goal {self.goal:g} %). "
-            f"The records are missed by {_percent(self.measured, self.stroke)} RMS, the sensor's noise is "
-            f"{_percent(self.noise, self.stroke)}."
+            f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
+            f"{self._both(self.largest)} at most (from {self.basis}; goal {self.goal:g} %). {self._missed}"
         )
         if self.if_actuator_lags is not None:
-            rms, largest = (_percent(error, self.stroke) for error in self.if_actuator_lags)
+            rms, largest = map(self._part, self.if_actuator_lags)
             text += f" That holds if the sensor lags; if the actuator does, expect {rms} RMS and {largest} at most."
-        reasons = self.why_not_ready
-        words = "; ".join(reasons)
-        return f"{text} {words[0].upper()}{words[1:]}." if reasons else text
+        words = "; ".join(self.why_not_ready)
+        return f"{text} {words[0].upper()}{words[1:]}." if words else text
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -240,20 +157,9 @@ class Expectation:
         return {
             **json_values(self, "readiness sentence"),
             "rms_percent": 100 * self.rms / self.stroke,
-            **json_values(
-                self, f"largest_percent {numbers} basis tested reasons untested if_actuator_lags_m=if_actuator_lags"
-            ),
+            **json_values(self, f"largest_percent {numbers} basis tested reasons untested"),
+            **json_values(self, "if_actuator_lags_m=if_actuator_lags"),
         }
-
-
-def _percent(error: float, stroke: float) -> str:
-    percent = 100 * error / stroke
-    return f"{percent:.2g} %" if percent < 100 else f"{percent:.0f} %"
-
-
-def _both(error: float, stroke: float) -> str:
-    length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
-    return f"{_percent(error, stroke)} of the stroke ({length})"
 
 
 @dataclass(frozen=True)

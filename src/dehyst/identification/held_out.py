@@ -29,9 +29,8 @@ from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
 from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
-from dehyst.model import Actuator
-from dehyst.model.promise import legs
-from dehyst.records.signals import rms
+from dehyst.model import Actuator, legs
+from dehyst.records import rms
 
 _ROWS = 4000
 _PARTS = 6

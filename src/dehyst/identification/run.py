@@ -14,7 +14,7 @@ from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.checks import model_checks
-from dehyst.identification.expectation import HeldOutErrors, expectation, remaining_error, validity_of
+from dehyst.identification.expectation import HeldOutErrors, expectation, validity_of
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import block_error, disagreement, new_in_time
 from dehyst.identification.lag_search import find_lag
@@ -24,7 +24,7 @@ from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.fold_sums import least_squares_of_sums, training_errors
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.results import RecordErrors, Trace
+from dehyst.identification.results import RecordErrors, Trace, remaining_error
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
@@ -32,11 +32,8 @@ from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_hold
 from dehyst.identification.validation import MOST_ROWS, compare, errors_of
-from dehyst.model import Actuator, Identification
-from dehyst.model.identification import Outcome
-from dehyst.records import Record
-from dehyst.records.quality import guesses
-from dehyst.records.signals import recorded_slew_rate, resolution, rms
+from dehyst.model import Actuator, Identification, Outcome
+from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 from dehyst.waveforms import Sampling
 
 _T = TypeVar("_T")

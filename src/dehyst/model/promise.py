@@ -20,7 +20,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
-from dehyst.records.signals import turning_points
+from dehyst.records import turning_points
 
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02

@@ -141,7 +141,7 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
         known = data["identification"]
         # Files of earlier programs lack what the records tested.
         later = {"identification": {"validity": None, **known} if isinstance(known, Mapping) else known}
-        entries = _part(later, "identification", set(Identification().as_dict()))
+        entries = _part(later, "identification", set(Identification.keys()))
         found["identification"] = Identification.from_dict(entries)
     if data["limits"] is not None:
         known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()

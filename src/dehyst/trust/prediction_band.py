@@ -10,9 +10,9 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.control import Command, shortest_homing
-from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification import cycle_time
 from dehyst.model import Actuator, Promise, State
-from dehyst.records.signals import largest
+from dehyst.records import largest
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.feasible_set import FeasibleSet

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification import Check, Expectation, Outcome, Readiness, RecordErrors, RemainingError, Verdict
-from dehyst.identification.expectation import HeldOutErrors, expectation, new_legs, validity_of
+from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Verdict
+from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, new_legs, validity_of
+from dehyst.identification.results import RemainingError
 
 STROKE = 1e-5
 ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)

@@ -16,9 +16,18 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.planning.steady_cycle import MOST_SAMPLES, StartUp, SteadyCycle, timed
 from dehyst.model import Actuator, State
-from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan, ScanPath
-from dehyst.waveforms.excitation import positive, refuse_long
-from dehyst.waveforms.scan import Bridge, PathPoint, whole
+from dehyst.waveforms import (
+    Bridge,
+    Excitation,
+    MotionLimits,
+    PathPoint,
+    Sampling,
+    Scan,
+    ScanPath,
+    positive,
+    refuse_long,
+    whole,
+)
 
 # Share of the stroke: deviation of the first steady cycle from the later ones.
 _TOLERANCE = 1e-4
@@ -232,19 +241,10 @@ def approach_to(
 ) -> ScanPath | None:
     """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
 
-    Raise `RecordError` if `seconds` is not positive, or too long.
-
-    Parameters
-    ----------
-    path : ScanPath
-    compensator : Compensator
-        Its slew rate limits the lead-in.
-    state : State
-    limits : MotionLimits
-        Of speed and acceleration; those that are not given are the path's own extremes.
-    seconds : float, optional
-        Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
-        first, then the slew rate if any duration keeps it.
+    `compensator`: its slew rate limits the way. `limits`: of speed and acceleration; those that are not given are the
+    path's own extremes. `seconds`: duration, rounded up to a sample; by default as short as the limits allow, those of
+    speed and acceleration first, then the slew rate if any duration keeps it. Raise `RecordError` if it is not
+    positive, or too long.
     """
     now = PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
     first, rate, ends = path.first, path.sample_rate, _ends(path)

@@ -32,8 +32,8 @@ from dehyst.identification.preprocessing.regressors import NumberedEpoch, Rows, 
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
 from dehyst.identification.solvers.program import Norm, Solution, Table, solve, solve_blocks
 from dehyst.identification.structure import Grid
-from dehyst.model.elements import parts_in_segments, segment_of
-from dehyst.records.signals import rms
+from dehyst.model import parts_in_segments, segment_of
+from dehyst.records import rms
 
 TRANSFORMER_FLOOR = 0.2
 _ROUNDS = 12
@@ -367,8 +367,17 @@ class Regression:
 
     def fit_nuisances(self, found: Coefficients) -> Coefficients:
         """Fit only the constants, drifts and starts of all rows, for a model that is given; no starts in blocks."""
-        if self.source is not None and not self.whole:
-            return self._fit_nuisances_in_blocks(self.source, found)
+        if (source := self.source) is not None and not self.whole:
+            every = replace(self, epochs=np.arange(source.count))
+
+            def columns(one: Regression) -> tuple[Array, Array, Array]:
+                return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
+
+            def tables() -> Iterator[Table]:
+                for one in every._blocks(source):
+                    yield *columns(one), one._relative_weights(found)
+
+            return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
         fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))
@@ -382,18 +391,6 @@ class Regression:
             constraints=limits if stiffness.size else None,
         )
         return self._with_nuisances(found, answer)
-
-    def _fit_nuisances_in_blocks(self, source: RowSource, found: Coefficients) -> Coefficients:
-        every = replace(self, epochs=np.arange(source.count))
-
-        def columns(one: Regression) -> tuple[Array, Array, Array]:
-            return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
-
-        def tables() -> Iterator[Table]:
-            for one in every._blocks(source):
-                yield *columns(one), one._relative_weights(found)
-
-        return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
 
     def at(self, x: Array) -> Coefficients:
         """Return the coefficients of the unknowns (q,) that are not negative, without constants and starts."""
