@@ -4,8 +4,10 @@ Actuators by mechanisms that are no instance of the model are recorded, identifi
 kinds in the open loop. A promise is kept if the largest error of the path, its mean aside, is not above it; it is sharp
 if it is not much larger than the error that was reached.
 
-    python benchmarks/promise.py calibrate [--jobs N]   # ten mechanisms; prints the factors they ask for
-    python benchmarks/promise.py unseen [--jobs N]      # three mechanisms that had no part in finding the factors
+    python benchmarks/promise.py [calibrate] [unseen] [--jobs N]
+
+calibrate  ten mechanisms; prints the factors that they ask for
+unseen     three mechanisms that had no part in finding the factors
 
 The factors in `dehyst.model.promise` are the medians over fits that leave one mechanism out each; the table beside
 them is of the mechanism that was left out.
@@ -40,6 +42,7 @@ CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "u
 KINDS = ("tops", "curves", "growing", "random", "tops and random", "staircase", "speeds", "decaying")
 PATHS = ("random", "inner", "loops", "raster", "stairs")
 SHARE = 0.9
+PARTS = ("calibrate", "unseen")
 
 
 def _tops_and_random(rng, fast):
@@ -250,46 +253,57 @@ def jobs_of(truths, seed, every=False):
     return jobs
 
 
-def main():
-    parser = argparse.ArgumentParser(description="Measure the promise; see the top of this file.")
-    parser.add_argument("part", choices=["calibrate", "unseen"])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rows", type=Path, help="file for all rows")
-    given = parser.parse_args()
-    truths = [*TRUTHS, *MORE] if given.part == "calibrate" else list(UNSEEN)
-    rows = []
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for found in pool.map(case, jobs_of(truths, given.seed)):
+def measured(part, seed, jobs):
+    """Return the rows of a part, and what `promise.json` holds of it."""
+    truths, rows = [*TRUTHS, *MORE] if part == "calibrate" else [*UNSEEN], []
+    with ProcessPoolExecutor(jobs) as pool:
+        for found in pool.map(case, jobs_of(truths, seed)):
             rows += found
-            print(*(f"{found[0][key]} " for key in ("truth", "protocol", "condition")), flush=True)
+            print(*(found[0][key] for key in ("truth", "protocol", "condition")), flush=True)
+    return rows, tables_of(rows, part, seed)
+
+
+def tables_of(rows, part, seed):
+    """Return what `promise.json` holds of the rows of a part."""
     good = [row for row in rows if "largest" in row]
     tables = {by or "all": summary(good, by) for by in ("", "truth", "protocol", "condition", "path")}
     for by, table in tables.items():
         shown(f"by {by}", table)
+    result = {"seed": seed, "refused": len(rows) - len(good), "tables": tables, "reliability": reliability(good)}
+    return result | ({"factors": asked_for(good)} if part == "calibrate" else {})
+
+
+def asked_for(rows):
+    """Return the factors that rows ask for: medians over fits that leave one truth out each."""
+    found = {}
+    for telling in (True, False):
+        own = [row for row in rows if row["telling"] is telling and not row["lag"]]
+        names = dict.fromkeys(row["truth"] for row in own)
+        for key in ("largest", "rms"):
+            each = [factors([row for row in own if row["truth"] != left], key) for left in names]
+            found[f"{key}, {'telling' if telling else 'others'}"] = np.median(each, axis=0).tolist()
+            print(
+                key,
+                telling,
+                np.round([np.median(each, axis=0), np.min(each, axis=0), np.max(each, axis=0)], 5).tolist(),
+            )
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Measure the promise; see the top of this file.")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; default: both")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rows", type=Path, help="folder for all rows")
+    given = parser.parse_args()
     results = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
-    results[given.part] = {"seed": given.seed, "refused": len(rows) - len(good), "tables": tables}
-    results[given.part]["reliability"] = reliability(good)
-    if given.part == "calibrate":
-        results["calibrate"]["factors"] = {}
-        for telling in (True, False):
-            for key in ("largest", "rms"):
-                own = [row for row in good if row["telling"] is telling and not row["lag"]]
-                each = [
-                    factors([r for r in own if r["truth"] != t], key) for t in dict.fromkeys(r["truth"] for r in own)
-                ]
-                name = f"{key}, {'telling' if telling else 'others'}"
-                results["calibrate"]["factors"][name] = np.median(each, axis=0).tolist()
-                print(
-                    name,
-                    np.round(np.median(each, axis=0), 5),
-                    "from",
-                    np.round(np.min(each, axis=0), 5),
-                    "to",
-                    np.round(np.max(each, axis=0), 5),
-                )
-    if given.rows:
-        given.rows.write_text(json.dumps(rows))
+    for part in given.parts or PARTS:
+        if part not in PARTS:
+            parser.error(f"no part '{part}'; try {' or '.join(PARTS)}")
+        rows, results[part] = measured(part, given.seed, given.jobs)
+        if given.rows:
+            (given.rows / f"{part}.json").write_text(json.dumps(rows))
     OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
 
 

@@ -40,8 +40,8 @@ FACES = {
             open_rig
         """,
         "model": """
-            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical
-            SmoothSlip Spring Stage State Transformer simulated
+            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical Promise
+            SmoothSlip Spring Stage State Transformer Validity promise simulated
         """,
         "records": """
             Record read read_table write_columns write_record

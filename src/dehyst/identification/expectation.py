@@ -254,7 +254,9 @@ def expectation(
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
     # A model that misses its own records by too much is of no use, whatever it makes of others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
-    judged, basis = (validation, "validation records") if by_others else (training, "parts of the records held out")
+    judged, basis = (
+        (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
+    )
     measured = max(one.settled_rms for one in judged)
     reasons = [*caveats, *_reasons(training, errors, goal)]
     fitted = max(one.settled_rms for one in training)

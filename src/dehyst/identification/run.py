@@ -356,7 +356,7 @@ class IdentificationRun:
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = actuator.with_identification(
             outcome=outcome,
-            largest_error=max(error.settled_largest for error in trained),
+            largest_error=max(error.largest for error in trained),
             goal=self.goal,
             expected_rms=expected.rms,
             expected_largest=expected.largest,
