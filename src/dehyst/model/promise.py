@@ -225,7 +225,7 @@ class Promise:
     if_actuator_lags: tuple[float, float] | None = None
 
     def sentence(self, stroke: float) -> str:
-        """Return the promise in words, errors in percent of a stroke [m]."""
+        """Return the promise in words, errors in percent of a `stroke` [m]."""
         rms_, largest = (100 * error / stroke for error in (self.rms, self.largest))
         return " ".join([f"Expect an error of {largest:.2g} % at most and {rms_:.2g} % RMS.", *self.untested])
 
