@@ -178,7 +178,7 @@ struct Loop {
             v[t] = dehyst_loop_offer(&model, &loop, memory.data(), u.data()[t]);
             offers[t] = loop.offer;
             dehyst_loop_commit(&model, &loop, memory.data(), v[t]);
-            w[t] = loop.w;
+            w[t] = displacement();
         }
         return {own<Output>(std::move(v), {n}), own<Output>(std::move(w), {n}), own<Output>(std::move(offers), {n})};
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from itertools import permutations
 
+from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import StageCompensator
 from dehyst.exports.model_header import NUMBERS, SIZES, numbers, size_macros
@@ -17,6 +18,12 @@ _CALL = re.compile(r"\bpiezo_(\w+)")
 
 def coupled_sources(compensator: StageCompensator, name: str) -> tuple[str, str]:
     """Return the text of `NAME.c` and `NAME.h`, without their first lines."""
+    for axis, loop in zip(compensator.stage.axes, compensator.compensators, strict=True):
+        if loop.actuator.displacement_creep is not None:
+            raise ModelError(
+                f"axis {axis} has creep in displacement, which an export of coupled axes does not compute",
+                hint="export each axis alone, or identify it without",
+            )
     loops, types = compensator.compensators, [f"{name}_{label}" for label in labels(compensator)]
     header, source = (text_of(shipped(file), name) for file in ("stage.h", "stage.c"))
     macros = text_of(f"#define MODEL_AXES {len(loops)}\n#define MODEL_PERIOD {compensator.period or 0.0!r}\n", name)

@@ -20,6 +20,8 @@ Tables: TypeAlias = Mapping[str, Array]
 # Lines of the templates in whose place the generated text comes.
 SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
 _A_LINE = 4
+# Tables whose numbers are members of the model, not arrays.
+_SCALARS = ("loop", "inertia", "transition", "output")
 # Bytes before the numbers of a block.
 _HEADER = 64
 # Slider positions [m] of one state, but for rounding.
@@ -55,10 +57,13 @@ class ExportedStart(NamedTuple):
         """Return the start of a loop like this one, as it was made or last reset."""
         loop, actuator = compensator.clone(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.initial_state
-        place = float(state.motion[0]) if state.motion.size else state.displacement
         # A little beyond the limits, the requested state has the same way.
         near = abs(actuator.voltage(asked) - loop.voltage) <= NEAR * (high - low)
-        return cls(place, loop.voltage, _way(actuator, asked if near else state, loop.voltage, loop.limits))
+        return cls(
+            actuator.displacement(state),
+            loop.voltage,
+            _way(actuator, asked if near else state, loop.voltage, loop.limits),
+        )
 
     @property
     def words(self) -> str:
@@ -70,7 +75,11 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     """Describe how the voltage leads to the state; slowly, because the words have no time in them."""
     strain, most = state.displacement - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
-    rest = " and wait until creep has come to rest" if actuator.creep is not None else ""
+    rest = (
+        " and wait until creep has come to rest"
+        if actuator.creep is not None or actuator.displacement_creep is not None
+        else ""
+    )
     if np.allclose(strain, most, rtol=1e-9, atol=0):
         return f"raise the voltage slowly from its lowest, never back, to {end}{rest}"
     if np.allclose(strain, -most, rtol=1e-9, atol=0):
@@ -100,7 +109,10 @@ def demand_compensator(value: object) -> None:
 
 
 class Sizes(NamedTuple):
-    """Sizes of a loop: elements, spring's knots, grades, transformer's knots, creep branches, smooth elements, taps."""
+    """Sizes of a loop: elements, spring's knots, grades, transformer's knots, creep branches, smooth elements, taps.
+
+    `output`: branches of creep behind the elements.
+    """
 
     elements: int
     knots: int
@@ -109,12 +121,13 @@ class Sizes(NamedTuple):
     branches: int
     smooth: int
     taps: int
+    output: int
 
     @classmethod
     def of(cls, tables: Tables) -> Sizes:
         """Read them from the tables of a compensator."""
         grades = max(tables["grade_knot"].size - 1, 0)
-        names = ("tau_voltage", "creep", "length", "tap")
+        names = ("tau_voltage", "creep", "length", "tap", "output_gain")
         return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
 
     def room(self, block: bytes) -> int:
@@ -146,6 +159,7 @@ def size_macros(compensator: Compensator, number: Number) -> str:
         f"#define MODEL_BRANCHES {sizes.branches}",
         f"#define MODEL_SMOOTH {sizes.smooth}",
         f"#define MODEL_TAPS {sizes.taps}",
+        f"#define MODEL_OUTPUT {sizes.output}",
         "/* Numbers that dehyst_model_load needs for another block of these sizes. */",
         f"#define MODEL_ROOM {sizes.room(compensator.model_block())}",
         "",
@@ -168,8 +182,9 @@ def numbers(compensator: Compensator, number: Number) -> str:
     tables = _tables(compensator, number)
     if number == "float":
         _demand_float(tables)
-    spell, start, branches = _Spelling(number), compensator.start(), tables["creep"].size
-    memory = {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
+    spell, start, sizes = _Spelling(number), compensator.start(), Sizes.of(tables)
+    strain, elongation, crept = np.split(start.strains, np.cumsum([sizes.branches, sizes.smooth]))
+    memory = {"cart": start.carts, "strain": strain, "elongation": elongation, "crept": crept}
     used = {**_used(tables), **memory}
     arrays = [spell.array(name, values) for name, values in used.items() if values.size]
     begin = ExportedStart.of(compensator)
@@ -223,7 +238,7 @@ def _below(value: float) -> float:
 
 def _used(tables: Tables) -> dict[str, Array]:
     """Select the arrays that a loop reads: not kappa with graded elements, and one slope less than knots."""
-    arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
+    arrays = {name: values for name, values in tables.items() if name not in _SCALARS}
     if tables["grade_knot"].size:
         arrays["kappa"] = EMPTY
     for name in ("tau_slope", "tau_inverse"):
@@ -258,11 +273,12 @@ def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spell
         f"  {{{{{spell.some(moves[:4])}}},",
         f"   {{{spell.some(moves[4:6])}}},",
         f"   {{{spell.some(moves[6:])}}}}}}},",
+        f" {{{sizes.output}, {at('output_gain', 'output_decay', 'output_rise')}, {spell.some(tables['output'])}}},",
         f" {spell.one(low)}, {spell.one(high)}, {spell.one(change)},",
         f" {sizes.taps}, {at('tap')},",
         f" {spell.some(np.array(amplifier))},",
         f" {spell.one(stiffness)},",
-        f" {{{spell.some(np.array([start.w, *motion]))}, {at('cart', 'strain', 'elongation')}}},",
+        f" {{{spell.some(np.array([start.w, *motion]))}, {at('cart', 'strain', 'elongation', 'crept')}}},",
         f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {model_id}ul, {shape}ul}};",
     ]
     return "static const dehyst_model piezo_model = " + "\n".join(rows)
@@ -284,7 +300,8 @@ def _demand_float(tables: Tables) -> None:
             )
         if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
             raise ModelError(f"float: a {_POSITIVE[name]}, {values.min():.3g}, is 0 when rounded; export double")
-    kept, decay = tables["decay"], tables["decay"].astype(np.float32)
+    kept = np.concatenate([tables["decay"], tables["output_decay"]])
+    decay = kept.astype(np.float32)
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(
             "float: creep is so slow beside the period that it would never relax: the decay of a strain in one step, "

@@ -2,7 +2,7 @@
 
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
@@ -13,6 +13,7 @@ __all__ = [
     "AbstractModel",
     "Actuator",
     "Creep",
+    "DisplacementCreep",
     "Dynamics",
     "GradedSlip",
     "Identification",
@@ -23,6 +24,7 @@ __all__ = [
     "Spring",
     "Stage",
     "State",
+    "Thermal",
     "Transformer",
     "simulated",
 ]

@@ -52,11 +52,14 @@ def compensator_block(loop: Loop, states: list[str], period: float | None, name:
 def labels(model: Evaluator, taps: int) -> list[str]:
     """Return the names of a loop's states, in the order of `row` in `bindings/loop.cpp`.
 
-    w and carts, creep strains, smooth elongations [m]; with dynamics y, y'/omega and the push on the mass [m]; the
+    w and carts, creep strains, smooth elongations [m]; with displacement creep its strains, and the displacement that
+    drives it [m]; with dynamics y, y'/omega and the push on the mass [m]; the
     voltage last sent; with a lag the acting voltage and the last two wanted ones [V]; with preview the inputs [m].
     """
     branches, elements = len(model.creep or ()), len(model.smooth or ())
     names = ["w", *_numbered("cart", len(model.slip)), *_numbered("creep", branches), *_numbered("smooth", elements)]
+    behind = len(model.displacement_creep or ())
+    names += [*_numbered("displacement_creep", behind), *(["driven"] if behind else [])]
     names += ["y", "y_rate", "push"] if model.dynamics is not None else []
     names += ["sent", *(["acting", *_numbered("wished", 2)] if model.lag else [])]
     return [*names, *_numbered("fed", taps - 1)]

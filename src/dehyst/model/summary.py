@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 
 # Duration of a step response in longest time constants, and its number of times.
@@ -42,6 +42,10 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
         parts.append(_transformer(actuator.transformer))
     if actuator.creep is not None:
         parts.append(_creep(actuator, actuator.creep))
+    if actuator.displacement_creep is not None:
+        parts.append(_displacement_creep(actuator.displacement_creep))
+    if actuator.thermal is not None:
+        parts.append(_thermal(actuator.thermal))
     if actuator.smooth is not None:
         parts.append(_smooth(actuator.smooth))
     if actuator.dynamics is not None:
@@ -156,6 +160,23 @@ def _creep(actuator: Actuator, creep: Creep) -> Part:
         f"continues by {100 * share[-1]:.2g} % of the rise in {_seconds(time[-1])}, half of it within {_seconds(half)}."
     )
     return Part("Creep", sentence, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
+
+
+def _displacement_creep(creep: DisplacementCreep) -> Part:
+    times = creep.time_constants
+    sentence = (
+        f"{_count(len(creep), 'branch', 'branches')} behind the elements, {_seconds(times.min(initial=np.inf))} to "
+        f"{_seconds(times.max(initial=0.0))}: a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %."
+    )
+    return Part("Creep in displacement", sentence, None)
+
+
+def _thermal(thermal: Thermal) -> Part:
+    sentence = (
+        f"the displacement grows by {100 * thermal.gain:.3g} % and by {1e9 * thermal.offset:.3g} nm a kelvin, from "
+        f"{thermal.reference:g} degrees Celsius on."
+    )
+    return Part("Temperature", sentence, None)
 
 
 def _smooth(smooth: SmoothSlip) -> Part:
