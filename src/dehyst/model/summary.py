@@ -165,10 +165,9 @@ def _creep(actuator: Actuator, creep: Creep) -> Part:
 
 def _displacement_creep(creep: DisplacementCreep) -> Part:
     times = creep.time_constants
-    sentence = (
-        f"{counted(len(creep), 'branch', 'branches')} behind the elements, {_seconds(times.min(initial=np.inf))} to "
-        f"{_seconds(times.max(initial=0.0))}: a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %."
-    )
+    branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
+    spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
+    sentence = f"{branches} behind the elements{spread}: a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %."
     return Part("Creep in displacement", sentence, None)
 
 
