@@ -183,10 +183,12 @@ class Compensator(ReadOnly):
             return voltage, None
         before = memory_of(loop)
         loop.commit(voltage)
-        clamped, reached = loop.counts()[:2] != before[2][:2], loop.displacement()
+        clamped, moved = loop.counts()[:2] != before[2][:2], self.actuator.model.displacement(self.state, of_mass=False)
         set_memory(loop, *before)
+        gain, offset = self.scaling
+        reached = offset + gain * moved * self._per_metre
         # The trial commit discarded the pending offer; repeat it.
-        return self.offer(displacement), reached * self._per_metre if clamped else None
+        return self.offer(displacement), reached if clamped else None
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.

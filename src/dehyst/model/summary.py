@@ -167,7 +167,8 @@ def _displacement_creep(creep: DisplacementCreep) -> Part:
     times = creep.time_constants
     branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
     spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
-    sentence = f"{branches} behind the elements{spread}: a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %."
+    grows = f"a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %"
+    sentence = f"{branches} behind the elements{spread}: {grows}."
     return Part("Creep in displacement", sentence, None)
 
 
