@@ -172,7 +172,12 @@ class Evaluator:
             float(state.motion[0]) if of_mass and state.motion.size else state.displacement,
             self.displacement_creep,
         )
-        return m if part is None else part.at_rest * m - float(part.gains @ state.displacement_creep)
+        if part is None:
+            return m
+        y = part.at_rest * m
+        for gain, strain in zip(part.gains.tolist(), state.displacement_creep.tolist(), strict=True):
+            y -= gain * strain
+        return y
 
     def core_state(self, state: State) -> CoreState:
         """Return the state in the core's numbers."""
