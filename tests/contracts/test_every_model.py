@@ -24,17 +24,17 @@ from dehyst import (
     Spring,
     Transformer,
 )
-from dehyst.baselines import (
-    BoucWen,
-    Duhem,
+from dehyst.baselines import GoldfarbCelanovic
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.play_models import (
     GeneralizedPrandtlIshlinskii,
-    GoldfarbCelanovic,
     KrasnoselskiiPokrovskii,
-    Linear,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
-    Preisach,
 )
+from dehyst.baselines.preisach import Preisach
 from dehyst.model import AbstractModel, Motion
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
