@@ -18,8 +18,7 @@ from dehyst.model.states import beginning
 from dehyst.records import Record
 from dehyst.records.signals import largest, percent, rms
 from dehyst.waveforms import Excitation
-from dehyst.waveforms.several_axes import RATIO
-from dehyst.waveforms.standard import TURNS, wanted_path
+from dehyst.waveforms.standard import RATIO, TURNS, wanted_path
 
 # Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
 # later than the axis before.

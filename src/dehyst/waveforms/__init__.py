@@ -3,8 +3,15 @@
 from dehyst.waveforms.excitation import Excitation, Leg, Sampling
 from dehyst.waveforms.one_axis import Steps, Triangle
 from dehyst.waveforms.scan import MotionLimits, Scan, ScanPath
-from dehyst.waveforms.several_axes import stage_excitation
-from dehyst.waveforms.standard import descending_tops, homing, minor_loop, raised_cosine, reversal_curves, staircase
+from dehyst.waveforms.standard import (
+    descending_tops,
+    homing,
+    minor_loop,
+    raised_cosine,
+    reversal_curves,
+    stage_excitation,
+    staircase,
+)
 from dehyst.waveforms.two_axes import Lissajous, Raster, Spiral
 
 __all__ = [
