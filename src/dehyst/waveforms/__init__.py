@@ -1,9 +1,13 @@
 """Waveforms: voltages that excite an actuator, and scans that it is to follow."""
 
-from dehyst.waveforms.excitation import Excitation, Leg, Sampling
+from dehyst.waveforms import standard
+from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, refuse_long, volts
+from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
 from dehyst.waveforms.one_axis import Steps, Triangle
-from dehyst.waveforms.scan import MotionLimits, Scan, ScanPath
+from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanOption, ScanPath, whole
 from dehyst.waveforms.standard import (
+    RATIO,
+    TURNS,
     descending_tops,
     homing,
     minor_loop,
@@ -11,12 +15,12 @@ from dehyst.waveforms.standard import (
     reversal_curves,
     stage_excitation,
     staircase,
+    wanted_path,
 )
 from dehyst.waveforms.two_axes import Lissajous, Raster, Spiral
 
 __all__ = [
     "Excitation",
-    "Leg",
     "Lissajous",
     "MotionLimits",
     "Raster",
