@@ -4,7 +4,7 @@ from dehyst.model import serialization
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import ANYWAY, Range, voltage_error
-from dehyst.model.dynamics import Creep, Dynamics, clock
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
 from dehyst.model.elements import (
     GradedSlip,
     MaxwellSlip,
@@ -38,6 +38,7 @@ __all__ = [
     "AbstractModel",
     "Actuator",
     "Creep",
+    "DisplacementCreep",
     "Dynamics",
     "GradedSlip",
     "Identification",
@@ -49,6 +50,7 @@ __all__ = [
     "Spring",
     "Stage",
     "State",
+    "Thermal",
     "Transformer",
     "Validity",
     "promise",

@@ -49,6 +49,8 @@ class PredictionBand:
         Of the intervals by noise.
     promise : Promise or None
         What was promised of this path; None of a model that does not hold what its records tested.
+    time : (n,) array or None
+        Of the path [s], if it was given.
     """
 
     wanted: Array
@@ -60,6 +62,7 @@ class PredictionBand:
     warnings: tuple[str, ...]
     level: float = 0.9
     promise: Promise | None = None
+    time: Array | None = None
 
     @classmethod
     def of(
@@ -76,9 +79,9 @@ class PredictionBand:
     ) -> PredictionBand:
         """Play a command on every model that might be the true one, from its own `state`.
 
-        With the command's `time` [s], where time matters.
+        With the command's `time` [s], which counts where time matters.
         """
-        noise = intervals.prediction(command.voltage, state, time)
+        noise = intervals.prediction(command.voltage, state, time if intervals.actuator.needs_time else None)
         free_ = None if free is None else free.prediction(command.voltage, state)
         return cls(
             wanted,
@@ -90,6 +93,7 @@ class PredictionBand:
             command.warnings,
             intervals.level,
             promise,
+            time,
         )
 
     @property
