@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from dehyst._units import per_metre
 from dehyst._views.fields import json_values
-from dehyst.control import Command, StartError
-from dehyst.model import Actuator, Identification
+from dehyst.control import StartError
+from dehyst.model import Actuator, Identification, promise
 from dehyst.trust.prediction_band import PredictionBand
 
 
@@ -57,7 +59,8 @@ def judge(
     evidence: PredictionBand | None = None,
     path: StartError | None = None,
     *,
-    command: Command | None = None,
+    voltage: ArrayLike | None = None,
+    time: ArrayLike | None = None,
 ) -> Judgement:
     """Judge how far a path is expected to be missed.
 
@@ -69,15 +72,17 @@ def judge(
         What the records show of the path, as `insight(..., trajectory=...)` returns it.
     path : StartError, optional
         What the start leaves open of the path, such as `HomedPath.error`; default: the start is known.
-    command : Command, optional
-        That follows the path, where there is no evidence; default: any path within the recorded voltages.
+    voltage : (n,) array_like, optional
+        That follows the path [V], where there is no evidence; default: any path within the recorded voltages.
+    time : (n,) array_like, optional
+        Of the voltage [s]; without it speeds and holds are taken for those of the records.
     """
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}
     rms, largest, untested = known.expected_rms, known.expected_largest, tuple[str, ...]()
     promised = None if evidence is None else evidence.promise
     if promised is None and known.validity is not None:
-        promised = known.validity.anywhere if command is None else command.promise
+        promised = known.validity.anywhere if voltage is None else promise(known.validity, voltage, time)
     if promised is not None:
         rms, largest, untested = promised.rms, promised.largest, promised.untested
     if evidence is not None:
