@@ -361,7 +361,7 @@ def test_the_types_have_every_member():
         text = wasm_module(KINDS[kind]())
         about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
         assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
-        assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
+        assert about["needsPeriod"] == (kind in ("creep", "all", "moving", "behind"))
 
 
 def test_the_command_writes_what_the_function_writes(tmp_path):
