@@ -6,28 +6,23 @@ import errno
 import json
 import os
 import shutil
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, TextIO
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import Any, TextIO
 
 import click
 
 from dehyst._io import finite
 from dehyst._text import escaped
+from dehyst.operations import Run
 
-if TYPE_CHECKING:
-    from dehyst._errors import DehystError
-
-# Seconds between lines of progress where there is no terminal, and before the first one; and their name.
-_FEW_SECONDS, _SECONDS_NAME = 5.0, "DEHYST_PROGRESS_SECONDS"
-
-# Arguments that a parameter of another name sets, in all commands and in one.
-_RENAMED = {"slew_rate": "slew", "seconds": "edge", "base": "present"}
-_RENAMED_IN = {"compensate": {"cycles": "start_up"}}
-# Arguments that hold data; the option of the same name says which column or file has them.
-_DATA = frozenset({"time", "voltage", "displacement", "model", "records", "trajectory", "report", "output"})
+# Seconds between lines of progress where there is no terminal, and before the first one.
+_FEW_SECONDS = 5.0
+_ENDING = b"dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
 
 
 class UnprintedError(Exception):
@@ -49,35 +44,72 @@ def note(sentence: object) -> None:
     echo(f"dehyst: {sentence}", err=True)
 
 
-def options_of(command: Any) -> dict[str, click.Parameter]:
-    """Return the options of a click command, or of all commands of a group, by the argument that each sets."""
-    options: dict[str, click.Parameter] = {}
-    for inner in getattr(command, "commands", {}).values():
-        options |= options_of(inner)
-    options |= {str(parameter.name): parameter for parameter in command.params}
-    renamed = {argument: name for argument, name in _RENAMED.items() if argument not in options and name in options}
-    renamed |= _RENAMED_IN.get(str(command.name), {})
-    return options | {argument: options[name] for argument, name in renamed.items()}
+class TerminalRun(Run):
+    """A run that shows its progress on standard error, and that Ctrl-C ends; `quiet`: nothing on standard output."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__()
+        self._quiet, self._show = quiet, progress_line()
+
+    def progress(self, words: str) -> None:
+        """Show what is being done; empty words end that."""
+        self._show(words)
+
+    def note(self, sentence: object) -> None:
+        """Print a warning on standard error."""
+        note(sentence)
+
+    def say(self, line: object) -> None:
+        """Print a line on standard output."""
+        if not self._quiet:
+            echo(line)
+            sys.stdout.flush()
+
+    @contextmanager
+    def ended_by(self, end: Callable[[], bool]) -> Iterator[None]:
+        """Let the first Ctrl-C end the operation early, if that is possible by then, and the second one stop it."""
+
+        def interrupt(*_: object) -> None:
+            if not end():
+                raise KeyboardInterrupt
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            # Not through the stream, which may be in the middle of a line.
+            with suppress(OSError):
+                os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
+
+        before = signal.getsignal(signal.SIGINT)
+        # A program in the background ignores Ctrl-C.
+        handles = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
+        if handles:
+            signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            if handles:
+                signal.signal(signal.SIGINT, before)
+
+    def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
+        """Show the steps of a calibration as a picture that moves, or as lines."""
+        from dehyst.cli.live import display
+
+        return display(steps)
 
 
-def flag_of(parameter: click.Parameter) -> str:
-    """Return the name of an option, or of an argument of the command line."""
-    return next((flag for flag in parameter.opts if flag.startswith("--")), parameter.human_readable_name)
+@contextmanager
+def terminable() -> Iterator[None]:
+    """End on SIGTERM as on an error, so that drafts and temporary folders are removed."""
 
+    def leave(number: int, _: object) -> None:
+        sys.exit(128 + number)
 
-def error_text(error: DehystError, command: Any) -> str:
-    """Return the message of an error with the options of a command in the place of the library's arguments."""
-    options = options_of(command)
-
-    def named(argument: str) -> str:
-        return flag_of(options[argument]) if argument in options and argument not in _DATA else argument
-
-    def given(argument: str) -> str:
-        option = options.get(argument)
-        value = "" if option is None or getattr(option, "is_flag", False) else f" {option.metavar or ''}"
-        return f"{flag_of(option)}{value}".rstrip() if option is not None else ""
-
-    return error.text(named, given)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def progress_line() -> Callable[[str], None]:
@@ -94,22 +126,15 @@ def progress_line() -> Callable[[str], None]:
 
 def _every_few_seconds() -> Callable[[str], None]:
     """Return a function that prints what it is given if its last line is some seconds old."""
-    last, pause = time.monotonic(), _pause()
+    last = time.monotonic()
 
     def progress(words: str) -> None:
         nonlocal last
-        if words and time.monotonic() - last >= pause:
+        if words and time.monotonic() - last >= _FEW_SECONDS:
             last = time.monotonic()
             note(words)
 
     return progress
-
-
-def _pause() -> float:
-    """Return the seconds between two lines; a program that shows them sets fewer in the environment."""
-    with suppress(ValueError):
-        return float(os.environ.get(_SECONDS_NAME, ""))
-    return _FEW_SECONDS
 
 
 def _fitted(line: str, width: int) -> str:
