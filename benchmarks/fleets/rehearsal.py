@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from dehyst import Record, write_record
-from dehyst.fleet import FleetOptions, load, open_dataset
-from dehyst.fleet.reader import Reader, sha256_of
+from dehyst.fleet import load, open_dataset
+from dehyst.fleet.dataset import Reader, sha256_of
 from dehyst.virtual import PlayActuator
 
 OUTPUT = Path(__file__).resolve().parents[1] / "fleet.json"
@@ -96,8 +96,8 @@ def strike(process: subprocess.Popen, target: str) -> None:
 
 def fault_of(folder: Path, output: Path) -> str | None:
     """Return what is wrong with a table, if anything is."""
-    dataset, reader, options = open_dataset(folder), Reader(), FleetOptions()
-    expected = {task.within: sha256_of(reader.record(task, options)) for task in dataset.tasks}
+    dataset, reader = open_dataset(folder), Reader({})
+    expected = {task.within: sha256_of(reader.record(task)) for task in dataset.tasks}
     rows = load(output).rows
     if Counter(row["place"] for row in rows) != Counter(expected.keys()):
         return "rows are not those of the records"

@@ -22,7 +22,7 @@ from dehyst.baselines.base import AbstractBaseline, PlayBank
 from dehyst.baselines.tracking_trials import TRIALS
 from dehyst.baselines.training import PlayRows, differences, low_pass, prepare_training, ramps, with_unknown_start
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.waveforms import standard
+from dehyst.waveforms import Sampling, standard
 
 MODELS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
 VOLTS, STROKE = 200.0, 16e-6
@@ -79,7 +79,7 @@ def training(kind, **options):
         recorded(kind(seed=i, **options).play, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
     ]
     if options:
-        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=standard.Sampling(sample_rate=20.0))
+        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=Sampling(sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
         records.append(recorded(kind(seed=9, **options).play, voltage, name="stairs"))
     return records
@@ -238,7 +238,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
     one = TRIALS["boucwen"]
     found = kind.fit(one.records(), delay=2e-4)
-    slow = standard.raised_cosine(VOLTS, cycles=2, drive=standard.Sampling(frequency=1.0, sample_rate=2000.0))
+    slow = standard.raised_cosine(VOLTS, cycles=2, drive=Sampling(frequency=1.0, sample_rate=2000.0))
     y = one.truth(3).play(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03

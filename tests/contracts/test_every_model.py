@@ -26,7 +26,7 @@ from dehyst.baselines import (
 )
 from dehyst.model import AbstractModel, Motion
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms import standard
+from dehyst.waveforms import Sampling, standard
 
 VOLTS = 100.0
 
@@ -90,7 +90,7 @@ def smooth():
 @cache
 def fitted(kind, **options):
     """Return a baseline identified from loops of falling tops up to 100 V."""
-    voltage = standard.descending_tops(VOLTS, steps=5, drive=standard.Sampling(sample_rate=1.0)).voltage
+    voltage = standard.descending_tops(VOLTS, steps=5, drive=Sampling(sample_rate=1.0)).voltage
     y = PlayActuator(highest=VOLTS).play(voltage)
     return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
 

@@ -242,7 +242,7 @@ def test_a_short_homing_is_sampled_as_the_scan_is():
         ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
         ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
         ({"approach": -1.0}, "approach: got -1, need a number above 0"),
-        ({"scan": Steps((2 * UM, 5 * UM), 0.1, seconds=0.1, closed=False)}, "scan: got one that ends elsewhere"),
+        ({"scan": Steps((2 * UM, 5 * UM), 0.1, edge=0.1, closed=False)}, "scan: got one that ends elsewhere"),
     ],
 )
 def test_what_cannot_be_is_refused(options, said):

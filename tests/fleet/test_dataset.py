@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dehyst import FileFormatError
-from dehyst.fleet import FleetOptions, Task, open_dataset
-from dehyst.fleet.reader import Reader, is_current, sha256_of, stamp_of
+from dehyst.fleet import Task, open_dataset
+from dehyst.fleet.dataset import Reader, sha256_of, stamp_of
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("zarr")
@@ -33,9 +33,9 @@ def test_records_and_keys_of_each_kind(tmp_path, kind):
         "S002",
         "0",
     ]
-    reader = Reader()
+    reader = Reader({})
     for task in dataset.tasks:
-        record = reader.record(task, FleetOptions())
+        record = reader.record(task)
         expected = columns(task.position)
         assert record.name == task.name
         assert np.array_equal(record.time, expected[0]) and np.array_equal(record.voltage, expected[1])
@@ -71,7 +71,6 @@ def test_the_digest_is_that_of_the_name_and_of_those_of_the_keys(tmp_path):
     # The files of a row do not depend on how many records there are.
     assert [task.code for task in more.tasks[:3]] == [task.code for task in first.tasks]
     assert len({task.code for task in more.tasks}) == 4
-    assert FleetOptions().digest(first.digest) != FleetOptions(elements=7).digest(first.digest)
 
 
 @pytest.mark.parametrize(
@@ -112,20 +111,20 @@ def test_records_with_the_same_keys_are_remarked(tmp_path):
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_row_is_current_until_its_samples_change(tmp_path, kind):
     write, name = WRITERS[kind]
-    path, options = write(tmp_path / name, 3), FleetOptions()
-    task, reader = open_dataset(path, BY).tasks[1], Reader()
-    samples = sha256_of(reader.record(task, options))
+    path = write(tmp_path / name, 3)
+    task, reader = open_dataset(path, BY).tasks[1], Reader({})
+    samples = sha256_of(reader.record(task))
     row = {"keys": dict(task.keys), "stamp": stamp_of(task.place), "sha256": samples}
-    assert is_current(row, task, options, reader)
+    assert reader.is_current(row, task)
     # Other files with the same samples: the hash decides.
-    assert is_current(row | {"stamp": "other"}, task, options, reader)
-    assert not is_current(row | {"stamp": "other", "sha256": None}, task, options, reader)
+    assert reader.is_current(row | {"stamp": "other"}, task)
+    assert not reader.is_current(row | {"stamp": "other", "sha256": None}, task)
     # The keys are a part of the row: another actuator with the same samples.
-    assert not is_current(row | {"keys": {"serial": "S999", "session": 1}}, task, options, reader)
+    assert not reader.is_current(row | {"keys": {"serial": "S999", "session": 1}}, task)
     other = write(tmp_path / f"other_{name}", 4)
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     moved = open_dataset(other, BY).tasks[3]
     changed = {"parquet": lambda: write_parquet(path, 3, lambda k: {"gain": 1.5})}.get(kind, lambda: other.rename(path))
     changed()
     task = task if kind == "parquet" else Task(1, task.keys, open_dataset(path, BY).tasks[moved.position].place)
-    assert not is_current(row, task, options, reader)
+    assert not reader.is_current(row, task)

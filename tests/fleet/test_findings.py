@@ -12,10 +12,10 @@ import pytest
 
 from dehyst import FileFormatError, IdentifyError, Record
 from dehyst.fleet import FleetOptions, drifts_of, findings_of, identify_fleet, load
-from dehyst.fleet.drift import Ageing, Order, _chart
-from dehyst.fleet.findings import QUANTITIES, robust_scores
+from dehyst.fleet.drift import Ageing, chart_of, natural_order
+from dehyst.fleet.findings import QUANTITIES
 from dehyst.fleet.page import write_fleet_page
-from dehyst.fleet.prior import Shape, fitted, identified_with_prior, shape_of
+from dehyst.fleet.prior import fitted, identified_with_prior, shape_of
 
 pytest.importorskip("pyarrow")
 from command_line import run_as_process as run
@@ -65,7 +65,7 @@ def test_noisy_and_drifting_records_are_listed_and_the_others_are_not(table):
     found = findings_of(fleet)
     names = [fleet.name(row) for row in fleet.rows]
     assert {names[NOISY], names[DRIFTING]} <= set(found.listed)
-    assert {one.quantity for one in found.outliers if one.record == names[NOISY]} >= {"noise", "RMS error"}
+    assert {one.quantity.name for one in found.outliers if one.record == names[NOISY]} >= {"noise", "RMS error"}
     healthy = set(names) - {names[NOISY], names[DRIFTING]} - {f"S{AGEING:03d}/{k}" for k in range(SESSIONS)}
     assert not healthy & set(found.listed)
 
@@ -95,10 +95,10 @@ def test_a_serial_that_ages_is_to_be_recalibrated(table):
 def test_scores_are_of_the_side_and_no_score_without_a_distribution():
     noise = next(quantity for quantity in QUANTITIES if quantity.name == "noise")
     values = np.exp(np.random.default_rng(1).normal(0, 0.5, 2001))
-    scores, median = robust_scores(np.append(values, [100.0, np.nan]), noise)
+    scores, median = noise.scores(np.append(values, [100.0, np.nan]))
     assert abs(median - 1) < 0.05 and abs(np.std(scores[:-2]) - 1) < 0.1
     assert scores[-2] > 5 and scores[-1] == 0
-    assert not robust_scores(values[:5], noise)[0].any()
+    assert not noise.scores(values[:5])[0].any()
 
 
 def test_the_page_and_the_commands(table, tmp_path):
@@ -163,7 +163,7 @@ def test_other_files_are_no_table(tmp_path):
 
 @pytest.fixture(scope="module")
 def shape(table):
-    return Shape.from_dict(shape_of(load(table)))
+    return shape_of(load(table))
 
 
 def record(number, samples=60, **given):
@@ -183,10 +183,10 @@ def test_a_prior_takes_gain_and_width_from_the_record(shape):
 
 
 def test_a_prior_is_kept_where_it_predicts_better_only(shape):
-    options = FleetOptions(prior=shape.as_dict())
-    quiet, row = identified_with_prior(record(100, samples=160), options)
+    options = FleetOptions().identification
+    quiet, row = identified_with_prior(record(100, samples=160), shape, options)
     assert row["prior"] == "not tried" and quiet.actuator.identification.method != "fleet"
-    noisy, row = identified_with_prior(record(100, noise=300e-9), options)
+    noisy, row = identified_with_prior(record(100, noise=300e-9), shape, options)
     assert row["prior"] == "kept" and row["held_out_prior_percent"] < row["held_out_own_percent"]
     assert noisy.actuator.identification.method == "fleet"
 
@@ -196,7 +196,7 @@ def test_a_record_of_few_cycles_is_not_refused_for_its_prior(shape, size):
     whole = record(100, samples=320)
     few = whole.slice(0, size)
     assert few.cycles()[-1].stop == size
-    fit, row = identified_with_prior(few, FleetOptions(prior=shape.as_dict()))
+    fit, row = identified_with_prior(few, shape, FleetOptions().identification)
     assert fit.actuator is not None
     if size == 321:  # one cycle cannot be split
         assert row == {"held_out_own_percent": None, "held_out_prior_percent": None, "prior": "not kept"}
@@ -207,7 +207,7 @@ def test_an_error_of_the_comparison_refuses_no_record(shape, monkeypatch):
         raise ZeroDivisionError
 
     monkeypatch.setattr("dehyst.fleet.prior._folds", fail)
-    fit, row = identified_with_prior(record(100, noise=300e-9), FleetOptions(prior=shape.as_dict()))
+    fit, row = identified_with_prior(record(100, noise=300e-9), shape, FleetOptions().identification)
     assert fit.actuator is not None and row["prior"] == "not kept"
 
 
@@ -215,7 +215,7 @@ def test_a_dead_actuator_gets_no_prior(shape):
     t, v, y = columns(1)
     dead = Record(t, v, np.random.default_rng(1).normal(0, 2e-9, y.size))
     with pytest.raises(ValueError, match="constant but for noise"):
-        identified_with_prior(dead, FleetOptions(prior=shape.as_dict()))
+        identified_with_prior(dead, shape, FleetOptions().identification)
 
 
 def test_a_run_with_a_prior_names_what_was_kept(table, tmp_path):
@@ -264,9 +264,9 @@ def test_sessions_have_a_natural_order(table, tmp_path, kind):
 
 def test_text_with_numbers_has_a_natural_order():
     names = ["s10", "s2", "2026-10", "2026-02", "s2b"]
-    order = Order.of(names)
-    assert sorted(names, key=order.key) == ["2026-02", "2026-10", "s2", "s2b", "s10"]
-    assert sorted(["1.5", "-2", "1e1"], key=Order.of(["1.5", "-2", "1e1"]).key) == ["-2", "1.5", "1e1"]
+    _, key = natural_order(names)
+    assert sorted(names, key=key) == ["2026-02", "2026-10", "s2", "s2b", "s10"]
+    assert sorted(["1.5", "-2", "1e1"], key=natural_order(["1.5", "-2", "1e1"])[1]) == ["-2", "1.5", "1e1"]
 
 
 def test_an_actuator_out_of_its_limits_is_to_be_recalibrated_below_the_goal(table):
@@ -286,14 +286,14 @@ def test_an_actuator_out_of_its_limits_is_to_be_recalibrated_below_the_goal(tabl
 def test_costs_that_are_low_again_are_not_out_of_limits():
     # Later sessions that cost less than usual, and one bad record long ago.
     for costs in ([5.0, 0.0, 0.0, 0.0], [9.0, 5.0, 5.0, 5.0]):
-        chart = _chart(np.array(costs), 5.0, 0.1)
+        chart = chart_of(np.array(costs), 5.0, 0.1)
         one = Ageing("A", (0, 1, 2, 3, 4), np.array(costs), np.zeros(4), chart, 6.0, 5.3, 0.1)
         assert chart.outside and not one.outside and not one.recalibrate
 
 
 def test_costs_below_what_the_models_are_expected_to_miss_are_no_ageing():
     costs = np.full(4, 0.6)
-    chart = _chart(costs, 0.1, 0.1)
+    chart = chart_of(costs, 0.1, 0.1)
     rough, exact = (Ageing("A", (0, 1, 2, 3, 4), costs, np.zeros(4), chart, 1.0, 0.4, own) for own in (0.65, 0.3))
     assert not rough.recalibrate
     assert exact.recalibrate

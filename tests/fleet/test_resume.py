@@ -2,17 +2,19 @@
 
 import json
 import os
+import shutil
 import subprocess
 import time
 from pathlib import Path
 
 import pytest
 
-import dehyst.fleet.table
+import dehyst._io
+import dehyst.fleet.run
 from dehyst import FileFormatError
 from dehyst.fleet import identify_fleet, load, open_dataset
 from dehyst.fleet.dataset import text_of
-from dehyst.fleet.shards import Shards
+from dehyst.fleet.table import Shards
 
 pytest.importorskip("pyarrow")
 from command_line import DEHYST
@@ -93,7 +95,7 @@ def test_a_draft_of_the_table_goes_with_the_next_run(dataset, tmp_path, monkeypa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(dehyst.fleet.table, "settle_file", cut)
+        patch.setattr(dehyst._io, "settle_file", cut)
         # As `kill -9`, nothing removes the draft.
         patch.setattr(Path, "unlink", lambda path, missing_ok=False: None)
         with pytest.raises(KeyboardInterrupt):
@@ -106,7 +108,12 @@ def test_a_folder_that_vanishes_leaves_the_table_as_it_is(dataset, tmp_path, mon
     output = tmp_path / "m.parquet"
     identify_fleet(dataset, output, jobs=1)
     before = output.read_bytes()
-    monkeypatch.setattr(dehyst.fleet.run._Run, "finish", lambda run, *_: run.shards.remove())
+
+    def remove(head, *_, **__):
+        shutil.rmtree(head["folder"])
+        yield None
+
+    monkeypatch.setattr(dehyst.fleet.run, "run_tasks", remove)
     with pytest.raises(FileFormatError):
         identify_fleet(dataset, output, jobs=1)
     assert output.read_bytes() == before

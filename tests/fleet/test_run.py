@@ -11,8 +11,8 @@ import pytest
 
 import dehyst.fleet.engine
 from dehyst import FileFormatError, IdentifyError, identify
-from dehyst.fleet import FleetOptions, actuators, identify_fleet, load, open_dataset
-from dehyst.fleet.reader import Reader, sha256_of
+from dehyst.fleet import FleetOptions, identify_fleet, load, open_dataset
+from dehyst.fleet.dataset import Reader, sha256_of
 
 pytest.importorskip("pyarrow")
 from command_line import DEHYST
@@ -70,7 +70,7 @@ def test_a_dead_actuator_is_refused_with_its_reason(complete):
 
 def test_a_row_is_what_identify_finds(dataset, complete):
     task = open_dataset(dataset, BY).tasks[3]
-    record = Reader().record(task, FleetOptions())
+    record = Reader({}).record(task)
     fit = identify(record, structure="maxwell_slip")
     row, actuator = complete.rows[3], complete.actuators(lambda row: row["session"] == 1)[1]
     assert actuator.as_dict() == fit.actuator.as_dict()
@@ -82,8 +82,8 @@ def test_a_row_is_what_identify_finds(dataset, complete):
 
 def test_models_load_and_rows_select_them(dataset, complete):
     path = dataset.with_name("m.parquet")
-    assert len(actuators(path)) == COUNT - 1
-    assert [one.name for one in actuators(path, where=lambda row: row["serial"] == "S001")] == ["S001/0", "S001/1"]
+    assert len(load(path).actuators()) == COUNT - 1
+    assert [one.name for one in load(path).actuators(where=lambda row: row["serial"] == "S001")] == ["S001/0", "S001/1"]
     assert load(path).rows == complete.rows
 
 

@@ -30,8 +30,8 @@ FACES = {
             Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task actuators drifts_of findings_of
-            identify_fleet load open_dataset
+            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task drifts_of findings_of identify_fleet
+            load open_dataset
         """,
         "identification": """
             Check Deadline Expectation Fit Method Norm Outcome Readiness RecordErrors RemainingError

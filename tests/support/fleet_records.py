@@ -12,7 +12,7 @@ import numpy as np
 
 from dehyst import Record, write_record
 from dehyst.fleet.engine import run_one
-from dehyst.fleet.shards import Shards
+from dehyst.fleet.table import Shards
 from dehyst.virtual import PlayActuator
 
 

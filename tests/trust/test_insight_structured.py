@@ -223,7 +223,9 @@ def test_the_command(tmp_path):
         data, {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
     )
     write_columns(wanted, {"time_s": time, "displacement_um": path * 1e6})
-    said = CliRunner().invoke(main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--repeats", "20", "--verbose"])
+    said = CliRunner().invoke(
+        main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--repeats", "20", "--verbose"]
+    )
     assert said.exit_code in (0, 1)
     for words in (
         "Known of each part",

@@ -3,9 +3,9 @@
 from dehyst.fleet.dataset import Dataset, Task, open_dataset
 from dehyst.fleet.drift import Ageing, Drifts, drifts_of
 from dehyst.fleet.findings import Findings, Outlier, findings_of
-from dehyst.fleet.reader import FleetOptions
 from dehyst.fleet.run import identify_fleet
-from dehyst.fleet.table import Fleet, actuators, load
+from dehyst.fleet.table import Fleet, load
+from dehyst.fleet.task import FleetOptions
 
 __all__ = [
     "Ageing",
@@ -16,7 +16,6 @@ __all__ = [
     "FleetOptions",
     "Outlier",
     "Task",
-    "actuators",
     "drifts_of",
     "findings_of",
     "identify_fleet",

@@ -1,4 +1,4 @@
-"""The index of a dataset: where each record lies, and its keys, found without loading any measurement."""
+"""The records of a dataset: an index of their places and keys, found without loading measurements, and their reader."""
 
 from __future__ import annotations
 
@@ -6,42 +6,39 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dehyst._errors import FileFormatError
+import numpy as np
+
+from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import PathLike, named, reading_errors
-from dehyst.records.formats.columns import listed
+from dehyst.records import Record, read
+from dehyst.records.files import record_of
+from dehyst.records.formats.columns import Column, Table, listed, without_groups
+from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
 from dehyst.records.formats.file_content import library
 from dehyst.records.formats.reader_process import LOADERS
+from dehyst.records.tables import Choice
+
+# Name of the key where none is asked for.
+RECORD = "record"
+# Column of a row: the stamp of its place when the record was read.
+STAMP = "stamp"
+# A lone surrogate, which stands for a byte of a name that is not UTF-8, or what its escape looks like.
+_SURROGATE = re.compile(r"[\ud800-\udfff]|\\ud[89a-f]")
 
 
-def pyarrow() -> Any:
-    """Return pyarrow."""
+def arrow() -> Any:
+    """Return pyarrow, its Parquet module loaded."""
+    library("pyarrow.parquet", "A Parquet dataset or a table of a fleet", "fleet")
     return library("pyarrow", "A table of a fleet", "fleet")
 
 
-def pyarrow_parquet() -> Any:
-    """Return pyarrow.parquet."""
-    return library("pyarrow.parquet", "A Parquet dataset or a table of a fleet", "fleet")
-
-
-def zarr() -> Any:
-    """Return zarr."""
-    return library("zarr", "A Zarr dataset", "fleet")
-
-
-def distributed() -> Any:
-    """Return Dask's scheduler library."""
-    return library("distributed", "A fleet", "fleet")
-
-
-# Names of the key where none is asked for.
-RECORD = "record"
-# A lone surrogate, which stands for a byte of a name that is not UTF-8, or what its escape looks like.
-_SURROGATE = re.compile(r"[\ud800-\udfff]|\\ud[89a-f]")
+def _zarr_group(path: str) -> Any:
+    return library("zarr", "A Zarr dataset", "fleet").open_group(path, mode="r")
 
 
 class Place(NamedTuple):
@@ -138,14 +135,14 @@ def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
     if not target.exists():
         raise FileFormatError(f"{path}: no such dataset; give a Parquet file, a Zarr store or a folder of records")
     with reading_errors(target, "dataset"):
-        found = list(_places(target, wanted))
+        kind, places = _places(target, wanted)
+        found = list(places)
     if not found:
         raise FileFormatError(f"{path}: holds no record; need Parquet row groups, Zarr groups or files of records")
     tasks = tuple(
         Task(k, {name: text_of(value) for name, value in keys.items()}, place, _within(target, place))
         for k, (keys, place) in enumerate(found)
     )
-    kind = "zarr" if tasks[0].place.kind == "zarr" else "file" if target.is_file() else "folder"
     text = json.dumps([target.name, kind, wanted])
     return Dataset(target, wanted or (RECORD,), tasks, hashlib.sha256(text.encode()).hexdigest())
 
@@ -167,22 +164,23 @@ def text_of(value: Any) -> Any:
     return value.replace("\\", "\\\\").encode(errors="backslashreplace").decode()
 
 
-def _places(target: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
-    """Yield keys and place of each record."""
+_Found = Iterator[tuple[dict[str, Any], Place]]
+
+
+def _places(target: Path, by: tuple[str, ...]) -> tuple[str, _Found]:
+    """Return the kind of a dataset, and an iterator over keys and place of each record."""
     if target.is_file():
         if target.suffix.lower() != ".parquet":
             raise FileFormatError(f"{target}: is no dataset; give a .parquet file, a Zarr store or a folder")
-        yield from _row_groups(target, by)
-    elif any((target / name).exists() for name in ("zarr.json", ".zgroup", ".zmetadata")):
-        yield from _groups(target, by)
-    else:
-        yield from _files(target, by)
+        return "file", _row_groups(target, by)
+    if any((target / name).exists() for name in ("zarr.json", ".zgroup", ".zmetadata")):
+        return "zarr", _groups(target, by)
+    return "folder", _files(target, by)
 
 
-def _row_groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+def _row_groups(path: Path, by: tuple[str, ...]) -> _Found:
     """Yield the row groups of a Parquet file: keys come from the statistics, else from the key columns alone."""
-    file = pyarrow_parquet().ParquetFile(path)
-    try:
+    with arrow().parquet.ParquetFile(path) as file:
         names = file.schema_arrow.names
         if missing := [name for name in by if name not in names]:
             raise FileFormatError(
@@ -192,8 +190,6 @@ def _row_groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any
         for group in range(file.metadata.num_row_groups):
             keys = {name: _constant(file, group, name, leaves.index(name)) for name in by}
             yield keys or {RECORD: group}, Place("parquet", str(path), str(group))
-    finally:
-        file.close()
 
 
 def _constant(file: Any, group: int, name: str, column: int) -> Any:
@@ -209,19 +205,19 @@ def _constant(file: Any, group: int, name: str, column: int) -> Any:
             f"row group {group}: column '{name}' has the values {shown}, need one; write each record as a row group of "
             "its own"
         )
-    return plain_key(values.pop())
+    return _plain_key(values.pop())
 
 
-def plain_key(value: Any) -> Any:
+def _plain_key(value: Any) -> Any:
     """Return a key as a JSON value: text, number or truth."""
     if isinstance(value, bytes):
         return value.decode(errors="surrogateescape")
     return value if isinstance(value, str | int | float | bool) else str(value)
 
 
-def _groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+def _groups(path: Path, by: tuple[str, ...]) -> _Found:
     """Yield the groups of a Zarr store that hold arrays."""
-    store = zarr().open_group(str(path), mode="r")
+    store = _zarr_group(str(path))
     groups = sorted({name.rpartition("/")[0] for name, item in store.members(max_depth=None) if hasattr(item, "shape")})
     for name in groups:
         attributes = dict(store.attrs if not name else store[name].attrs)
@@ -229,7 +225,7 @@ def _groups(path: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], P
         yield _keys_of(parts, by, name or path.stem, attributes), Place("zarr", str(path), name)
 
 
-def _files(folder: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], Place]]:
+def _files(folder: Path, by: tuple[str, ...]) -> _Found:
     """Yield the files below a folder that `dehyst.read` opens, by name; hidden ones are left out.
 
     What has such a name but is no file, as a link to nowhere, is a record too, which its reader refuses.
@@ -248,7 +244,7 @@ def _files(folder: Path, by: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], 
 
 def _has_columns(path: Path, names: tuple[str, ...]) -> bool:
     try:
-        return set(names) <= set(pyarrow_parquet().read_schema(path).names)
+        return set(names) <= set(arrow().parquet.read_schema(path).names)
     except (OSError, ValueError):
         return False
 
@@ -259,7 +255,7 @@ def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes
         return {RECORD: whole}
     pairs = dict(part.split("=", 1) for part in parts if "=" in part) | dict(attributes)
     if all(name in pairs for name in by):
-        return {name: plain_key(pairs[name]) for name in by}
+        return {name: _plain_key(pairs[name]) for name in by}
     pieces = parts if len(parts) == len(by) else (*parts[:-1], *parts[-1].split("_")) if parts else ()
     if len(pieces) != len(by):
         raise FileFormatError(
@@ -267,3 +263,107 @@ def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes
             "a part of the name between '_' for each"
         )
     return dict(zip(by, pieces, strict=True))
+
+
+class Reader:
+    """A reader of records in SI units, by the rules of columns of `dehyst.read`; it keeps the last file open.
+
+    `columns`: arguments of `dehyst.read`.
+    """
+
+    def __init__(self, columns: Mapping[str, Any]) -> None:
+        self._columns, self._key = columns, ("", "")
+        self._open: Any = None
+
+    def record(self, task: Task) -> Record:
+        """Return the record of a task; raise `FileFormatError` or `RecordError` if there is none."""
+        place = task.place
+        path = Path(place.path)
+        with reading_errors(path, place.kind):
+            if place.kind == "file":
+                _demand_file(path)
+                return replace(read(place.path, **self._columns), name=task.name)
+            columns = self._row_group(place) if place.kind == "parquet" else self._group(place)
+            names = {name: value for name, value in self._columns.items() if name in Choice._fields}
+            return record_of(Table(f"{path.name}[{place.part}]", "", tuple(columns)), Choice(**names), task.name)
+
+    def is_current(self, row: Mapping[str, Any], task: Task) -> bool:
+        """Return whether a row is that of the record as it is now; reads the record only if its files have changed."""
+        if row.get("keys") != dict(task.keys):
+            return False
+        stamp = stamp_of(task.place)
+        if stamp is not None and stamp == row.get(STAMP):
+            return True
+        try:
+            return bool(row.get("sha256")) and sha256_of(self.record(task)) == str(row["sha256"])
+        except DehystError:
+            return False
+
+    def _row_group(self, place: Place) -> list[Column]:
+        # A worker that outlives a run must not read a file that was replaced since.
+        key = place.path, _stamp(Path(place.path))
+        if self._key != key:
+            self._key, self._open = key, arrow().parquet.ParquetFile(place.path, pre_buffer=False)
+        wanted = [field.name for field in self._open.schema_arrow if is_readable(field.type)]
+        table = self._open.read_row_group(int(place.part), columns=wanted, use_threads=False)
+        return [without_groups(column) for column in arrow_columns(table)]
+
+    def _group(self, place: Place) -> list[Column]:
+        key = place.path, ""
+        if self._key != key:
+            self._key, self._open = key, _zarr_group(place.path)
+        group = self._open[place.part] if place.part else self._open
+        columns: list[Column] = []
+        for name, array in group.arrays():
+            unit = str(array.attrs.get("units", array.attrs.get("unit", "")))
+            if array.ndim == 1:
+                columns += vectors(name, array[:], unit)
+        if not columns:
+            raise FileFormatError(f"{place.path}[{place.part}]: holds no array of numbers")
+        return columns
+
+
+def _demand_file(path: Path) -> None:
+    """Refuse what cannot be read to its end, as a pipe, or at all."""
+    if path.is_symlink() and not path.exists():
+        raise FileFormatError(f"{path}: is a link to nowhere ({path.readlink()}); mend or remove it")
+    if path.exists() and not path.is_file():
+        raise FileFormatError(f"{path}: is no file of records (a pipe or a device); remove it from the dataset")
+
+
+def sha256_of(record: Record) -> str:
+    """Return the hash of a record's samples: time, voltage and displacement as little-endian doubles."""
+    state = hashlib.sha256()
+    for column in (record.time, record.voltage, record.displacement):
+        state.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
+    return state.hexdigest()
+
+
+def stamp_of(place: Place) -> str | None:
+    """Return what shows without reading them that the files of a place are other or changed ones; None if not visible.
+
+    Size and time of change are not enough: a program can set the time, as `cp -p` does. The number of the file and the
+    time when its entry changed, which no program sets, cost nothing more. Where they differ, the samples are compared.
+    """
+    path = Path(place.path)
+    try:
+        if place.kind != "zarr":
+            return _stamp(path)
+        root = path / place.part
+        files = sorted(file for file in root.rglob("*") if file.is_file())
+        return digest_of(f"{file.relative_to(root)} {_stamp(file)}" for file in files)
+    except OSError:
+        return None
+
+
+def _stamp(path: Path) -> str:
+    state = path.stat()
+    return f"{state.st_size} {state.st_mtime_ns} {state.st_ino} {state.st_ctime_ns}"
+
+
+def digest_of(texts: Iterable[str]) -> str:
+    """Return the hash of texts."""
+    state = hashlib.sha256()
+    for text in texts:
+        state.update(f"{text}\n".encode(errors="surrogateescape"))
+    return state.hexdigest()

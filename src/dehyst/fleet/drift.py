@@ -20,67 +20,15 @@ from dehyst.fleet.table import Fleet
 from dehyst.model import Actuator
 from dehyst.trust.history import DECISION, ControlChart
 
-_NUMBER = re.compile(r"[+-]?[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
-_DIGITS = re.compile(r"([0-9]+)")
-
-
-@dataclass(frozen=True)
-class Order:
-    """An order of the values of a key: its `name`, and the `key` by which to sort."""
-
-    name: str
-    key: Callable[[Any], Any]
-
-    @classmethod
-    def of(cls, values: Iterable[Any]) -> Order:
-        """Return the order of numbers if all values are, else that of text: 2 is before 10, 2026-02 before 2026-10."""
-        if all(_NUMBER.fullmatch(str(value)) for value in values):
-            return cls("numbers by value", lambda value: Decimal(str(value)))
-        return cls("text, the numbers in it by value", _pieces)
-
-
-def _pieces(value: Any) -> list[str | int]:
-    # Natural sort key: text and digits alternate, so that only like is compared with like.
-    return [int(piece) if k % 2 else piece for k, piece in enumerate(_DIGITS.split(str(value)))]
-
-
-# Samples of a rise or a fall.
-_SAMPLES = 200
-# Parts of the voltages' range at which the width of the loop is taken, and tops of the falling loops of the path.
-PLACES, _TOPS = (0.25, 0.5, 0.75), (1.0, 1.0, 0.75, 0.5, 0.25)
-
-
-def played(actuator: Actuator, limits: tuple[float, float], seconds: float) -> Array:
-    """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample.
-
-    A cycle of a model that moves in time takes `seconds`.
-    """
-    voltage = path(limits)
-    time = seconds / (2 * _SAMPLES) * np.arange(voltage.size) if actuator.needs_time else None
-    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False, extrapolate=True)
-    y = actuator.simulate(voltage, time=time, state=start, extrapolate=True).displacement[2 * _SAMPLES :]
-    return np.asarray(y - y[0])
-
-
-def path(limits: tuple[float, float]) -> Array:
-    """Return cycles from the lower limit [V]: two through both limits, then three smaller ones."""
-    low, high = limits
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES + 1) / _SAMPLES)
-    parts = [np.zeros(1), *(part for top in _TOPS for part in (top * rise, top * (1 - rise)))]
-    return np.asarray(low + (high - low) * np.concatenate(parts))
-
-
-def widths(actuator: Actuator, limits: tuple[float, float], seconds: float) -> list[float]:
-    """Return how far falling and rising displacement differ [m] on the major loop at the voltages `PLACES`."""
-    y, v = played(actuator, limits, seconds)[: 2 * _SAMPLES + 1], path(limits)[: 2 * _SAMPLES + 1]
-    rising, falling = slice(0, _SAMPLES + 1), slice(2 * _SAMPLES, _SAMPLES - 1, -1)
-    at = limits[0] + (limits[1] - limits[0]) * np.array(PLACES)
-    return list((np.interp(at, v[falling], y[falling]) - np.interp(at, v[rising], y[rising])).tolist())
-
-
 # A goal [% of the stroke] by default, and the part of it that is the least standard deviation of the charts.
 GOAL, _LEAST = 1.0, 0.1
 _SHOWN = 30
+# Samples of a rise or a fall of the path that models are played on.
+_SAMPLES = 200
+# Parts of the voltages' range at which the width of the loop is taken, and tops of the falling loops of the path.
+PLACES, _TOPS = (0.25, 0.5, 0.75), (1.0, 1.0, 0.75, 0.5, 0.25)
+_NUMBER = re.compile(r"[+-]?[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
+_DIGITS = re.compile(r"([0-9]+)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +127,19 @@ class Drifts:
 
     def lines(self) -> list[str]:
         """Return a text to read."""
-        due = self.recalibrate
-        lines = [
+        due, origin = self.recalibrate, "that of the fleet"
+        if self.spread > self.measured:
+            origin = f"a tenth of the goal; that of the fleet is {self.measured:.2g} %"
+        more = [f"  and {len(due) - _SHOWN} more, see --json"] if len(due) > _SHOWN else []
+        return [
             f"{counted(len(self.ageing), 'serial')} with two sessions or more: keeping the oldest model usually costs "
             f"{self.usual:.2g} % of the stroke",
             f"order of {self.over}: {self.order}; oldest {self.ends[0]}, newest {self.ends[1]}",
-            f"limits: from a deviation of {self.spread:.2g} % {self._origin}",
+            f"limits: from a deviation of {self.spread:.2g} % ({origin})",
             f"to recalibrate: {len(due)} (above the goal of {self.goal:g} %, or out of limits)",
+            *(f"  {one.words}" for one in due[:_SHOWN]),
+            *more,
         ]
-        more = [f"  and {len(due) - _SHOWN} more, see --json"] if len(due) > _SHOWN else []
-        return [*lines, *(f"  {one.words}" for one in due[:_SHOWN]), *more]
-
-    @property
-    def _origin(self) -> str:
-        if self.spread > self.measured:
-            return f"(a tenth of the goal; that of the fleet is {self.measured:.2g} %)"
-        return "(that of the fleet)"
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -213,8 +158,8 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
     ----------
     fleet : Fleet
     by, over : str
-        Columns: what is one actuator, and what orders its sessions, as `Order`. Of several models with the same two
-        values, the last one of the table is that of the session.
+        Columns: what is one actuator, and what orders its sessions: numbers by value, else text in natural order. Of
+        several models with the same two values, the last one of the table is that of the session.
     goal : float
         Cost [% of the stroke] above which a serial is to be recalibrated.
 
@@ -225,27 +170,6 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
     IdentifyError
         If `by` and `over` are the same, or the goal is no finite number above 0.
     """
-    _check(fleet, by, over, goal)
-    sessions = [row[over] for row in fleet.rows if row["outcome"] == "identified"]
-    order = Order.of(sessions)
-    found, remarks = list(_costs(fleet, by, over, order)), _repeated(fleet, by, over)
-    if not found:
-        words = "; ".join(("nothing to compare", *remarks))
-        raise FileFormatError(f"{fleet.path}: no '{by}' has two values of '{over}' with a model; {words}")
-    # What noise and repeatability cost: the first comparison of each serial, most of which have not aged.
-    first = np.array([costs[0] for _, _, costs, _, _ in found])
-    usual = float(np.median(first))
-    measured = 1.4826 * float(np.median(np.abs(first - usual)))
-    spread = max(measured, _LEAST * goal)
-    ageing = tuple(
-        Ageing(serial, dates, costs, signed, _chart(costs, usual, spread), goal, usual + 3 * spread, own)
-        for serial, dates, costs, signed, own in found
-    )
-    ends = min(sessions, key=order.key), max(sessions, key=order.key)
-    return Drifts(ageing, goal, usual, measured, spread, over, order.name, ends, remarks)
-
-
-def _check(fleet: Fleet, by: str, over: str, goal: float) -> None:
     if not (isfinite(goal) and goal > 0):
         raise IdentifyError(argument="goal", got=f"{goal:g} %", need=f"a finite number above 0, as {GOAL:g}")
     if by == over:
@@ -256,12 +180,48 @@ def _check(fleet: Fleet, by: str, over: str, goal: float) -> None:
         raise FileFormatError(f"{fleet.path}: holds no rows; identify a dataset with records first")
     if missing := [name for name in (by, over) if name not in fleet.rows[0]]:
         raise FileFormatError(f"{fleet.path}: has no column '{missing[0]}'; its keys are {', '.join(fleet.by)}")
+    pairs = Counter((row[by], row[over]) for row in fleet.rows if row["outcome"] == "identified")
+    sessions = [session for _, session in pairs]
+    order, key = natural_order(sessions)
+    found = list(_compared(fleet, by, over, key))
+    remarks = _repeated(by, over, pairs)
+    if not found:
+        words = "; ".join(("nothing to compare", *remarks))
+        raise FileFormatError(f"{fleet.path}: no '{by}' has two values of '{over}' with a model; {words}")
+    # What noise and repeatability cost: the first comparison of each serial, most of which have not aged.
+    first = np.array([costs[0] for _, _, costs, _, _ in found])
+    usual = float(np.median(first))
+    measured = 1.4826 * float(np.median(np.abs(first - usual)))
+    spread = max(measured, _LEAST * goal)
+    ageing = tuple(
+        Ageing(serial, dates, costs, signed, chart_of(costs, usual, spread), goal, usual + 3 * spread, own)
+        for serial, dates, costs, signed, own in found
+    )
+    ends = min(sessions, key=key), max(sessions, key=key)
+    return Drifts(ageing, goal, usual, measured, spread, over, order, ends, remarks)
 
 
-def _repeated(fleet: Fleet, by: str, over: str) -> tuple[str, ...]:
+def natural_order(values: Iterable[Any]) -> tuple[str, Callable[[Any], Any]]:
+    """Return the name of an order of the values of a key, and its sort key.
+
+    That of numbers if all values are, else that of text: 2 is before 10, 2026-02 before 2026-10.
+    """
+    if all(_NUMBER.fullmatch(str(value)) for value in values):
+        return "numbers by value", lambda value: Decimal(str(value))
+    # Text and digits alternate, so that only like is compared with like.
+    return "text, the numbers in it by value", lambda value: [
+        int(piece) if k % 2 else piece for k, piece in enumerate(_DIGITS.split(str(value)))
+    ]
+
+
+def chart_of(costs: Array, usual: float, spread: float) -> ControlChart:
+    """Return the control chart of costs (n,) [% of the stroke], in deviations `spread` above the usual one."""
+    return ControlChart.of("cost", np.arange(float(costs.size)), costs, (costs - usual) / spread)
+
+
+def _repeated(by: str, over: str, pairs: Counter[tuple[Any, Any]]) -> tuple[str, ...]:
     """Return a sentence if models share actuator and session."""
-    counts = Counter((row[by], row[over]) for row in fleet.rows if row["outcome"] == "identified")
-    repeated = {pair: count for pair, count in counts.items() if count > 1}
+    repeated = {pair: count for pair, count in pairs.items() if count > 1}
     if not repeated:
         return ()
     (serial, session), count = next(iter(repeated.items()))
@@ -269,10 +229,6 @@ def _repeated(fleet: Fleet, by: str, over: str) -> tuple[str, ...]:
         f"{sum(repeated.values())} models share {by} and {over} with another, as {serial}/{session} ({count} models); "
         "of each such session the last one of the table is taken",
     )
-
-
-def _chart(costs: Array, usual: float, spread: float) -> ControlChart:
-    return ControlChart.of("cost", np.arange(float(costs.size)), costs, (costs - usual) / spread)
 
 
 class _Model(NamedTuple):
@@ -286,47 +242,60 @@ class _Model(NamedTuple):
     error: float
 
 
-def _costs(
-    fleet: Fleet, by: str, over: str, order: Order
+def _compared(
+    fleet: Fleet, by: str, over: str, key: Callable[[Any], Any]
 ) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array, float]]:
-    """Yield serial, sessions, costs, changes of the stroke [%] and own errors of each serial with two sessions."""
-    paths: dict[Any, dict[Any, _Model]] = defaultdict(dict)
-    counts = _counts(fleet, by)
+    """Yield serial, sessions, costs, changes of the stroke [%] and own errors of each serial with two sessions.
+
+    Models are compared at the rate of the oldest record: at another one, creep that no record showed would count.
+    """
+    counts = Counter(row[by] for row in fleet.rows if row["outcome"] == "identified")
+    groups: dict[Any, dict[Any, _Model]] = defaultdict(dict)
     for row, actuator in fleet.models():
-        group = paths[row[by]]
+        serial = row[by]
         error = max(row["largest_percent"], row["expected_percent"] or 0.0)
-        group[row[over]] = _Model(actuator, row["cycle_s"], error)
-        counts[row[by]] -= 1
+        groups[serial][row[over]] = _Model(actuator, row["cycle_s"], error)
+        counts[serial] -= 1
         # The models of a serial are dropped once it is complete.
-        if not counts[row[by]]:
-            del paths[row[by]]
-            if len(group) > 1:
-                yield row[by], *_compared(sorted(group.items(), key=lambda one: order.key(one[0])))
+        if not counts[serial] and len(group := groups.pop(serial)) > 1:
+            sessions = tuple(sorted(group, key=key))
+            models = [group[session] for session in sessions]
+            changes = np.array([_change(models[0], later) for later in models[1:]])
+            yield serial, sessions, changes[:, 0], changes[:, 1], models[0].error + models[-1].error
 
 
-def _counts(fleet: Fleet, by: str) -> dict[Any, int]:
-    counts: dict[Any, int] = defaultdict(int)
-    for row in fleet.rows:
-        counts[row[by]] += row["outcome"] == "identified"
-    return counts
+def _change(oldest: _Model, later: _Model) -> tuple[float, float]:
+    """Return what keeping the oldest model costs [% of the stroke], and the change of the stroke [%]."""
+    (a, b), (c, d) = oldest.actuator.voltage_range, later.actuator.voltage_range
+    kept, now = (played(one.actuator, (max(a, c), min(b, d)), oldest.seconds) for one in (oldest, later))
+    stroke = float(np.ptp(now))
+    # The zero of the sensor is no part of the cost.
+    return 100 * float(np.ptp(now - kept)) / 2 / stroke, 100 * (stroke - float(np.ptp(kept))) / stroke
 
 
-def _compared(group: list[tuple[Any, _Model]]) -> tuple[tuple[Any, ...], Array, Array, float]:
-    """Compare models at the rate of the oldest record: at another one, creep that no record showed would count."""
-    (_, oldest), (_, last) = group[0], group[-1]
-    costs, signed = [], []
-    for _, later in group[1:]:
-        limits = _common(oldest.actuator, later.actuator)
-        kept, now = (played(one.actuator, limits, oldest.seconds) for one in (oldest, later))
-        stroke = float(np.ptp(now))
-        off = now - kept
-        # The zero of the sensor is no part of the cost.
-        costs.append(100 * float(np.ptp(off)) / 2 / stroke)
-        signed.append(100 * (stroke - float(np.ptp(kept))) / stroke)
-    sessions = tuple(session for session, _ in group)
-    return sessions, np.array(costs), np.array(signed), oldest.error + last.error
+def played(actuator: Actuator, limits: tuple[float, float], seconds: float) -> Array:
+    """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample.
+
+    A cycle of a model that moves in time takes `seconds`.
+    """
+    voltage = path(limits)
+    time = seconds / (2 * _SAMPLES) * np.arange(voltage.size) if actuator.needs_time else None
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False, extrapolate=True)
+    y = actuator.simulate(voltage, time=time, state=start, extrapolate=True).displacement[2 * _SAMPLES :]
+    return np.asarray(y - y[0])
 
 
-def _common(first: Actuator, second: Actuator) -> tuple[float, float]:
-    (a, b), (c, d) = first.voltage_range, second.voltage_range
-    return max(a, c), min(b, d)
+def path(limits: tuple[float, float]) -> Array:
+    """Return cycles from the lower limit [V]: two through both limits, then three smaller ones."""
+    low, high = limits
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _SAMPLES + 1) / _SAMPLES)
+    parts = [np.zeros(1), *(part for top in _TOPS for part in (top * rise, top * (1 - rise)))]
+    return np.asarray(low + (high - low) * np.concatenate(parts))
+
+
+def widths(actuator: Actuator, limits: tuple[float, float], seconds: float) -> list[float]:
+    """Return how far falling and rising displacement differ [m] on the major loop at the voltages `PLACES`."""
+    y, v = played(actuator, limits, seconds)[: 2 * _SAMPLES + 1], path(limits)[: 2 * _SAMPLES + 1]
+    rising, falling = slice(0, _SAMPLES + 1), slice(2 * _SAMPLES, _SAMPLES - 1, -1)
+    at = limits[0] + (limits[1] - limits[0]) * np.array(PLACES)
+    return list((np.interp(at, v[falling], y[falling]) - np.interp(at, v[rising], y[rising])).tolist())

@@ -16,8 +16,9 @@ from itertools import islice
 from typing import Any
 
 from dehyst._errors import DehystError, LinkError
-from dehyst.fleet.dataset import Task, distributed
+from dehyst.fleet.dataset import Task
 from dehyst.fleet.task import TaskRunner
+from dehyst.records.formats.file_content import library
 
 # Seconds to wait for the scheduler and its first worker, to close, and between looks at the scheduler.
 _PATIENCE, _CLOSING, _GLANCE = 30, 3, 0.5
@@ -37,6 +38,10 @@ _SETTINGS = {
     "distributed.admin.system-monitor.interval": "10s",
 }
 _here = threading.local()
+
+
+def _distributed() -> Any:
+    return library("distributed", "A fleet", "fleet")
 
 
 def run_tasks(
@@ -98,7 +103,7 @@ def _answer(head: Mapping[str, Any], task: Task, future: Any, name: str) -> dict
     if future.status != "error":
         raise _lost(name)
     error = future.exception(timeout=_PATIENCE)
-    if isinstance(error, distributed().KilledWorker):
+    if isinstance(error, _distributed().KilledWorker):
         return TaskRunner(head).lose(task, "worker", f"its workers died, the last one {error.last_worker.address}")
     if isinstance(error, DehystError):
         raise error
@@ -115,12 +120,12 @@ def _lost(name: str) -> LinkError:
 @contextmanager
 def _connected(jobs: int | None, scheduler: str | None) -> Iterator[Any]:
     """Connect to workers, and close in any case."""
-    library, opened = distributed(), list[Any]()
+    distributed, opened = _distributed(), list[Any]()
     try:
         if scheduler is None:
-            opened.append(_local(library, jobs))
+            opened.append(_local(distributed, jobs))
         try:
-            opened.append(library.Client(scheduler or opened[0], timeout=_PATIENCE))
+            opened.append(distributed.Client(scheduler or opened[0], timeout=_PATIENCE))
             opened[-1].wait_for_workers(1, timeout=_PATIENCE)
         except (OSError, TimeoutError, ValueError) as error:
             raise LinkError(
@@ -134,7 +139,7 @@ def _connected(jobs: int | None, scheduler: str | None) -> Iterator[Any]:
                 one.close(timeout=_CLOSING)
 
 
-def _local(library: Any, jobs: int | None) -> Any:
+def _local(distributed: Any, jobs: int | None) -> Any:
     """Return a cluster on this machine whose workers keep the memory that a task has freed for the next one."""
     from dask import config
 
@@ -142,7 +147,7 @@ def _local(library: Any, jobs: int | None) -> Any:
     for left in reversed(range(_STARTS)):
         try:
             with config.set(_SETTINGS):
-                return library.LocalCluster(
+                return distributed.LocalCluster(
                     n_workers=jobs or processors,
                     threads_per_worker=1,
                     processes=True,
@@ -187,7 +192,7 @@ def _without_script() -> Iterator[None]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Silence Dask's logs, each of which has a level of its own, while the command shows its own progress."""
-    distributed()
+    _distributed()
     names = [name for name in logging.Logger.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
     levels = {name: logging.getLogger(name).level for name in names}
     try:

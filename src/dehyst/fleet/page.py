@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.fleet.drift import Ageing, Drifts
-from dehyst.fleet.findings import QUANTITIES, Findings, identified
-from dehyst.report.html import Axis, Chart, Charts, Series, bullets, document, escape, number, reproduction, table
+from dehyst.fleet.drift import Drifts
+from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
+from dehyst.report.html import (
+    Axis,
+    Chart,
+    Charts,
+    Row,
+    Series,
+    bullets,
+    document,
+    escape,
+    number,
+    reproduction,
+    table,
+)
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
@@ -30,11 +44,15 @@ def write_fleet_page(
     fleet = findings.fleet
     counts = ", ".join(f"{count} {outcome}" for outcome, count in findings.counts.items())
     total = counted(len(fleet), "record")
+    refused = [
+        (str(len(names)), reason, f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}")
+        for reason, names in findings.refused
+    ]
     parts = [
         f"<h1>Fleet of {total}</h1>\n<p>{escape(f'{fleet.path.name}: {counts}.')}</p>",
-        "" if drifts is None else _drifted(drifts),
+        "" if drifts is None else _recalibrate(drifts),
         _listed(findings),
-        _without_model(findings),
+        _section("Without a model", "", ("records", "reason", "which"), refused, 3) if refused else "",
         bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
         _distributions(findings),
         _map(findings),
@@ -43,7 +61,14 @@ def write_fleet_page(
     write_atomically(path, document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
 
 
-def _drifted(drifts: Drifts) -> str:
+def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[Row], texts: int) -> str:
+    """Return a heading, a sentence, and the first rows of a table whose first columns are `texts`."""
+    parts = [f"<h2>{title}</h2>", f"<p>{escape(words)}</p>" if words else ""]
+    parts += [table(head, rows[:_MOST], texts)] if rows else []
+    return "\n".join(part for part in parts if part)
+
+
+def _recalibrate(drifts: Drifts) -> str:
     """Return the actuators to recalibrate, the most costly first."""
     due = drifts.recalibrate
     words = (
@@ -51,23 +76,38 @@ def _drifted(drifts: Drifts) -> str:
         f"{drifts.ends[1]}: keeping the oldest model costs more than {drifts.goal:g} % of the stroke, or the cost is "
         f"out of its limits. It usually costs {drifts.usual:.2g} %."
     )
-    title = f"<h2>To recalibrate</h2>\n<p>{escape(words)}</p>"
+    rows = [
+        (*map(str, (one.serial, one.sessions[0], one.sessions[-1])), number(one.costs[-1]), f"{one.signed[-1]:+.2g}")
+        for one in due
+    ]
     head = ("actuator", "since", "at", "cost, % of the stroke", "change of the stroke, %")
-    return f"{title}\n{table(head, [_aged(one) for one in due[:_MOST]], 3)}" if due else title
+    return _section("To recalibrate", words, head, rows, 3)
 
 
-def _aged(one: Ageing) -> tuple[str, ...]:
-    sessions = str(one.sessions[0]), str(one.sessions[-1])
-    return str(one.serial), *sessions, number(float(one.costs[-1])), f"{one.signed[-1]:+.2g}"
+def _listed(findings: Findings) -> str:
+    if not findings.listed:
+        return ""
+    rows = [
+        (
+            one.record,
+            f"{one.quantity.name} ({one.quantity.unit})",
+            number(one.value),
+            number(one.median),
+            number(one.score, 2),
+        )
+        for one in findings.outliers
+    ]
+    rows += [(name, MISSED, "", "", "") for name in findings.inaccurate]
+    more = f"\n<p>{len(rows) - _MOST} more: see dehyst fleet report --json.</p>" if len(rows) > _MOST else ""
+    words = f"{counted(len(findings.listed), 'record')}, the farthest from the fleet first."
+    return _section("To look at", words, ("record", "quantity", "value", "fleet's median", "z"), rows, 2) + more
 
 
 def _distributions(findings: Findings) -> Charts | str:
     charts = []
-    for k, quantity in enumerate(QUANTITIES):
-        values = findings.values(k)
+    for quantity, values in findings.distributions().items():
         if values.size > 1:
-            x, y = _histogram(values)
-            series = Series("records", x, y, "measured")
+            series = Series("records", *_histogram(values), "measured")
             axes = Axis(quantity.name, quantity.unit), Axis("records", "")
             charts.append(Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
     if not charts:
@@ -86,63 +126,23 @@ def _histogram(values: Array) -> tuple[Array, Array]:
 
 
 def _map(findings: Findings) -> Charts | str:
-    rows = identified(findings.fleet)
+    """Return width and error over the stroke, one dot a record."""
+    rows = modelled(findings.fleet)
     if len(rows) < 2:
         return ""
-    width, error = (next(q for q in QUANTITIES if q.name == name) for name in ("width at 50 %", "RMS error"))
-    listed = set(findings.listed)
     names = [findings.fleet.name(row) for row in rows]
+    listed = set(findings.listed)
     far = np.array([name in listed for name in names])
     usual, larger = _DOTS if len(rows) <= _MANY else _SMALL_DOTS
     x = np.array([float(row["stroke_um"]) for row in rows])
     charts = []
-    for quantity in (width, error):
-        y = np.array([quantity.value(row) for row in rows])
+    for quantity in (next(one for one in QUANTITIES if one.name == name) for name in ("width at 50 %", "RMS error")):
+        y, title = quantity.values(rows), f"{quantity.name} over stroke"
+        seen = tuple(name for name in names if name in listed)
         series = (
             Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
-            Series(
-                "to look at",
-                x[far],
-                y[far],
-                "simulated",
-                kind="points",
-                width=larger,
-                names=tuple(name for name in names if name in listed),
-            ),
+            Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
         )
-        shown = tuple(one for one in series if one.x.size)
-        charts.append(
-            Chart(
-                f"{quantity.name} over stroke",
-                "",
-                f"{quantity.name} over stroke",
-                Axis("stroke", "um"),
-                Axis(quantity.name, quantity.unit),
-                shown,
-            )
-        )
+        axes = Axis("stroke", "um"), Axis(quantity.name, quantity.unit)
+        charts.append(Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
     return Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))
-
-
-def _listed(findings: Findings) -> str:
-    if not findings.listed:
-        return ""
-    rows = [
-        (one.record, f"{one.quantity} ({one.unit})", number(one.value), number(one.median), number(one.score, 2))
-        for one in findings.outliers
-    ]
-    rows += [(name, "the model misses the record", "", "", "") for name in findings.inaccurate]
-    more = f"<p>{len(rows) - _MOST} more: see dehyst fleet report --json.</p>" if len(rows) > _MOST else ""
-    head = ("record", "quantity", "value", "fleet's median", "z")
-    title = f"<h2>To look at</h2>\n<p>{counted(len(findings.listed), 'record')}, the farthest from the fleet first.</p>"
-    return f"{title}\n{table(head, rows[:_MOST], 2)}\n{more}"
-
-
-def _without_model(findings: Findings) -> str:
-    if not findings.refused:
-        return ""
-    rows = [
-        (str(len(names)), reason, f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}")
-        for reason, names in findings.refused
-    ]
-    return f"<h2>Without a model</h2>\n{table(('records', 'reason', 'which'), rows[:_MOST], 3)}"

@@ -6,14 +6,14 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dehyst._errors import DehystError, IdentifyError
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.fleet.reader import FleetOptions
+from dehyst.fleet.table import Fleet
 from dehyst.identification import Fit, Outcome, RecordErrors, identify
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.rules import RULES
@@ -22,17 +22,14 @@ from dehyst.model import Actuator, Identification, MaxwellSlip, Spring
 from dehyst.records import Record
 from dehyst.records.signals import rms
 
-if TYPE_CHECKING:
-    from dehyst.fleet.table import Fleet
-
 # Models that make a prior, at least; part by which their grids may differ.
 _FEWEST, _SAME = 5, 1e-3
 # A record is tried with the prior if its noise exceeds this part of the stroke, or it has fewer cycles or samples.
 _NOISY, _CYCLES, _SAMPLES = 1e-3, 4, 600
 # Least width of a loop, of that of the prior, and how close to a level spring the width may bring its steepest part.
 _NARROWEST, _STEEPEST = 0.2, 0.95
-# What the prior must do better by, so that noise does not choose.
-_WORTH = 0.98
+# The prior's held-out error must be smaller than the own model's by this factor, so that noise does not choose.
+_GAIN = 0.98
 _COLUMNS = ("breakaway", "stiffness", "knots", "spring")
 
 
@@ -66,15 +63,11 @@ class Shape:
     def widest(self) -> float:
         """The largest width with which the spring still rises everywhere."""
         slope = float((np.diff(self.spring) / np.diff(self.knots)).min())
-        return 1 + _STEEPEST * slope / (2 * self._friction)
-
-    @property
-    def _friction(self) -> float:
-        return float(self.stiffness @ self.breakaway)
+        return 1 + _STEEPEST * slope / (2 * float(self.stiffness @ self.breakaway))
 
     def actuator(self, stroke: float, width: float, **more: Any) -> Actuator:
         """Return the actuator of a stroke [m] and a width of its loop, 1 being the prior's; its ends stay."""
-        tilt = (width - 1) * self._friction * (1 - 2 * self.knots)
+        tilt = (width - 1) * float(self.stiffness @ self.breakaway) * (1 - 2 * self.knots)
         return Actuator(
             MaxwellSlip(self.breakaway * stroke, width * self.stiffness / stroke),
             Spring(self.knots * stroke, self.spring + tilt),
@@ -83,14 +76,17 @@ class Shape:
         )
 
 
-def shape_of(fleet: Fleet) -> dict[str, Any]:
-    """Return the median shape of the plain models of a fleet, as JSON; raise `IdentifyError` if they are too few."""
+def shape_of(fleet: Fleet) -> Shape:
+    """Return the median shape of the plain models of a fleet; raise `IdentifyError` if they are too few."""
     groups: dict[tuple[int, int], list[Array]] = defaultdict(list)
     delays = []
     for _, actuator in fleet.models():
-        if not actuator.wide:
-            count, coefficients = _normalised(actuator)
-            groups[count, coefficients.size].append(coefficients)
+        slip, spring = actuator.slip, actuator.spring
+        if not actuator.wide and isinstance(slip, MaxwellSlip):
+            x, stroke = spring.displacement, float(np.ptp(spring.displacement))
+            parts = slip.breakaway / stroke, slip.stiffness * stroke, (x - float(x[0])) / stroke, spring.voltage
+            coefficients = np.concatenate(parts)
+            groups[len(slip), coefficients.size].append(coefficients)
             delays.append(actuator.delay)
     (count, _), rows = max(groups.items(), key=lambda one: len(one[1]), default=((0, 0), []))
     # Longer elements are another grid.
@@ -101,62 +97,42 @@ def shape_of(fleet: Fleet) -> dict[str, Any]:
             "with --structure maxwell_slip"
         )
     middle = np.median(same, axis=0)
-    knots, spring = np.split(middle[2 * count :], 2)
-    shape = Shape(middle[:count], middle[count : 2 * count], knots, spring, float(np.median(delays)), len(same))
-    return shape.as_dict()
+    breakaway, stiffness, knots, volts = np.split(middle, [count, 2 * count, count + middle.size // 2])
+    return Shape(breakaway, stiffness, knots, volts, float(np.median(delays)), len(same))
 
 
-def _normalised(actuator: Actuator) -> tuple[int, Array]:
-    slip, spring = actuator.slip, actuator.spring
-    if not isinstance(slip, MaxwellSlip):
-        raise IdentifyError(f"{actuator.name}: graded elements have no shape of a plain fleet")
-    low, stroke = float(spring.displacement[0]), float(np.ptp(spring.displacement))
-    parts = slip.breakaway / stroke, slip.stiffness * stroke, (spring.displacement - low) / stroke, spring.voltage
-    return len(slip), np.concatenate(parts)
-
-
-def identified_with_prior(record: Record, options: FleetOptions) -> tuple[Fit, dict[str, Any]]:
+def identified_with_prior(
+    record: Record, shape: Shape, options: Mapping[str, Any]
+) -> tuple[Fit, dict[str, str | float | None]]:
     """Return the record's own fit, or that of the prior's shape where it predicts a held-out part better.
 
-    Also returns what the row shows: which was kept, and both held-out errors.
+    Also returns what the row shows: which was kept, and both held-out errors. `options`: arguments of `identify`.
     """
-    shape = Shape.from_dict(options.prior or {})
-    own, refusal = _own(record, options)
-    if own is not None and not _is_weak(record):
+    refusal: DehystError | None = None
+    own: Fit | None = None
+    try:
+        own = identify(record, throw=False, **options)
+    except DehystError as error:
+        refusal = error
+    own = None if own is None or own.actuator is None else own
+    weak = len(record) < _SAMPLES or len(record.cycles()) < _CYCLES or record.noise > _NOISY * record.stroke
+    if own is not None and not weak:
         return own, {"prior": "not tried"}
-    ours, theirs = _evidence(record, options, shape)
+    try:
+        ours, theirs = _held_out(record, shape, options)
+    except Exception:  # a failed comparison is no fault of the record: it is refused for its own identification only
+        ours = theirs = None
     row = {"held_out_own_percent": ours, "held_out_prior_percent": theirs}
-    limit = RULES.useless if own is None else -np.inf if ours is None else _WORTH * ours
-    lent = _fit(record, shape) if theirs is not None and theirs < limit else None
-    if lent is not None:
-        return lent, {**row, "prior": "kept"}
+    limit = RULES.useless if own is None else -np.inf if ours is None else _GAIN * ours
+    if theirs is not None and theirs < limit:
+        with suppress(DehystError):
+            return _fit(record, shape), {**row, "prior": "kept"}
     if own is None:
         raise refusal or IdentifyError(f"{record.name}: neither an own model nor the fleet's shape explains it")
     return own, {**row, "prior": "not kept"}
 
 
-def _own(record: Record, options: FleetOptions) -> tuple[Fit | None, DehystError | None]:
-    try:
-        fit = identify(record, throw=False, **options.identification)
-    except DehystError as error:
-        return None, error
-    return (None, None) if fit.actuator is None else (fit, None)
-
-
-def _is_weak(record: Record) -> bool:
-    few = len(record) < _SAMPLES or len(record.cycles()) < _CYCLES
-    return few or record.noise > _NOISY * record.stroke
-
-
-def _evidence(record: Record, options: FleetOptions, shape: Shape) -> tuple[float | None, float | None]:
-    """Return both held-out errors as `_held_out` does; none if the comparison fails: no fault of the record."""
-    try:
-        return _held_out(record, options, shape)
-    except Exception:  # a record is refused for what its own identification finds only
-        return None, None
-
-
-def _held_out(record: Record, options: FleetOptions, shape: Shape) -> tuple[float | None, float | None]:
+def _held_out(record: Record, shape: Shape, options: Mapping[str, Any]) -> tuple[float | None, float | None]:
     """Return the RMS errors [% of the stroke] of own and prior's models where they were not trained.
 
     About the first and the last quarter of the record are held out in turn. Without both errors there is no evidence.
@@ -166,7 +142,7 @@ def _held_out(record: Record, options: FleetOptions, shape: Shape) -> tuple[floa
     for trained, held in _folds(record):
         with suppress(DehystError):
             prior.append(_errors(fitted(trained, shape), held, record.stroke, "validation").rms)
-            own.append(_errors(_own_actuator(trained, options), held, record.stroke, "validation").rms)
+            own.append(_errors(identify(trained, **options).actuator, held, record.stroke, "validation").rms)
     if not prior:
         return None, None
     percent = 100 / record.stroke
@@ -176,31 +152,24 @@ def _held_out(record: Record, options: FleetOptions, shape: Shape) -> tuple[floa
 
 def _folds(record: Record) -> Iterator[tuple[Record, Record]]:
     """Yield what is trained on and what is held out, both with one cycle at least."""
-    size, ends = len(record), [cycle.stop - 1 for cycle in record.cycles()]
+    size = len(record)
+    # No record has one sample: what lies beyond a cycle that ends with the record cannot be sliced.
+    ends = np.array([cycle.stop - 1 for cycle in record.cycles() if cycle.stop < size])
     for first in (True, False):
-        goal = (0.25 if first else 0.75) * size
-        # No record has one sample: what lies beyond a cycle that ends with the record cannot be sliced.
-        for end in sorted((end for end in ends if end < size - 1), key=lambda end, goal=goal: abs(end - goal)):  # type: ignore[misc]
+        for end in ends[np.argsort(np.abs(ends - (0.25 if first else 0.75) * size), kind="stable")].tolist():
             parts = record.slice(0, end + 1), record.slice(end, size)
             if all(part.cycles() for part in parts):
                 yield parts[::-1] if first else parts
                 break
 
 
-def _own_actuator(record: Record, options: FleetOptions) -> Actuator:
-    return identify(record, **options.identification).actuator  # type: ignore[no-any-return]
-
-
 def _errors(actuator: Actuator, record: Record, stroke: float, role: str) -> RecordErrors:
     return errors_of(actuator, compare(actuator, prepare(record), stroke), role)[0]
 
 
-def _fit(record: Record, shape: Shape) -> Fit | None:
-    """Return the fit of the prior's shape to the whole record; None if it cannot be fitted."""
-    try:
-        actuator = fitted(record, shape)
-    except DehystError:
-        return None
+def _fit(record: Record, shape: Shape) -> Fit:
+    """Return the fit of the prior's shape to the whole record."""
+    actuator = fitted(record, shape)
     error = _errors(actuator, record, float(np.ptp(actuator.spring.displacement)), "training")
     outcome = Outcome.IDENTIFIED if error.largest_percent <= RULES.useless else Outcome.INACCURATE
     return Fit(actuator.with_identification(outcome=outcome), outcome, (error,))
@@ -210,7 +179,7 @@ def fitted(record: Record, shape: Shape) -> Actuator:
     """Return the actuator of the prior's shape whose simulation misses a record least: its gain, width and zero.
 
     Simulated from below, and compared once the record has been through its whole range; noise of the displacement does
-    not bias it.
+    not bias it. Raise `IdentifyError` if the displacement does not follow the voltage.
     """
     from scipy.optimize import minimize_scalar
 
@@ -219,14 +188,14 @@ def fitted(record: Record, shape: Shape) -> Actuator:
     counted = slice(begin if begin < len(piece) // 2 else 0, None)
     y = piece.displacement[counted]
 
-    def fit(width: float) -> tuple[float, float, float]:
-        """Return the RMS error, the stroke and the zero at a width."""
+    def fit(width: float) -> tuple[float, float]:
+        """Return the RMS error and the stroke at a width."""
         model = shape.actuator(1.0, width)
         start = model.turned(0.0, rising=False, extrapolate=True)
         u = model.simulate(piece.voltage, state=start, extrapolate=True).displacement[counted]
         # y = stroke u + zero
         (stroke, zero), *_ = np.linalg.lstsq(np.column_stack([u, np.ones_like(u)]), y, rcond=None)
-        return float(np.sqrt(np.mean((y - stroke * u - zero) ** 2))), float(stroke), float(zero)
+        return float(np.sqrt(np.mean((y - stroke * u - zero) ** 2))), float(stroke)
 
     scale = float(np.ptp(record.displacement)) or 1.0
     best = minimize_scalar(
@@ -236,7 +205,7 @@ def fitted(record: Record, shape: Shape) -> Actuator:
         options={"xatol": 1e-4},
     )
     width = float(best.x)
-    _, stroke, _ = fit(width)
+    _, stroke = fit(width)
     if not stroke > 0:
         raise IdentifyError(f"{record.name}: the displacement does not follow the voltage as the fleet's shape does")
     origin = {"prior_records": shape.records, "stroke_m": stroke, "width": width}

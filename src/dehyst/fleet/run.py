@@ -1,4 +1,4 @@
-"""A run over a fleet: what is left to do, who does it, and the table at the end."""
+"""A run over a fleet: what is left to do, and the table at the end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,15 @@ from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._io import PathLike, named
 from dehyst._text import counted
 from dehyst._types import Progress
-from dehyst.fleet.dataset import Dataset, Task, code_of, open_dataset
+from dehyst._version import __version__
+from dehyst.fleet.dataset import STAMP, Dataset, Reader, Task, code_of, digest_of, open_dataset, stamp_of
 from dehyst.fleet.engine import run_tasks
 from dehyst.fleet.prior import shape_of
-from dehyst.fleet.reader import STAMP, FleetOptions, Reader, digest_of, is_current, stamp_of
-from dehyst.fleet.shards import COLUMNS, MODEL, PLACE, Shards
-from dehyst.fleet.table import Fleet, load, write_table
-from dehyst.fleet.task import lost_row
+from dehyst.fleet.table import COLUMNS, MODEL, PLACE, Fleet, Shards, load, write_table
+from dehyst.fleet.task import FleetOptions, lost_row
+
+# Seconds between two calls of the progress.
+_OFTEN = 0.2
 
 
 def identify_fleet(
@@ -87,117 +90,28 @@ def identify_fleet(
     report("reading the index")
     found = open_dataset(dataset, by)
     options = options or FleetOptions()
-    options = options if prior is None else replace(options, prior=shape_of(load(prior)))
+    options = options if prior is None else replace(options, prior=shape_of(load(prior)).as_dict())
     _check_dataset(found, options)
-    shards = Shards.beside(target, options.digest(found.digest))
+    chosen = asdict(options)
+    digest = sha256(json.dumps([found.digest, chosen, __version__], sort_keys=True).encode()).hexdigest()
+    shards = Shards(target.with_name(f"{target.name}.parts"), digest)
     with shards.held():
         earlier = _earlier(target, shards) if resume else None
         if earlier is not None and not shards.begun and _is_complete(earlier, found):
             return earlier
-        shards.prepare(len(found), options.as_dict(), resume=resume)
+        shards.prepare(len(found), chosen, resume=resume)
         gone = _adopt(earlier, found, shards)
-        run = _Run(found, options, shards, report, resume)
-        for sentence in (*found.remarks, *gone, *run.remarks):
+        left, changed = _left(found, options, shards) if resume else (list(found.tasks), ())
+        for sentence in (*found.remarks, *gone, *changed):
             report("")
             (remark or (lambda _: None))(sentence)
-        run.finish(jobs, dask, time_limit)
-        run.write(target)
+        head: dict[str, Any] = {"dataset": str(found.path), "options": chosen, "time_limit": time_limit}
+        head |= {"folder": str(shards.folder), "digest": digest}
+        if left:
+            _finish(head, left, len(found), report, jobs=jobs, scheduler=dask)
+        _write(target, found, shards, chosen)
         report("")
         return load(target)
-
-
-class _Run:
-    """Tasks of a run that are done, left and lost."""
-
-    def __init__(self, dataset: Dataset, options: FleetOptions, shards: Shards, report: Progress, resume: bool) -> None:
-        self.dataset, self.shards, self._report = dataset, shards, report
-        self.head = {"options": options.as_dict(), "folder": str(shards.folder), "digest": shards.digest}
-        self.head["dataset"] = str(dataset.path)
-        self.changed: list[Task] = []
-        reader = Reader()
-        self.left = [task for task in dataset.tasks if not (resume and self._is_done(task, options, reader))]
-        self._began, self._done, self._lost, self._shown = time.monotonic(), 0, 0, 0.0
-
-    def _is_done(self, task: Task, options: FleetOptions, reader: Reader) -> bool:
-        """Return whether a record has its row; remove a row of other samples."""
-        row = self.shards.read(task)
-        if row is None:
-            return False
-        if row["outcome"] != "lost":
-            if is_current(row, task, options, reader):
-                return True
-            self.changed.append(task)
-        self.shards.discard(task)
-        return False
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """A sentence if records have changed since the run that is resumed."""
-        if not self.changed:
-            return ()
-        count = counted(len(self.changed), "record")
-        return (f"{count} changed since the run that is resumed, as {self.changed[0].name}: computed again",)
-
-    def finish(self, jobs: int | None, scheduler: str | None, time_limit: float | None) -> None:
-        """Do what is left."""
-        if not self.left:
-            return
-        self._show()
-        head = self.head | {"time_limit": time_limit}
-        with closing(run_tasks(head, self.left, jobs=jobs, scheduler=scheduler)) as answers:
-            for answer in answers:
-                if answer is not None:
-                    if "fault" in answer:
-                        raise FileFormatError(f"{answer['fault']}; then give the same command with --resume")
-                    self._done += 1
-                    self._lost += answer["outcome"] == "lost"
-                if time.monotonic() - self._shown > _OFTEN:
-                    self._show()
-
-    def write(self, output: Path) -> None:
-        """Write the table, and remove the shards if no record is lost."""
-        if not self.shards.begun:
-            raise FileFormatError(f"{self.shards.folder}: was removed while this run used it; give the command again")
-        tasks = self.dataset.tasks
-        # What the files of all records were when they were read.
-        content = _content((task, (self.shards.read(task) or {}).get(STAMP)) for task in tasks)
-        about = {"digest": self.shards.digest, "content": content, "options": self.head["options"]}
-        keys = {name: [task.keys[name] for task in tasks] for name in self.dataset.by}
-        write_table(output, keys, self._rows(), about, self.shards.folder)
-        if not self._lost:
-            self.shards.remove()
-
-    def _rows(self) -> Iterator[Mapping[str, Any]]:
-        """Yield the row of each record, in the dataset's order."""
-        for task in self.dataset.tasks:
-            row = self.shards.read(task)
-            if row is None:
-                self._lost += 1
-                row = dict(lost_row(task, "shard", "its shard is missing or damaged"))
-            yield row
-
-    def _show(self) -> None:
-        self._shown = time.monotonic()
-        total, left = len(self.dataset), len(self.left) - self._done
-        words = f"{total - left} of {counted(total, 'record')}"
-        if self._done:
-            rate = self._done / (self._shown - self._began)
-            words += f", {rate:.3g} a second, {duration(left / rate)} left"
-        lost = f", {self._lost} lost" if self._lost else ""
-        self._report(f"{words}{lost}")
-
-
-# Seconds between two calls of the progress.
-_OFTEN = 0.2
-
-
-def duration(seconds: float) -> str:
-    """Write a duration in two units at most."""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
 
 
 def _check(dataset: PathLike, output: Path, jobs: int | None, dask: str | None, time_limit: float | None) -> None:
@@ -220,7 +134,7 @@ def _check_dataset(dataset: Dataset, options: FleetOptions) -> None:
         raise FileFormatError(
             f"got '{options.decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
         )
-    if reserved := [name for name in dataset.by if name in (*COLUMNS, MODEL, "keys")]:
+    if reserved := [name for name in dataset.by if name in (*COLUMNS, "keys")]:
         raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
 
 
@@ -286,11 +200,82 @@ def _adopt(fleet: Fleet | None, dataset: Dataset, shards: Shards) -> tuple[str, 
             continue
         same = all(str(row[name]) == str(value) for name, value in task.keys.items())
         if same and row["outcome"] != "lost" and row["sha256"] and not shards.path(task).exists():
-            columns = {name: row[name] for name in COLUMNS}
+            columns = {name: row[name] for name in COLUMNS if name != MODEL}
             # A row whose model is damaged is computed again.
             with suppress(ValueError):
                 held = {MODEL: json.loads(model)} if model else {}
                 shards.write(task, {"keys": dict(task.keys), **columns, **held})
-    if not gone:
-        return ()
-    return (f"{counted(len(gone), 'record')} of the run that is resumed gone from the dataset: without a row now",)
+    words = f"{counted(len(gone), 'record')} of the run that is resumed gone from the dataset: without a row now"
+    return (words,) if gone else ()
+
+
+def _left(dataset: Dataset, options: FleetOptions, shards: Shards) -> tuple[list[Task], tuple[str, ...]]:
+    """Return the records without a row of their present samples, and a sentence if some have changed since."""
+    reader, left, changed = Reader(options.columns), list[Task](), list[Task]()
+    for task in dataset.tasks:
+        row = shards.read(task)
+        lost = row is not None and row["outcome"] == "lost"
+        if row is not None and not lost and reader.is_current(row, task):
+            continue
+        left.append(task)
+        if row is not None:
+            changed += [] if lost else [task]
+            shards.path(task).unlink(missing_ok=True)
+    if not changed:
+        return left, ()
+    count = counted(len(changed), "record")
+    return left, (f"{count} changed since the run that is resumed, as {changed[0].name}: computed again",)
+
+
+def _finish(
+    head: Mapping[str, Any], left: list[Task], total: int, report: Progress, *, jobs: int | None, scheduler: str | None
+) -> None:
+    """Do what is left, and report the progress."""
+    began = shown = time.monotonic()
+    done = lost = 0
+    with closing(run_tasks(head, left, jobs=jobs, scheduler=scheduler)) as answers:
+        report(f"{total - len(left)} of {counted(total, 'record')}")
+        for answer in answers:
+            if answer is not None:
+                if "fault" in answer:
+                    raise FileFormatError(f"{answer['fault']}; then give the same command with --resume")
+                done += 1
+                lost += answer["outcome"] == "lost"
+            now = time.monotonic()
+            if now - shown > _OFTEN:
+                shown, remaining = now, len(left) - done
+                rate = done / (now - began)
+                speed = f", {rate:.3g} a second, {_duration(remaining / rate)} left" if done else ""
+                misses = f", {lost} lost" if lost else ""
+                report(f"{total - remaining} of {counted(total, 'record')}{speed}{misses}")
+
+
+def _duration(seconds: float) -> str:
+    """Write a duration in two units at most."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def _write(output: Path, dataset: Dataset, shards: Shards, options: Mapping[str, Any]) -> None:
+    """Write the table, and remove the shards if no record is lost."""
+    if not shards.begun:
+        raise FileFormatError(f"{shards.folder}: was removed while this run used it; give the command again")
+    lost = 0
+
+    def rows() -> Iterator[Mapping[str, Any]]:
+        nonlocal lost
+        for task in dataset.tasks:
+            row = shards.read(task) or lost_row(task, "shard", "its shard is missing or damaged")
+            lost += row["outcome"] == "lost"
+            yield row
+
+    # What the files of all records were when they were read.
+    content = _content((task, (shards.read(task) or {}).get(STAMP)) for task in dataset.tasks)
+    about = {"digest": shards.digest, "content": content, "options": options}
+    keys = {name: [task.keys[name] for task in dataset.tasks] for name in dataset.by}
+    write_table(output, keys, rows(), about, shards.folder)
+    if not lost:
+        shards.remove()

@@ -1,22 +1,44 @@
-"""The table of a fleet: one Parquet file, one row a record, written from shards with a bounded memory."""
+"""The table of a fleet: one row a record, in files of their own while a run lasts, in one Parquet file at its end."""
 
 from __future__ import annotations
 
 import json
+import os
+import platform
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import dehyst._io as io
 from dehyst._errors import DehystError, FileFormatError
-from dehyst._io import PathLike, demand_alike, draft_of, named, reading_errors, settle_file, settle_folder, unwritten
+from dehyst._io import PathLike, unwritten
+from dehyst._text import counted
 from dehyst._version import __version__
-from dehyst.fleet.dataset import pyarrow, pyarrow_parquet, text_of
-from dehyst.fleet.shards import CAUSE, COLUMNS, MODEL, NUMBERS, PLACE, PRIORS, TEXTS
+from dehyst.fleet.dataset import Task, arrow, text_of
 from dehyst.model import Actuator
 
+# Where the record lies in the dataset, where its refusal was raised, and the model as JSON.
+PLACE, CAUSE, MODEL = "place", "cause", "model"
+# The columns of the table after the keys, in their order, and their kinds.
+COLUMNS = {
+    **dict.fromkeys(("outcome", "detail", "reason"), "text"),
+    **dict.fromkeys(("largest_percent", "rms_percent", "expected_percent"), "number"),
+    **dict.fromkeys(("noise_nm", "noise_percent", "stroke_um"), "number"),
+    **dict.fromkeys(("width25_um", "width50_um", "width75_um", "drift_percent", "cycle_s"), "number"),
+    "prior": "text",
+    **dict.fromkeys(("held_out_own_percent", "held_out_prior_percent"), "number"),
+    "samples": "count",
+    "coefficients": "numbers",
+    **dict.fromkeys(("version", "sha256"), "text"),
+    **dict.fromkeys(("cpu_s", "wall_s", "memory_MB"), "number"),
+    **dict.fromkeys((PLACE, CAUSE, MODEL), "text"),
+}
+# Tables of version 0.1 have neither places nor causes.
+_LATER = (PLACE, CAUSE)
 # Name of the metadata, and rows in memory at a time.
 MARK, _AT_A_TIME = b"dehyst-fleet", 1000
 
@@ -62,22 +84,20 @@ class Fleet:
         """Yield row and actuator of each identified record; with `where`, of rows for which it holds."""
         for k, (row, text) in enumerate(self.texts()):
             if row["outcome"] == "identified" and (where is None or where(row)):
-                yield row, self._actuator(k, row, text)
+                try:
+                    actuator = Actuator.from_dict(json.loads(text or ""))
+                except (DehystError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+                    raise FileFormatError(
+                        f"{self.path}: row {k} ({self.name(row)}): the column '{MODEL}' holds no model ({error}); "
+                        "identify the record again"
+                    ) from error
+                yield row, actuator
 
     def texts(self) -> Iterator[tuple[Mapping[str, Any], str | None]]:
         """Yield each row and its model as JSON, None without one."""
-        with closing(pyarrow_parquet().ParquetFile(self.path)) as file:
+        with arrow().parquet.ParquetFile(self.path) as file:
             texts = (text for batch in file.iter_batches(100, columns=[MODEL]) for text in batch.column(0).to_pylist())
             yield from zip(self.rows, texts, strict=True)
-
-    def _actuator(self, number: int, row: Mapping[str, Any], text: str | None) -> Actuator:
-        try:
-            return Actuator.from_dict(json.loads(text or ""))
-        except (DehystError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            raise FileFormatError(
-                f"{self.path}: row {number} ({self.name(row)}): the column '{MODEL}' holds no model ({error}); "
-                "identify the record again"
-            ) from error
 
 
 def load(path: PathLike) -> Fleet:
@@ -85,8 +105,8 @@ def load(path: PathLike) -> Fleet:
 
     Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
     """
-    target = named(path)
-    with reading_errors(target, "Parquet"), closing(pyarrow_parquet().ParquetFile(target)) as file:
+    target = io.named(path)
+    with io.reading_errors(target, "Parquet"), arrow().parquet.ParquetFile(target) as file:
         marked = (file.schema_arrow.metadata or {}).get(MARK)
         if marked is None:
             raise FileFormatError(f"{path}: is no table of a fleet; give one that dehyst fleet identify wrote")
@@ -99,38 +119,35 @@ def load(path: PathLike) -> Fleet:
 
 def _demand_columns(path: Path, schema: Any, by: Sequence[str]) -> None:
     """Raise `FileFormatError` if another program has removed a column or changed its kind."""
-    known = _kinds()
-    # Tables of version 0.1 have neither places nor causes.
-    if missing := [name for name in (*by, *known) if name not in (*schema.names, PLACE, CAUSE)]:
+    if missing := [name for name in (*by, *COLUMNS) if name not in (*schema.names, *_LATER)]:
         raise FileFormatError(
             f"{path}: has no column '{missing[0]}', which dehyst fleet identify wrote; was the table edited? Keep all "
             "its columns, or identify the dataset again"
         )
-    types = pyarrow().types
-    for name in (*NUMBERS, MODEL):
+    types = arrow().types
+    fits = {
+        "number": (types.is_floating, types.is_integer, types.is_null),
+        "text": (types.is_string, types.is_large_string, types.is_null),
+    }
+    for name in (name for name in COLUMNS if name in schema.names):
         kind = schema.field(name).type
-        fits = types.is_string(kind) or types.is_large_string(kind) if name == MODEL else _is_number(types, kind)
-        if not (fits or types.is_null(kind)):
+        if not any(check(kind) for check in fits.get(COLUMNS[name], [lambda _: True])):
             raise FileFormatError(
-                f"{path}: column '{name}' is of kind {kind}, need {known[name]}; was the table edited?"
+                f"{path}: column '{name}' is of kind {kind}, need {_arrow_kinds()[COLUMNS[name]]}; was the table "
+                "edited?"
             )
 
 
-def _is_number(types: Any, kind: Any) -> bool:
-    return bool(types.is_floating(kind) or types.is_integer(kind))
-
-
-def actuators(path: PathLike, where: Callable[[Mapping[str, Any]], bool] | None = None) -> list[Actuator]:
-    """Return the identified actuators of the table at `path`; with `where`, those of rows for which it holds.
-
-    Raise as `load` does.
-    """
-    return load(path).actuators(where)
+def _arrow_kinds() -> dict[str, Any]:
+    """Return the kinds of columns as Arrow has them."""
+    kinds = arrow()
+    number = kinds.float64()
+    return {"text": kinds.string(), "number": number, "count": kinds.int64(), "numbers": kinds.list_(number)}
 
 
 def write_table(
     path: Path,
-    keys: Mapping[str, Iterable[Any]],
+    keys: Mapping[str, Sequence[Any]],
     rows: Iterable[Mapping[str, Any]],
     about: Mapping[str, Any],
     folder: Path,
@@ -139,48 +156,188 @@ def write_table(
 
     `keys`: values of all rows by name. `folder`: that of the draft, which the next run removes if this one is killed.
     """
-    arrow, parquet = pyarrow(), pyarrow_parquet()
-    remaining, draft = iter(rows), draft_of(folder / path.name)
+    library, remaining, draft = arrow(), iter(rows), io.draft_of(folder / path.name)
+    kinds = {name: _kind_of_key(values) for name, values in keys.items()}
+    known = _arrow_kinds()
     words = {"program": f"dehyst {__version__}", "by": list(keys), **about}
-    kinds = {name: _kind(list(values)) for name, values in keys.items()}
-    schema = arrow.schema({**kinds, **_kinds()}).with_metadata({MARK: json.dumps(words).encode()})
+    columns = kinds | {name: known[kind] for name, kind in COLUMNS.items()}
+    schema = library.schema(columns).with_metadata({MARK: json.dumps(words).encode()})
     # Keys of different kinds are text.
-    mixed = [name for name, kind in kinds.items() if kind == arrow.string()]
+    mixed = [name for name, kind in kinds.items() if kind == library.string()]
+
+    def flat(row: Mapping[str, Any]) -> dict[str, Any]:
+        model = row.get(MODEL)
+        texts = {name: text_of(row.get(name)) for name, kind in COLUMNS.items() if kind == "text"}
+        texts |= {name: str(row["keys"][name]) for name in mixed}
+        return {**row, **row["keys"], **texts, MODEL: None if model is None else json.dumps(model)}
+
     try:
-        with parquet.ParquetWriter(draft, schema, compression="zstd") as writer:
+        with library.parquet.ParquetWriter(draft, schema, compression="zstd") as writer:
             while block := list(islice(remaining, _AT_A_TIME)):
-                writer.write_table(arrow.Table.from_pylist([_flat(row, mixed) for row in block], schema=schema))
-        settle_file(draft)
-        demand_alike(path, b"PAR1" + MARK)
+                writer.write_table(library.Table.from_pylist(list(map(flat, block)), schema=schema))
+        io.settle_file(draft)
+        io.demand_alike(path, b"PAR1" + MARK)
         draft.replace(path)
-        settle_folder(path.parent)
+        io.settle_folder(path.parent)
     except OSError as error:
         raise unwritten(path, error) from error
     finally:
         draft.unlink(missing_ok=True)
 
 
-def _flat(row: Mapping[str, Any], mixed: Sequence[str]) -> dict[str, Any]:
-    model = row.get(MODEL)
-    texts = {name: text_of(row.get(name)) for name in TEXTS} | {name: str(row["keys"][name]) for name in mixed}
-    return {**row, **row["keys"], **texts, MODEL: None if model is None else json.dumps(model)}
-
-
-def _kinds() -> dict[str, Any]:
-    """Return the columns beside the keys, in their order, and the kind of each."""
-    arrow = pyarrow()
-    kinds: dict[str, Any] = dict.fromkeys(NUMBERS, arrow.float64()) | dict.fromkeys(PRIORS[1:], arrow.float64())
-    kinds |= dict.fromkeys((*TEXTS, "prior", "version", "sha256", PLACE, CAUSE), arrow.string())
-    kinds |= dict.fromkeys(("cpu_s", "wall_s", "memory_MB"), arrow.float64())
-    kinds |= {"samples": arrow.int64(), "coefficients": arrow.list_(arrow.float64())}
-    return {name: kinds[name] for name in COLUMNS} | {MODEL: arrow.string()}
-
-
-def _kind(values: Sequence[Any]) -> Any:
-    arrow = pyarrow()
+def _kind_of_key(values: Sequence[Any]) -> Any:
+    """Return the Arrow kind of a key: text if its values are of different kinds, or too large for 64 bits."""
+    kinds, found = arrow(), set(map(type, values))
     if any(isinstance(value, int) and abs(value) >= 2**63 for value in values):
-        return arrow.string()
-    for kind, column in ((bool, arrow.bool_()), (int, arrow.int64()), ((int, float), arrow.float64())):
-        if all(isinstance(value, kind) and (kind is bool or not isinstance(value, bool)) for value in values):
-            return column
-    return arrow.string()
+        return kinds.string()
+    if found <= {bool}:
+        return kinds.bool_()
+    if found <= {int}:
+        return kinds.int64()
+    return kinds.float64() if found <= {int, float} else kinds.string()
+
+
+_MARKER = ("fleet.json", "dehyst-fleet-parts")
+_ROW, _LOCK = "dehyst-fleet-row", "fleet.lock"
+# Suffix of the file that has a byte for each trial of a record.
+_TRIED = ".tried"
+
+
+class Shards:
+    """The rows of a run that has not written its table: one file a record, each written wholly or not at all.
+
+    `folder`: where they are. `digest`: of dataset and options; shards of another one are none of this run. A shard has
+    the name of its record's place in the dataset: records may come and go.
+    """
+
+    def __init__(self, folder: Path, digest: str) -> None:
+        self.folder, self.digest, self.marker = folder, digest, folder / _MARKER[0]
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder, which is made if necessary, for one run; at its end remove drafts, or all without rows.
+
+        Raise `FileFormatError` if another run holds it, or if it holds other files.
+        """
+        with self._locked():
+            try:
+                yield
+            finally:
+                for path in self.folder.rglob(".*"):
+                    if io.is_draft(path.name):
+                        path.unlink(missing_ok=True)
+                if not any(self.files()):
+                    self.remove()
+
+    def _locked(self) -> IO[bytes]:
+        """Return the open lock of the folder."""
+        path = self.folder / _LOCK
+        while True:
+            try:
+                io.make_own_folder(self.folder, *_MARKER)
+            except FileFormatError:
+                # A run that has just begun, or was killed then, has no marker yet.
+                if not path.exists():
+                    raise
+            try:
+                stream = path.open("a+b")
+            except FileNotFoundError:
+                # The run that had the folder has just removed it.
+                continue
+            except OSError as error:
+                raise unwritten(path, error) from error
+            try:
+                io.lock(stream.fileno())
+            except BlockingIOError as error:
+                stream.seek(0)
+                who = stream.read(200).decode(errors="replace")
+                stream.close()
+                raise FileFormatError(
+                    f"{self.folder}: another run uses it ({who}); wait for its end, or name another table"
+                ) from error
+            # It may have been removed, and made anew, before it was locked.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                    stream.truncate(0)
+                    stream.write(f"process {os.getpid()} on {platform.node()}".encode())
+                    stream.flush()
+                    return stream
+            stream.close()
+
+    @property
+    def begun(self) -> bool:
+        """Whether the folder is that of a run that has begun."""
+        return self.marker.exists()
+
+    def prepare(self, count: int, options: Mapping[str, Any], *, resume: bool) -> None:
+        """Begin, or raise `FileFormatError` if there are shards that are not to be resumed, or others."""
+        if not self.begun:
+            head = {"format": _MARKER[1], "version": 1, "digest": self.digest, "records": count, "options": options}
+            io.write_json(self.marker, io.finite(head))
+            return
+        if not resume:
+            done = sum(1 for _ in self.files())
+            raise FileFormatError(
+                f"{self.folder}: holds {counted(done, 'record')} of a run that did not end; go on with --resume, or "
+                "remove the folder"
+            )
+        head = io.read_json(self.marker)
+        if [head.get("format"), head.get("digest")] != [_MARKER[1], self.digest]:
+            raise FileFormatError(
+                f"{self.folder}: is of another dataset, other options or another version; repeat the command of that "
+                "run, or remove the folder"
+            )
+        for path in self.folder.glob(f"*/*{_TRIED}"):
+            path.unlink(missing_ok=True)
+
+    def path(self, task: Task) -> Path:
+        """Return the file of a record; a folder with very many files is slow in many file systems."""
+        return self.folder / task.code[:2] / f"{task.code}.json"
+
+    def files(self) -> Iterator[Path]:
+        """Yield the files of records, named by the `Task.code` of each."""
+        return self.folder.glob("*/*.json")
+
+    def read(self, task: Task) -> dict[str, Any] | None:
+        """Return the row of a record; None if there is none, or its file is not whole or of another run."""
+        path = self.path(task)
+        if not path.is_file():
+            return None
+        with suppress(FileFormatError):
+            row = io.read_json(path)
+            if [row.get(name) for name in ("format", "digest", PLACE)] == [_ROW, self.digest, task.within]:
+                return row
+        return None
+
+    def write(self, task: Task, row: Mapping[str, Any]) -> None:
+        """Write the row of a record, whole or not at all."""
+        path = self._made(task)
+        head = {"format": _ROW, "digest": self.digest, PLACE: task.within}
+        io.write_atomically(path, json.dumps(io.finite({**head, **row}), allow_nan=False))
+        path.with_suffix(_TRIED).unlink(missing_ok=True)
+
+    def trial(self, task: Task) -> int:
+        """Count a trial of a record in this run, and return its number: that before it ended with its process."""
+        path = self._made(task).with_suffix(_TRIED)
+        try:
+            with path.open("ab") as stream:
+                stream.write(b".")
+                return stream.tell()
+        except OSError as error:
+            raise unwritten(path, error) from error
+
+    def _made(self, task: Task) -> Path:
+        """Return the file of a record, its folder made if necessary."""
+        path = self.path(task)
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise unwritten(path.parent, error) from error
+        return path
+
+    def remove(self) -> None:
+        """Remove the folder, once the table holds its rows."""
+        for path in self.folder.glob("*/"):
+            shutil.rmtree(path, ignore_errors=True)
+        # Marker and lock last: a run that is killed before has left a folder to resume.
+        shutil.rmtree(self.folder, ignore_errors=True)

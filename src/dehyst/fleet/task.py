@@ -1,4 +1,4 @@
-"""The task of a worker: read one record, identify it, return one row; whatever one record does, it is a row."""
+"""The task of a worker: read one record, identify it, write one row; whatever one record does, it is a row."""
 
 from __future__ import annotations
 
@@ -9,27 +9,90 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from traceback import walk_tb
+from typing import Any, Literal
 
 import numpy as np
 
-from dehyst._errors import DehystError, FileFormatError, MissingExtraError, RecordError
+from dehyst._errors import DehystError, FileFormatError, IdentifyError, MissingExtraError, RecordError
 from dehyst._threads import one_thread
+from dehyst._validation import choice
 from dehyst._version import __version__
-from dehyst.fleet.dataset import Task
+from dehyst.fleet.dataset import STAMP, Reader, Task, sha256_of, stamp_of
 from dehyst.fleet.drift import widths
-from dehyst.fleet.prior import identified_with_prior
-from dehyst.fleet.reader import STAMP, FleetOptions, Reader, sha256_of, stamp_of
-from dehyst.fleet.shards import CAUSE, MARKER, MODEL, PLACE, Shards
+from dehyst.fleet.prior import Shape, identified_with_prior
+from dehyst.fleet.table import CAUSE, MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
-from dehyst.model import Actuator
 from dehyst.records import Record
+from dehyst.records.tables import Choice
 
 # A task is tried so many times; status of a worker that ends itself at the time limit.
 _TRIALS, _LATE = 3, 75
 # A model that misses a record by this part of its standard deviation explains nothing.
 _DEAD = 0.5
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """How every record is identified.
+
+    Parameters
+    ----------
+    structure : str
+        "maxwell_slip": slip elements and a spring. "auto": parts selected by cross-validation, as `dehyst.identify`.
+    elements : int, optional
+        Number of slip elements of "maxwell_slip".
+    norm : str
+    drift : bool
+    delay : float, optional
+        Lag of the displacement [s]; default: estimated from each record.
+    time, voltage, displacement, voltage_scale, displacement_scale : str, optional
+        Columns, as in `dehyst.read`.
+    sample_rate : float, optional
+        [Hz], for records without a time.
+    decimal : str, optional
+        "," or ".": the decimal sign of text files, as in `dehyst.read`.
+    prior : mapping, optional
+        A shape of an identified fleet, see `dehyst.fleet.prior`.
+
+    Raises
+    ------
+    IdentifyError
+        If an option is impossible.
+    """
+
+    structure: Literal["maxwell_slip", "auto"] = "maxwell_slip"
+    elements: int | None = None
+    norm: str = "l1"
+    drift: bool = True
+    delay: float | None = None
+    time: str | None = None
+    voltage: str | None = None
+    displacement: str | None = None
+    voltage_scale: str | None = None
+    displacement_scale: str | None = None
+    sample_rate: float | None = None
+    decimal: str | None = None
+    prior: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        choice(self.structure, "structure", ("maxwell_slip", "auto"))
+        if self.structure == "auto" and (self.elements is not None or self.prior is not None):
+            raise IdentifyError("structure: 'auto' takes neither elements nor a prior; leave them out")
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The arguments of `dehyst.read`."""
+        given = {name: getattr(self, name) for name in (*Choice._fields, "decimal")}
+        return {name: value for name, value in given.items() if value is not None}
+
+    @property
+    def identification(self) -> dict[str, Any]:
+        """The arguments of `dehyst.identify`."""
+        names = ("structure", "norm", "drift", "delay", *(("elements",) if self.structure == "maxwell_slip" else ()))
+        return {name: getattr(self, name) for name in names}
 
 
 class TaskRunner:
@@ -39,41 +102,40 @@ class TaskRunner:
     """
 
     def __init__(self, head: Mapping[str, Any]) -> None:
-        self.head, self._dataset = head, Path(head["dataset"])
-        self._options, self._reader = FleetOptions(**head["options"]), Reader()
+        self.head, self._options = head, FleetOptions(**head["options"])
+        self._reader = Reader(self._options.columns)
         self._shards = Shards(Path(head["folder"]), head["digest"])
 
     def run(self, task: Task) -> dict[str, Any]:
         """Write the shard of a task, unless there is one; return its outcome.
 
-        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: it is none of the
-        record, and ends the run.
+        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: the record did not cause
+        it, and it ends the run.
         """
         try:
-            return self._run(task)
+            for path in (Path(self.head["dataset"]), self._shards.marker):
+                if not path.exists():
+                    raise FileFormatError(
+                        f"{path}: is not to be seen on {platform.node()}; workers need the same folders"
+                    )
+            row = self._shards.read(task)
+            if row is None:
+                # Each of the trials before ended with its process.
+                if self._shards.trial(task) > _TRIALS:
+                    return self.lose(task, "worker", f"its worker died {_TRIALS} times")
+                # Before the record is read: a later change gives another stamp.
+                stamp = stamp_of(task.place)
+                with one_thread(), self._limited(task):
+                    row = run_task(task, self._options, self._reader) | {STAMP: stamp}
+                self._shards.write(task, row)
         except FileFormatError as error:
             return {"fault": str(error)}
+        return {name: row.get(name) for name in ("outcome", "cpu_s", "wall_s")} | {"memory_MB": peak_memory()}
 
     def lose(self, task: Task, detail: str, reason: str) -> dict[str, Any]:
         """Write the row of a record whose worker died or took too long; return its outcome."""
         self._shards.write(task, lost_row(task, detail, reason))
         return {"outcome": "lost"}
-
-    def _run(self, task: Task) -> dict[str, Any]:
-        for path in (self._dataset, self._shards.folder / MARKER[0]):
-            if not path.exists():
-                raise FileFormatError(f"{path}: is not to be seen on {platform.node()}; workers need the same folders")
-        row = self._shards.read(task)
-        if row is None:
-            # Each of the trials before ended with its process.
-            if self._shards.trial(task) > _TRIALS:
-                return self.lose(task, "worker", f"its worker died {_TRIALS} times")
-            # Before the record is read: a later change gives another stamp.
-            stamp = stamp_of(task.place)
-            with one_thread(), self._limited(task):
-                row = run_task(task, self._options, self._reader) | {STAMP: stamp}
-            self._shards.write(task, row)
-        return {name: row.get(name) for name in ("outcome", "cpu_s", "wall_s")} | {"memory_MB": peak_memory()}
 
     @contextmanager
     def _limited(self, task: Task) -> Iterator[None]:
@@ -98,26 +160,41 @@ class TaskRunner:
             timer.cancel()
 
 
+def lost_row(task: Task, detail: str, reason: str) -> dict[str, Any]:
+    """Return the row of a record whose worker died or took too long."""
+    return {**_begun(task), "outcome": "lost", "detail": detail, "reason": reason}
+
+
+def _begun(task: Task) -> dict[str, Any]:
+    """Return what a row holds before the record is read."""
+    return {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
+
+
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
     """Return the row of a record, as JSON values; only a missing library or too little memory for anything raises."""
     began, wall = time.process_time(), time.perf_counter()
-    row: dict[str, Any] = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
+    row = _begun(task)
     try:
-        row |= _identified(reader.record(task, options), options, row)
+        row |= _identified(reader.record(task), options, row)
     except MissingExtraError:
         raise
     except DehystError as error:
-        row |= {"outcome": "refused", "detail": type(error).__name__, "reason": str(error), CAUSE: _origin(error)}
+        row |= _refused(type(error).__name__, str(error), error)
     except MemoryError:
-        row |= {"outcome": "refused", "detail": "MemoryError", "reason": "not enough memory for this record"}
+        row |= _refused("MemoryError", "not enough memory for this record")
     except Exception as error:  # nothing in one record stops the others
-        row |= {"outcome": "refused", "detail": "error", "reason": f"unexpected {type(error).__name__}: {error}"}
-        row |= {CAUSE: _origin(error)}
-    return row | {
-        "cpu_s": time.process_time() - began,
-        "wall_s": time.perf_counter() - wall,
-        "memory_MB": peak_memory(),
-    }
+        row |= _refused("error", f"unexpected {type(error).__name__}: {error}", error)
+    seconds = {"cpu_s": time.process_time() - began, "wall_s": time.perf_counter() - wall}
+    return row | seconds | {"memory_MB": peak_memory()}
+
+
+def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[str, Any]:
+    """Return what a row shows of a refusal; its cause, module and line, is the same for all records of one reason."""
+    row = {"outcome": "refused", "detail": detail, "reason": reason}
+    if error is not None:
+        *_, (frame, line) = walk_tb(error.__traceback__)
+        row[CAUSE] = f"{frame.f_globals.get('__name__')}:{line}"
+    return row
 
 
 def _identified(record: Record, options: FleetOptions, row: dict[str, Any]) -> dict[str, Any]:
@@ -125,24 +202,22 @@ def _identified(record: Record, options: FleetOptions, row: dict[str, Any]) -> d
     row |= {"sha256": sha256_of(record), "samples": len(record), "stroke_um": 1e6 * record.stroke}
     row |= {"noise_nm": 1e9 * record.noise}
     if options.prior is None:
-        held: dict[str, Any] = {}
-        fit = identify(record, throw=False, **options.identification)
+        fit, held_out = identify(record, throw=False, **options.identification), dict[str, Any]()
     else:
-        fit, held = identified_with_prior(record, options)
+        fit, held_out = identified_with_prior(record, Shape.from_dict(options.prior), options.identification)
     if fit.actuator is None:
-        return {**held, "outcome": "refused", "detail": fit.outcome.name, "reason": f"{fit.outcome.value} {fit.status}"}
+        return held_out | _refused(fit.outcome.name, f"{fit.outcome.value} {fit.status}")
     if fit.errors[0].rms > _DEAD * float(np.std(record.displacement)):
         raise RecordError(f"{record.name}: the displacement does not follow the voltage; check actuator and sensor")
-    return {**held, **_described(fit, record)}
+    return held_out | _described(fit, record)
 
 
 def _described(fit: Fit, record: Record) -> dict[str, Any]:
     """Return the numbers of a fit."""
-    error, actuator = fit.errors[0], fit.actuator
-    cycles = len(record.cycles())
-    seconds = float(record.time[-1] - record.time[0]) / max(cycles, 1)
+    error, actuator, good = fit.errors[0], fit.actuator, fit.outcome.good
+    seconds = float(record.time[-1] - record.time[0]) / max(len(record.cycles()), 1)
     width = widths(actuator, actuator.limits or record.voltage_range, seconds)
-    good = fit.outcome.good
+    slopes = np.diff(actuator.spring.voltage) / np.diff(actuator.spring.displacement)
     return {
         "outcome": "identified" if good else "inaccurate",
         "detail": fit.outcome.name,
@@ -155,25 +230,10 @@ def _described(fit: Fit, record: Record) -> dict[str, Any]:
         **{f"width{place}_um": 1e6 * value for place, value in zip((25, 50, 75), width, strict=True)},
         "drift_percent": error.drifted_percent + 0.0,
         "cycle_s": seconds,
-        "coefficients": coefficients_of(actuator),
+        # Stiffnesses of the slip elements, then slopes of the spring's segments [V/m].
+        "coefficients": [*np.ravel(actuator.slip.stiffness).tolist(), *slopes.tolist()],
         MODEL: actuator.as_dict(),
     }
-
-
-def _origin(error: BaseException) -> str:
-    """Return where an error was raised, the same for all records that are refused for one reason: module and line."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return "" if trace is None else f"{trace.tb_frame.f_globals.get('__name__')}:{trace.tb_lineno}"
-
-
-def coefficients_of(actuator: Actuator) -> list[float]:
-    """Return the stiffnesses of the slip elements [V/m], then the slopes of the spring's segments [V/m]."""
-    slip, spring = actuator.slip, actuator.spring
-    stiffness = getattr(slip, "stiffness", ())
-    slopes = np.diff(spring.voltage) / np.diff(spring.displacement)
-    return [float(value) for value in (*np.ravel(stiffness), *slopes)]
 
 
 def peak_memory() -> float | None:
@@ -184,9 +244,3 @@ def peak_memory() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def lost_row(task: Task, detail: str, reason: str) -> Mapping[str, Any]:
-    """Return the row of a record whose worker died or took too long."""
-    keys = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
-    return {**keys, "outcome": "lost", "detail": detail, "reason": reason}

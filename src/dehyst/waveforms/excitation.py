@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,40 @@ _MOST_VOLTS = 1e6
 _LEAST, _MOST = 1e-12, 1e12
 
 
+def refuse_long(samples: int, rate: float) -> None:
+    """Raise RecordError for more than 5e7 samples; `rate` [Hz] is for the message."""
+    if samples > _MOST_SAMPLES:
+        raise RecordError(
+            f"got {samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz, need {_MOST_SAMPLES:g} at most; lower "
+            "the sample rate, or request fewer or faster legs"
+        )
+
+
+def voltages(values: ArrayLike, what: str) -> Array:
+    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
+    try:
+        array = vector(values, what, "V")
+    except ModelError as error:
+        raise RecordError(f"{error}; give voltages in V") from error
+    if (largest := np.abs(array).max(initial=0.0)) > _MOST_VOLTS:
+        need = f"{_MOST_VOLTS:g} V at most"
+        raise RecordError(argument=what, got=f"{largest:g} V", need=need, hint="check the unit")
+    return array
+
+
+def volts(value: object, what: str) -> float:
+    """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
+    return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
+
+
+def positive(value: object, what: str) -> float:
+    """Return `value` as a number from 1e-12 to 1e12; raise RecordError for anything else."""
+    result = number(value, what, error=RecordError)
+    if not _LEAST <= result <= _MOST:
+        raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")
+    return result
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
     """A voltage to play.
@@ -33,13 +67,13 @@ class Excitation:
     voltage : (n,) or (n, axes) array_like
         [V], n >= 2, of several axes a column each; kept as a read-only copy.
     sample_rate : float
-        Samples a second [Hz].
+        [Hz].
     warnings : tuple of str
-        Sentences about what takes longer than requested; empty if nothing does.
+        Sentences about what takes longer than requested.
     axes : tuple of str
         Names of several axes.
     parts : tuple of (str, int, int)
-        What is played from one sample to the one before the other, if it has parts.
+        Name, first sample and the sample after the last of each part, if it has parts.
 
     Raises
     ------
@@ -60,11 +94,9 @@ class Excitation:
         if several:
             voltage = voltage.reshape(np.shape(self.voltage))
         if len(voltage) < 2:
-            raise RecordError(
-                argument="voltage", got=counted(len(voltage), "sample"), need="2 at least", hint="give a longer one"
-            )
-        keep(self, voltage=voltage)
-        set_checked(self, positive, "sample_rate")
+            got = counted(len(voltage), "sample")
+            raise RecordError(argument="voltage", got=got, need="2 at least", hint="give a longer one")
+        keep(self, voltage=voltage, sample_rate=positive(self.sample_rate, "sample_rate"))
 
     def __len__(self) -> int:
         return len(self.voltage)
@@ -98,76 +130,29 @@ class Excitation:
         return self.voltage[[0, *turning, -1]]
 
     def then(self, other: Excitation) -> Excitation:
-        """Append another excitation to this one, without a pause. `other` comes second.
+        """Return this excitation and the `other` one after it, without a pause.
 
-        Raise `RecordError` if the other one has another sample rate, begins at another voltage, or makes the result too
-        long.
+        Raise `RecordError` if the other one has another sample rate, begins at another voltage, or makes it too long.
         """
         if other.sample_rate != self.sample_rate:
-            raise RecordError(
-                argument="sample rates",
-                got=f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz",
-                need="one",
-                hint="make both with the same sampling",
-            )
+            got = f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz"
+            hint = "make both with the same sampling"
+            raise RecordError(argument="sample rates", got=got, need="one", hint=hint)
         end, begin = float(self.voltage[-1]), float(other.voltage[0])
         if begin != end:
             raise RecordError(
-                f"'{self.name}' ends at {end:.9g} V, but '{other.name}' begins at {begin:.9g} V; "
-                f"let that one begin at the present voltage {end:.9g}"
+                f"'{self.name}' ends at {end:.9g} V, but '{other.name}' begins at {begin:.9g} V; let that one begin at "
+                f"the present voltage {end:.9g}"
             )
         refuse_long(len(self) + len(other) - 1, self.sample_rate)
         voltage = np.concatenate([self.voltage, other.voltage[1:]])
         return Excitation(f"{self.name}+{other.name}", voltage, self.sample_rate, (*self.warnings, *other.warnings))
 
 
-def refuse_long(samples: int, rate: float) -> None:
-    """Raise RecordError for more than 5e7 samples; `rate` [Hz] is for the message."""
-    if samples > _MOST_SAMPLES:
-        raise RecordError(
-            f"got {samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz, need {_MOST_SAMPLES:g} at most; lower "
-            "the sample rate, or request fewer or faster legs"
-        )
-
-
-def voltages(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
-    try:
-        array = vector(values, what, "V")
-    except ModelError as error:
-        raise RecordError(f"{error}; give voltages in V") from error
-    if np.abs(array).max(initial=0.0) > _MOST_VOLTS:
-        raise RecordError(
-            argument=what, got=f"{np.abs(array).max():g} V", need=f"{_MOST_VOLTS:g} V at most", hint="check the unit"
-        )
-    return array
-
-
-def volts(value: object, what: str) -> float:
-    """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
-    return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
-
-
-def positive(value: object, what: str) -> float:
-    """Return `value` as a number from 1e-12 to 1e12; raise RecordError for anything else."""
-    result = number(value, what, error=RecordError)
-    if not _LEAST <= result <= _MOST:
-        raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")
-    return result
-
-
-def set_checked(owner: object, check: Callable[[Any, str], object], *names: str, optional: Sequence[str] = ()) -> None:
-    """Replace fields of a frozen dataclass by what ``check(value, name)`` returns; an optional one may be None."""
-    for name in (*names, *optional):
-        if name in names or getattr(owner, name) is not None:
-            object.__setattr__(owner, name, check(getattr(owner, name), name))
-
-
 Shape: TypeAlias = Literal["cosine", "triangle"]
 Pace: TypeAlias = Literal["frequency", "rate"]
 
-_CYCLE_SAMPLES = 400
-_LEG_SAMPLES = 4
+_CYCLE_SAMPLES, _LEG_SAMPLES = 400, 4
 # Largest slope of a leg over its mean slope.
 _STEEPEST = {"cosine": math.pi / 2, "triangle": 1.0}
 # The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
@@ -177,9 +162,9 @@ _SLACK = 9e-10
 
 
 class Leg(NamedTuple):
-    """A monotone stretch of a voltage [V], or a hold if its ends are equal; `requested` unless its time [s] is free.
+    """A monotone stretch of a voltage from `start` to `end` [V], or a hold if they are equal.
 
-    `start` and `end` [V]. `seconds` is its time.
+    `seconds`: duration; `requested` unless it is free.
     """
 
     start: float
@@ -187,17 +172,33 @@ class Leg(NamedTuple):
     seconds: float
     requested: bool = True
 
+    def sampled(self, count: int, shape: Shape) -> Array:
+        """Return the `count` voltages after the start [V] in a `shape`: monotone, within the ends, exact at the end."""
+        if self.start == self.end:
+            return np.full(count, self.end)
+        rising = self.end > self.start
+        low, high = sorted((self.start, self.end))
+        k = np.arange(1, count + 1)
+        if shape == "cosine":
+            share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
+        else:
+            share = (k if rising else count - k) / count
+        values = np.clip(low + (high - low) * share, low, high)
+        values[-1] = self.end
+        # Near a turning point rounding can swap neighbours.
+        return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)
+
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a voltage is sampled; the same options for every kind of excitation.
+    """How a voltage is played and sampled, for every kind of excitation.
 
     Parameters
     ----------
     frequency : float
         Cycles a second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
     sample_rate : float, optional
-        Samples a second [Hz]; by default 400 a cycle.
+        [Hz]; by default 400 samples a cycle.
     base : float
         Voltage [V] at which a protocol starts and ends.
     present : float, optional
@@ -207,7 +208,7 @@ class Sampling:
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
     shape : {"cosine", "triangle"}
-        Half a cosine for each leg (the paper's, Sec. 3), or a straight line.
+        Half a cosine for each leg (paper, Sec. 3), or a straight line.
     pace : {"frequency", "rate"}
         Half a cycle for each leg, whatever its height (the paper's), or for the highest leg of a protocol only, and for
         the others in proportion to their heights.
@@ -229,22 +230,20 @@ class Sampling:
     pace: Pace = "frequency"
 
     def __post_init__(self) -> None:
-        set_checked(self, positive, "frequency", optional=("sample_rate", "slew_rate"))
+        for name in ("frequency", "sample_rate", "slew_rate"):
+            if name == "frequency" or getattr(self, name) is not None:
+                keep(self, **{name: positive(getattr(self, name), name)})
         choice(self.shape, "shape", get_args(Shape), error=RecordError)
         choice(self.pace, "pace", get_args(Pace), error=RecordError)
         if self.rate < 2 * _LEG_SAMPLES * self.frequency:
-            raise RecordError(
-                argument="sample_rate",
-                got=f"{self.rate:g} Hz for {self.frequency:g} Hz",
-                need="8 samples a cycle at least",
-                hint=f"try {_CYCLE_SAMPLES * self.frequency:g} Hz",
-            )
+            got, hint = f"{self.rate:g} Hz for {self.frequency:g} Hz", f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
+            raise RecordError(argument="sample_rate", got=got, need="8 samples a cycle at least", hint=hint)
         if self.limits is not None:
             low, high = interval(self.limits, error=RecordError)
             keep(self, limits=(volts(low, "limits"), volts(high, "limits")))
-        set_checked(self, volts, "base", optional=("present",))
         for name in ("base", "present"):
-            if getattr(self, name) is not None:
+            if name == "base" or self.present is not None:
+                keep(self, **{name: volts(getattr(self, name), name)})
                 self._refuse_outside([getattr(self, name)], name)
 
     @property
@@ -263,7 +262,7 @@ class Sampling:
         return self.base if self.present is None else self.present
 
     def command(self, protocol: str) -> str:
-        """Return the command that writes a protocol so; `protocol`: its kind and own arguments, as typed."""
+        """Return the command that writes a `protocol`, its kind and own arguments as typed, with this sampling."""
         limits = "" if self.limits is None else f" --limits {self.limits[0]:g} {self.limits[1]:g}"
         pace = f" --base {self.base:g} --frequency {self.frequency:.4g}"
         return f"dehyst excite {protocol}{pace}{limits} -o voltage.csv"
@@ -283,48 +282,46 @@ class Sampling:
         """
         heights = [abs(b - a) for a, b in pairwise(path)]
         if 0.0 in heights:
-            raise RecordError(
-                argument="turns",
-                got=f"{path[heights.index(0.0)]:.9g} V twice in a row",
-                need="different voltages",
-                hint="leave one out",
-            )
-        highest = max(heights)
-        shares = [1.0 if self.pace == "frequency" else height / highest for height in heights]
+            got = f"{path[heights.index(0.0)]:.9g} V twice in a row"
+            raise RecordError(argument="turns", got=got, need="different voltages", hint="leave one out")
+        shares = [1.0 if self.pace == "frequency" else height / max(heights) for height in heights]
         return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
 
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
-        """Sample `legs` that follow one another; all checks are made before memory is taken.
+        """Return the excitation `name` of `legs` that follow one another; all is checked before memory is taken.
 
-        `name` is the excitation's. Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7
-        samples, or the slew rate is so low that steps from one sample to the next are lost in rounding.
+        Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate
+        is so low that steps from one sample to the next are lost in rounding.
         """
         ends = [legs[0].start, *(leg.end for leg in legs)]
         self._refuse_outside(ends, name)
         step = self._largest_step(max(map(abs, ends)))
         requested = [self._requested(leg) for leg in legs]
-        counts = [max(n, self._needed(leg, step)) for n, leg in zip(requested, legs, strict=True)]
-        refuse_long(1 + sum(counts), self.rate)
-        voltage = np.empty(1 + sum(counts))
-        voltage[0], at = ends[0], 1
-        for leg, count in zip(legs, counts, strict=True):
-            voltage[at : at + count] = _sampled(leg, count, self.shape)
-            at += count
-        longer = [
-            (n, m) for leg, n, m in zip(legs, requested, counts, strict=True) if leg.requested and m > 1.000001 * n
-        ]
+        steepest = [_STEEPEST[self.shape] * abs(leg.end - leg.start) for leg in legs]
+        counts = [max(n, math.ceil(height / step)) for n, height in zip(requested, steepest, strict=True)]
+        total = sum(counts)
+        refuse_long(1 + total, self.rate)
+        parts = (leg.sampled(count, self.shape) for leg, count in zip(legs, counts, strict=True))
+        voltage = np.concatenate([ends[:1], *parts])
+        planned = zip(legs, requested, counts, strict=True)
+        longer = [(n, m) for leg, n, m in planned if leg.requested and m > 1.000001 * n]
+        if not longer:
+            return Excitation(name, voltage, self.rate)
+        n, m = max(longer, key=lambda pair: pair[1] / pair[0])
         moving = sum(leg.requested and leg.start != leg.end for leg in legs)
-        return Excitation(name, voltage, self.rate, self._stretched(longer, moving, sum(counts)))
+        intended = total - sum(m - n for n, m in longer)
+        warning = (
+            f"{len(longer)} of {moving} legs take longer to keep {self.slew_rate:g} V/s, up to {m / self.rate:.4g} s "
+            f"for {n / self.rate:.4g} s; the whole takes {total / self.rate:.5g} s for {intended / self.rate:.5g} s"
+        )
+        return Excitation(name, voltage, self.rate, (warning,))
 
     def _requested(self, leg: Leg) -> int:
         """Return the number of samples for the requested time."""
+        samples = leg.seconds * self.rate
         if leg.start == leg.end:
-            return max(1, math.ceil(leg.seconds * self.rate * (1 - 1e-12)))
-        return max(_LEG_SAMPLES, math.floor(leg.seconds * self.rate + 0.5))
-
-    def _needed(self, leg: Leg, step: float) -> int:
-        """Return the number of samples that keeps the slew rate."""
-        return math.ceil(_STEEPEST[self.shape] * abs(leg.end - leg.start) / step)
+            return max(1, math.ceil(samples * (1 - 1e-12)))
+        return max(_LEG_SAMPLES, math.floor(samples + 0.5))
 
     def _largest_step(self, highest: float) -> float:
         """Return the largest step [V] from one sample to the next, for voltages up to `highest`."""
@@ -333,8 +330,8 @@ class Sampling:
         step, lost = self.slew_rate / self.rate, _ROUNDING * highest
         if lost > 0.5 * step:
             raise RecordError(
-                f"got {self.slew_rate:g} V/s at {self.rate:g} Hz, steps of {step:.3g} V, which are "
-                f"lost in the rounding of {highest:g} V",
+                f"got {self.slew_rate:g} V/s at {self.rate:g} Hz, steps of {step:.3g} V, which are lost in the "
+                f"rounding of {highest:g} V",
                 argument="slew_rate",
                 hint="lower the sample rate",
             )
@@ -348,31 +345,3 @@ class Sampling:
                 f"{what}: got {worst:.9g} V, but the limits are {low:g} to {high:g} V; ask for less, or widen the "
                 "limits if actuator and amplifier allow it"
             )
-
-    def _stretched(self, longer: Sequence[tuple[int, int]], legs: int, samples: int) -> tuple[str, ...]:
-        if not longer:
-            return ()
-        requested, taken = max(longer, key=lambda pair: pair[1] / pair[0])
-        extra = sum(m - n for n, m in longer)
-        return (
-            f"{len(longer)} of {legs} legs take longer to keep {self.slew_rate:g} V/s, up to {taken / self.rate:.4g} s "
-            f"for {requested / self.rate:.4g} s; the whole takes {samples / self.rate:.5g} s for "
-            f"{(samples - extra) / self.rate:.5g} s",
-        )
-
-
-def _sampled(leg: Leg, count: int, shape: Shape) -> Array:
-    """Return the voltages of a leg after its start [V]: monotone, within its ends, and exact at its end."""
-    if leg.start == leg.end:
-        return np.full(count, leg.end)
-    rising = leg.end > leg.start
-    low, high = sorted((leg.start, leg.end))
-    k = np.arange(1, count + 1)
-    if shape == "cosine":
-        share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
-    else:
-        share = (k if rising else count - k) / count
-    values = np.clip(low + (high - low) * share, low, high)
-    values[-1] = leg.end
-    # Near a turning point rounding can swap neighbours.
-    return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)

@@ -1,23 +1,171 @@
-"""Scans: a wanted path for each axis over a whole number of samples a period, and motion profiles."""
+"""What all scans share: declared options, motions of an axis, limits of motion, sampled paths."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from math import ceil, floor, inf, log10, pi, sqrt
-from typing import ClassVar, Literal, NamedTuple, TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, partial
+from math import ceil, floor, inf, log10, pi, radians, sqrt
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 
 from dehyst._errors import RecordError
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import choice, count, keep, number, vector
-from dehyst.waveforms.excitation import positive, refuse_long, set_checked
+from dehyst.waveforms.excitation import positive, refuse_long
 
 Rounding: TypeAlias = Literal["parabola", "cosine"]
 
+# Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
+CYCLE_SAMPLES, LEG_SAMPLES = 400, 4
+# A limit may be exceeded by this share, so that a motion that meets it exactly passes.
+SLACK = 1e-9
+# Largest displacement [m], angle [rad] and whole number.
+_MOST_METRES, _MOST_RADIANS, _MOST_WHOLE = 1.0, 1000.0, 10**7
 # Of a rounded end: its displacement over speed times time, and its largest acceleration over speed per time.
 _ROUNDED: dict[str, tuple[float, float]] = {"parabola": (0.5, 1.0), "cosine": (0.5 + 2 / pi**2, 2.0)}
+
+
+def length(value: object, what: str) -> float:
+    """Return `value` as a displacement [m]; raise RecordError for anything else."""
+    metres = number(value, what, "m", error=RecordError)
+    if abs(metres) > _MOST_METRES:
+        got, need = f"{metres * 1e6:g} um", f"{_MOST_METRES * 1e6:g} um at most"
+        raise RecordError(argument=what, got=got, need=need, hint="check its unit")
+    return metres
+
+
+def between(low: object, high: object, names: tuple[str, str] = ("low", "high")) -> tuple[float, float]:
+    """Return two displacements [m], the lower one first; raise RecordError for anything else."""
+    bottom, top = length(low, names[0]), length(high, names[1])
+    if not bottom < top:
+        got = f"{bottom * 1e6:.6g} and {top * 1e6:.6g} um"
+        raise RecordError(argument=", ".join(names), got=got, need="the lower one first")
+    return bottom, top
+
+
+def share(value: object, what: str) -> float:
+    """Return `value` as a share above 0 and up to 1; raise RecordError for anything else."""
+    result = positive(value, what)
+    if result > 1:
+        raise RecordError(argument=what, got=f"{result:g}", need="a share above 0 and up to 1")
+    return result
+
+
+def whole(value: object, what: str, least: int = 1) -> int:
+    """Return `value` as a whole number from `least` to 1e7; raise RecordError for anything else."""
+    return count(value, what, least, _MOST_WHOLE, error=RecordError)
+
+
+def below(value: float) -> str:
+    """Write a positive number with four digits, rounded down, so that the value in a message is possible."""
+    unit = 10.0 ** (floor(log10(value)) - 3)
+    return f"{floor(value * (1 - 1e-6) / unit) * unit:.6g}"
+
+
+def above(value: float) -> str:
+    """Write a positive number with four digits, rounded up."""
+    unit = 10.0 ** (floor(log10(value)) - 3)
+    return f"{ceil(value * (1 + 1e-6) / unit) * unit:.6g}"
+
+
+def samples_of(seconds: float, rate: float) -> int:
+    """Return the number of samples of a duration [s], rounded up.
+
+    Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
+    """
+    samples = seconds * rate * (1 - 1e-12)
+    if samples > LEG_SAMPLES - 1:
+        refuse_long(int(min(samples, 1e15)) + 1, rate)
+        return ceil(samples)
+    few = f"{samples:.3g}"
+    raise RecordError(
+        argument="sample_rate",
+        got=f"{rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s",
+        need=f"{LEG_SAMPLES} at least",
+        hint=f"try {LEG_SAMPLES / seconds:.4g} Hz",
+    )
+
+
+class ScanOption(NamedTuple):
+    """An option of scans, the annotation of a field: an option of the command line and of the workbench by its name.
+
+    `unit`: by name; "" for a pure number, lengths are in um, angles in degrees. `help`: what it is. `default`: in
+    words. `least`: of a whole number. `kind`: float, int, the words to choose from, or "numbers" or "pair"; it follows
+    from the field's type.
+    """
+
+    unit: str
+    help: str
+    default: str = ""
+    least: int = 1
+    kind: type | tuple[str, ...] | str = float
+
+    def in_si(self, value: Any) -> Any:
+        """Return a value, or several, in metres or radians instead of `unit`."""
+        factor = 1e-6 if self.unit.startswith("um") else radians(1) if self.unit == "degrees" else None
+        if factor is None or isinstance(value, str | None):
+            return value
+        return tuple(one * factor for one in value) if isinstance(value, list | tuple) else value * factor
+
+    def checked(self, value: Any, name: str) -> Any:
+        """Return the value of a field; raise RecordError if it is impossible."""
+        if isinstance(self.kind, tuple):
+            choice(value, name, self.kind, error=RecordError)
+            return value
+        if self.kind == "pair" and (not isinstance(value, Sequence) or len(value) != 2):
+            raise RecordError(argument=name, got=repr(value), need="a pair, for x and y")
+        if self.kind == "numbers" and (not isinstance(value, Sequence | np.ndarray) or len(value) < 2):
+            got = repr(value) if np.ndim(value) == 0 else counted(len(value), "value")
+            raise RecordError(argument=name, got=got, need="two at least, such as 0,10,20")
+        check = _CHECKS.get(self.unit) or partial(whole, least=self.least)
+        return tuple(check(one, name) for one in value) if self.kind in ("pair", "numbers") else check(value, name)
+
+
+def _angle(value: Any, what: str) -> float:
+    """Return `value` as an angle [rad]."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST_RADIANS:
+        return float(value)
+    raise RecordError(argument=what, got=repr(value), need="an angle of up to 1000 rad, 57000 degrees")
+
+
+_CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    **{"um": length, "share": share, "degrees": _angle},
+    **dict.fromkeys(("Hz", "s", "um/s", "um/s2"), positive),
+}
+
+
+@cache
+def options_of(scan: type[Scan]) -> dict[str, ScanOption]:
+    """Return the options that the fields of a scan declare, by their names."""
+    hints = get_type_hints(scan, include_extras=True)
+    found = {}
+    for one in fields(scan):  # type: ignore[arg-type]
+        for hint in (hints[one.name], *get_args(hints[one.name])):
+            if isinstance(option := getattr(hint, "__metadata__", (None,))[0], ScanOption):
+                kind, words = hint.__origin__, get_args(hint.__origin__)
+                if words:
+                    kind = words if isinstance(words[0], str) else "numbers" if Ellipsis in words else "pair"
+                found[one.name] = option._replace(kind=kind)
+    return found
+
+
+# Fields of several scans.
+Low: TypeAlias = Annotated[float, ScanOption("um", "Lowest displacement, along x")]
+High: TypeAlias = Annotated[float, ScanOption("um", "Highest displacement, along x")]
+Frequency: TypeAlias = Annotated[float, ScanOption("Hz", "Cycles, lines or whole figures a second")]
+_DEFAULT_TURNS = "0.1, or as short as the acceleration allows"
+Turns: TypeAlias = Annotated[float, ScanOption("share", "Share of the time spent turning", _DEFAULT_TURNS)]
+Speed: TypeAlias = Annotated[float, ScanOption("um/s", "Largest speed of an axis")]
+Acceleration: TypeAlias = Annotated[float, ScanOption("um/s2", "Largest acceleration of an axis")]
+Rising: TypeAlias = Annotated[float, ScanOption("share", "Share of the time spent rising", "0.5")]
+_ROUNDINGS = "Shape of turns: parabola has constant acceleration, cosine has no jumps of it"
+Turning: TypeAlias = Annotated[Rounding, ScanOption("", _ROUNDINGS)]
+SampleRate: TypeAlias = Annotated[float, ScanOption("Hz", "Samples a second")]
+Centre: TypeAlias = Annotated[tuple[float, float], ScanOption("um", "Middle along x and y")]
 
 
 class Travel(NamedTuple):
@@ -26,6 +174,11 @@ class Travel(NamedTuple):
     displacement: Array
     velocity: Array
     acceleration: Array
+
+    @classmethod
+    def joined(cls, parts: Iterable[Travel]) -> Travel:
+        """Return one after the other."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 class PathPoint(NamedTuple):
@@ -93,9 +246,7 @@ def highest(seconds: float, speed: float | None, acceleration: float | None, rou
     way, most = _ROUNDED[rounding]
     v, a = speed or inf, acceleration or inf
     rounded = way * a * seconds**2 / (2 * most)
-    if rounded <= v * way * seconds:
-        return rounded
-    return v * (seconds - 2 * (1 - way) * most * v / a)
+    return rounded if rounded <= v * way * seconds else v * (seconds - 2 * (1 - way) * most * v / a)
 
 
 def least_blend(height: float, seconds: float, acceleration: float, rounding: Rounding) -> float:
@@ -122,49 +273,31 @@ class Bridge:
     seconds: float
 
     @property
-    def coefficients(self) -> Array:
-        """Coefficients (6,) [m] of the powers 0 to 5 of time / `seconds`, relative to the start's displacement."""
+    def polynomial(self) -> np.polynomial.Polynomial:
+        """Displacement from the start [m] over time / `seconds`."""
         t, (y, v, a), (y1, v1, a1) = self.seconds, self.start, self.end
         way = (y1 - y) - v * t - 0.5 * a * t**2
         speed, push = (v1 - v) * t - a * t**2, (a1 - a) * t**2
-        return np.array(
-            [
-                0.0,
-                v * t,
-                0.5 * a * t**2,
-                10 * way - 4 * speed + 0.5 * push,
-                -15 * way + 7 * speed - push,
-                6 * way - 3 * speed + 0.5 * push,
-            ]
+        fourth = -15 * way + 7 * speed - push
+        return np.polynomial.Polynomial(
+            [0.0, v * t, 0.5 * a * t**2, 10 * way - 4 * speed + 0.5 * push, fourth, 6 * way - 3 * speed + 0.5 * push]
         )
 
     def at(self, time: Array) -> Travel:
         """Return the motion at times (n,) [s] from its start."""
-        polynomial = np.polynomial.Polynomial(self.coefficients)
-        s, t = np.asarray(time) / self.seconds, self.seconds
-        y, v, a = polynomial(s), polynomial.deriv(1)(s) / t, polynomial.deriv(2)(s) / t**2
-        return Travel(self.start.displacement + y, v, a)
+        way, s, t = self.polynomial, np.asarray(time) / self.seconds, self.seconds
+        return Travel(self.start.displacement + way(s), way.deriv(1)(s) / t, way.deriv(2)(s) / t**2)
 
     @property
     def peaks(self) -> tuple[float, float]:
         """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2]."""
-        polynomial = np.polynomial.Polynomial(self.coefficients)
         peaks = []
         for order in (1, 2):
-            part = polynomial.deriv(order)
+            part = self.polynomial.deriv(order)
             roots = part.deriv().trim().roots()
             inside = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
             peaks.append(float(np.abs(part(np.concatenate([[0.0, 1.0], inside]))).max()) / self.seconds**order)
         return peaks[0], peaks[1]
-
-
-# Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
-CYCLE_SAMPLES = 400
-LEG_SAMPLES = 4
-# A limit may be exceeded by this share, so that a motion that meets it exactly passes.
-SLACK = 1e-9
-_MOST_METRES = 1.0
-_MOST_WHOLE = 10**7
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +309,7 @@ class ScanPath:
     displacement, velocity, acceleration : (n,) array_like
         [m], [m/s], [m/s^2]; velocity and acceleration are the true derivatives. Kept as read-only copies.
     sample_rate : float
-        Samples a second [Hz].
+        [Hz].
     periodic : bool
         Whether the sample after the last one is the first again.
 
@@ -193,16 +326,13 @@ class ScanPath:
     periodic: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("displacement", "velocity", "acceleration"):
+        for name in Travel._fields:
             row = vector(getattr(self, name), name, error=RecordError)
             if not row.size or row.size != np.size(self.displacement):
-                raise RecordError(
-                    argument=name,
-                    got=f"{row.size} values for {np.size(self.displacement)} displacements",
-                    need="as many, and one at least",
-                )
+                got = f"{row.size} values for {np.size(self.displacement)} displacements"
+                raise RecordError(argument=name, got=got, need="as many, and one at least")
             keep(self, **{name: row})
-        set_checked(self, positive, "sample_rate")
+        keep(self, sample_rate=positive(self.sample_rate, "sample_rate"))
 
     def __len__(self) -> int:
         return self.displacement.size
@@ -225,37 +355,36 @@ class ScanPath:
     @property
     def first(self) -> PathPoint:
         """The motion at the first sample."""
-        return PathPoint(float(self.displacement[0]), float(self.velocity[0]), float(self.acceleration[0]))
+        return PathPoint(*(float(row[0]) for row in self.rows))
 
     @property
     def last(self) -> ScanPath:
         """The last sample alone."""
-        y, v, a = (row[-1:] for row in self.rows)
-        return ScanPath(y, v, a, self.sample_rate, periodic=False)
+        return ScanPath(*Travel(*(row[-1:] for row in self.rows)), self.sample_rate, periodic=False)
 
     def repeated(self, cycles: int) -> ScanPath:
-        """Return whole periods and the sample that closes the last one; for 0 periods the first sample.
+        """Return a number of periods and the sample that closes the last one; for 0 periods the first sample.
 
-        `cycles` counts the periods. Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles,
-        or there are more than 5e7 samples.
+        Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles, or there are more than 5e7
+        samples.
         """
         if not self.periodic:
             raise RecordError(argument="cycles", got="a path that ends elsewhere than it begins", need="a periodic one")
         times = whole(cycles, "cycles", 0)
         refuse_long(times * len(self) + 1, self.sample_rate)
-        y, v, a = (np.append(np.tile(row, times), row[0]) for row in self.rows)
-        return ScanPath(y, v, a, self.sample_rate, periodic=False)
+        rows = Travel(*(np.append(np.tile(row, times), row[0]) for row in self.rows))
+        return ScanPath(*rows, self.sample_rate, periodic=False)
 
     def then(self, other: ScanPath) -> ScanPath:
-        """Append another path to this one. `other` comes second."""
-        y, v, a = (np.concatenate(pair) for pair in zip(self.rows, other.rows, strict=True))
-        return ScanPath(y, v, a, self.sample_rate, periodic=False)
+        """Return this path and the `other` one after it."""
+        return ScanPath(*Travel.joined([self.rows, other.rows]), self.sample_rate, periodic=False)
 
 
 class Scan(ABC):
-    """A path for each axis.
+    """A path for each axis, whose fields are its options. `axes`: their names.
 
-    The number of samples of a period is rounded up: a scan is never faster than requested. `axes`: their names.
+    The number of samples of a period is rounded up: a scan is never faster than requested. It raises `RecordError`,
+    with what can be done, if a number is impossible or the limits cannot be kept.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
@@ -263,6 +392,11 @@ class Scan(ABC):
     speed: float | None
     acceleration: float | None
     sample_rate: float | None
+
+    def __post_init__(self) -> None:
+        for name, option in options_of(type(self)).items():
+            if (value := getattr(self, name)) is not None or getattr(type(self), name, 0) is not None:
+                keep(self, **{name: option.checked(value, name)})
 
     @property
     def limits(self) -> MotionLimits:
@@ -275,9 +409,13 @@ class Scan(ABC):
         return True
 
     @property
-    @abstractmethod
     def rate(self) -> float:
         """Samples a second [Hz]."""
+        return self._usual_rate if self.sample_rate is None else self.sample_rate
+
+    @property
+    @abstractmethod
+    def _usual_rate(self) -> float: ...
 
     @property
     @abstractmethod
@@ -311,16 +449,15 @@ class Scan(ABC):
         Raise `RecordError` if there is no such axis.
         """
         choice(axis, "axis", self.axes, error=RecordError)
-        return ScanPath(*self.travel(axis), self.rate, self.periodic)
+        return ScanPath(*self._travel(axis), self.rate, self.periodic)
 
     @abstractmethod
-    def travel(self, axis: str) -> Travel:
-        """Return displacement, velocity and acceleration at each sample of the `axis` (n,)."""
+    def _travel(self, axis: str) -> Travel: ...
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Largest abs(velocity) [m/s] and abs(`acceleration`) [m/s^2] of an axis, each or None. `speed` [m/s]."""
+    """Largest abs(velocity) `speed` [m/s] and abs(`acceleration`) [m/s^2] of an axis, each or None."""
 
     speed: float | None = None
     acceleration: float | None = None
@@ -350,72 +487,5 @@ class MotionLimits:
 
     def allow(self, peaks: tuple[float, float]) -> bool:
         """Return whether `peaks`, a speed [m/s] and an acceleration [m/s^2], are within the limits."""
-        return all(
-            limit is None or peak <= limit * (1 + SLACK)
-            for peak, limit in zip(peaks, (self.speed, self.acceleration), strict=True)
-        )
-
-
-def below(value: float) -> str:
-    """Write a positive number with four digits, rounded down, so that the value in a message is possible."""
-    unit = 10.0 ** (floor(log10(value)) - 3)
-    return f"{floor(value * (1 - 1e-6) / unit) * unit:.6g}"
-
-
-def above(value: float) -> str:
-    """Write a positive number with four digits, rounded up."""
-    unit = 10.0 ** (floor(log10(value)) - 3)
-    return f"{ceil(value * (1 + 1e-6) / unit) * unit:.6g}"
-
-
-def length(value: object, what: str) -> float:
-    """Return `value` as a displacement [m]; raise RecordError for anything else."""
-    metres = number(value, what, "m", error=RecordError)
-    if abs(metres) > _MOST_METRES:
-        raise RecordError(
-            argument=what, got=f"{metres * 1e6:g} um", need=f"{_MOST_METRES * 1e6:g} um at most", hint="check its unit"
-        )
-    return metres
-
-
-def between(low: object, high: object, names: tuple[str, str] = ("low", "high")) -> tuple[float, float]:
-    """Return two displacements [m], the lower one first; raise RecordError for anything else."""
-    bottom, top = length(low, names[0]), length(high, names[1])
-    if not bottom < top:
-        raise RecordError(
-            argument=f"{names[0]}, {names[1]}",
-            got=f"{bottom * 1e6:.6g} and {top * 1e6:.6g} um",
-            need="the lower one first",
-        )
-    return bottom, top
-
-
-def share(value: object, what: str, most: float = 1.0) -> float:
-    """Return `value` as a share above 0 and up to `most`; raise RecordError for anything else."""
-    result = positive(value, what)
-    if result > most:
-        raise RecordError(argument=what, got=f"{result:g}", need=f"a share above 0 and up to {most:g}")
-    return result
-
-
-def whole(value: object, what: str, least: int = 1) -> int:
-    """Return `value` as a whole number from `least` to 1e7; raise RecordError for anything else."""
-    return count(value, what, least, _MOST_WHOLE, error=RecordError)
-
-
-def samples_of(seconds: float, rate: float) -> int:
-    """Return the number of samples of a duration [s], rounded up.
-
-    Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
-    """
-    samples = seconds * rate * (1 - 1e-12)
-    if samples > LEG_SAMPLES - 1:
-        refuse_long(int(min(samples, 1e15)) + 1, rate)
-        return int(np.ceil(samples))
-    few = f"{samples:.3g}"
-    raise RecordError(
-        argument="sample_rate",
-        got=f"{rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s",
-        need=f"{LEG_SAMPLES} at least",
-        hint=f"try {LEG_SAMPLES / seconds:.4g} Hz",
-    )
+        pairs = zip(peaks, (self.speed, self.acceleration), strict=True)
+        return all(limit is None or peak <= limit * (1 + SLACK) for peak, limit in pairs)

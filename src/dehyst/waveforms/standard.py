@@ -1,4 +1,8 @@
-"""Standard excitations: voltages that show the loops or the creep of an actuator, or home it."""
+"""Standard excitations: voltages that show the loops or the creep of an actuator, or home it.
+
+All take `drive`, how they are played, and raise `RecordError` if a voltage or a number is impossible or lies outside of
+the limits, the record would have more than 5e7 samples, or the slew rate is too low for the sample rate.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +15,8 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import count
+from dehyst._validation import count as whole
 from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, voltages, volts
-
-__all__ = [
-    "Excitation",
-    "Sampling",
-    "descending_tops",
-    "homing",
-    "minor_loop",
-    "raised_cosine",
-    "reversal_curves",
-    "staircase",
-]
 
 _PAPER = Sampling()
 _MOST_TURNS = 1_000_000
@@ -34,23 +27,10 @@ TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
-    `drive` is how it is sampled.
-
-    Parameters
-    ----------
-    peaks : float or (m,) array_like
-        [V], above the base.
-    cycles : int
-        Cycles of each peak, before those of the next peak.
-
-    Raises
-    ------
-    RecordError
-        If a peak is no number above the base or lies outside the limits, `cycles` is no number of cycles, the record
-        would have more than 5e7 samples, or the slew rate is too low for the sample rate.
+    `peaks`: one or (m,) [V], above the base, each with a number of `cycles`. `drive`: how it is played. Raise
+    `RecordError` as all excitations do.
     """
-    single = isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0
-    several: Any = [peaks] if single else peaks
+    several: Any = [peaks] if isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0 else peaks
     tops = voltages(several, "peaks")
     if not tops.size or np.any(tops <= drive.base):
         raise RecordError(argument="peaks", got=tops, need=f"voltages above the base {drive.base:g} V")
@@ -61,18 +41,12 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER
 def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
-    All cycles go down to the base. As many tops as elements determine every stiffness that loops can determine. The
-    first cycle homes the actuator, whatever its state was. Raise `RecordError` as `raised_cosine`. `drive` is how
-    it is sampled.
+    As many tops as elements determine every stiffness that loops can determine. The first cycle homes the actuator,
+    whatever its state was.
 
-    Parameters
-    ----------
-    highest : float
-        [V], above the base.
-    steps : int
-        Number of tops; the first is `highest` once more.
-    majors : int
-        Cycles up to `highest` before them.
+    `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first is `highest` once
+    more. `majors`: cycles up to `highest` before them. `drive`: how it is played. Raise `RecordError` as all
+    excitations do.
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
@@ -86,18 +60,9 @@ def reversal_curves(
 ) -> Excitation:
     """Return first-order reversal curves: major cycles, then highest -> a -> highest for falling a, then the base.
 
-    Raise `RecordError` as `raised_cosine`, or if `lowest` is not below `highest`. `drive` is how it is sampled.
-
-    Parameters
-    ----------
-    highest : float
-        [V], above the base.
-    lowest : float, optional
-        The last a [V], below `highest`; by default the base. If it is below the base, major cycles go down to it too.
-    count : int
-        Number of curves; a falls from `highest` in equal steps.
-    majors : int
-        Number of major cycles.
+    `highest` [V], above the base. `lowest` [V]: the last a; by default the base. If it is below the base, major cycles
+    go down to it too. `count`: number of curves, from `highest` down in equal steps. `majors`: number of major cycles.
+    `drive`: how it is played. Raise `RecordError` as all excitations do.
     """
     top = _top(highest, drive)
     bottom = drive.base if lowest is None else volts(lowest, "lowest")
@@ -114,19 +79,10 @@ def minor_loop(
 ) -> Excitation:
     """Return major cycles, then a minor loop with its lead-in: base -> high -> low -> high ... -> base.
 
-    The first major cycle homes the actuator, the second one is the major loop. Raise `RecordError` as `raised_cosine`,
-    or if the minor loop does not lie within the major one. `drive` is how it is sampled.
+    The first major cycle homes the actuator, the second one is the major loop.
 
-    Parameters
-    ----------
-    low, high : float
-        Turning points of the minor loop [V], base <= low < high <= highest.
-    highest : float
-        Top [V] of the major cycles.
-    cycles : int
-        Cycles of the minor loop.
-    majors : int
-        Number of major cycles.
+    `low`, `high` [V]: turning points, base <= low < high <= highest. `highest` [V]: top of the `majors`, major cycles.
+    `cycles` of the minor loop. `drive`: how it is played. Raise `RecordError` as all excitations do.
     """
     top, lower, upper = _top(highest, drive), volts(low, "low"), volts(high, "high")
     if not drive.base <= lower < upper <= top:
@@ -149,8 +105,6 @@ def staircase(
 ) -> Excitation:
     """Return equal steps from the base up to `highest` and down again; a hold after each step shows creep.
 
-    Raise `RecordError` as `raised_cosine`, or if `hold` or `ramp` is not positive.
-
     Parameters
     ----------
     highest : float
@@ -166,15 +120,44 @@ def staircase(
         fall back to the base leave open.
     drive : Sampling
         How it is played; its pace has no effect.
+
+    Raises
+    ------
+    RecordError
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     waiting = positive(hold, "hold")
     moving = drive.half / number if ramp is None else positive(ramp, "ramp")
+    places = [0]
+    while places[-1] < number:
+        places.append(min(places[-1] + 1 + back, number))
+        if back and places[-1] < number:
+            places.append(places[-1] - 1)
     levels = np.linspace(drive.base, top, number + 1).tolist()
-    up = [levels[i] for i in _places(number, back)]
-    path = up + [levels[number - i] for i in _places(number, back)][1:]
+    path = [levels[i] for i in places] + [levels[number - i] for i in places[1:]]
     stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
     return drive.play("staircase", drive.lead_in(top - drive.base) + stairs)
+
+
+def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
+    """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
+
+    `highest` [V], above the base. `turns` (m,) [V], instead of it: voltages to visit in this order, from the present
+    one (by default the base); the record ends at the last of them. `drive`: how it is played. Raise `RecordError` as
+    all excitations do, or unless exactly one of `highest` and `turns` is given.
+    """
+    if (turns is None) == (highest is None):
+        got = f"{'neither' if turns is None else 'both'} of highest and turns"
+        raise RecordError(argument="homing", got=got, need="one", hint="try the highest voltage in use")
+    if turns is None:
+        return _through("homing", [_top(highest, drive), drive.base], drive)
+    stops = voltages(turns, "turns").tolist()
+    if stops[:1] == [drive.start]:
+        del stops[0]
+    if not 0 < len(stops) <= _MOST_TURNS:
+        got = f"{len(stops)} beside the present {drive.start:g} V"
+        raise RecordError(argument="turns", got=got, need=f"1 to {_MOST_TURNS} voltages")
+    return drive.play("homing", drive.legs([drive.start, *stops]))
 
 
 def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
@@ -182,50 +165,6 @@ def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 2
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
     legs = [start + (end - start) * rise for start, end in pairwise(turns)]
     return stroke * np.concatenate([[turns[0]], *legs])
-
-
-def _places(steps: int, back: bool) -> list[int]:
-    """Return the indices of the levels on the way up."""
-    if not back:
-        return list(range(steps + 1))
-    places = [0]
-    while places[-1] < steps:
-        places.append(min(places[-1] + 2, steps))
-        if places[-1] < steps:
-            places.append(places[-1] - 1)
-    return places
-
-
-def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
-    """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
-
-    Raise `RecordError` as `raised_cosine`, or unless exactly one of `highest` and `turns` is given. `drive` is how
-    it is sampled.
-
-    Parameters
-    ----------
-    highest : float, optional
-        [V], above the base.
-    turns : (m,) array_like, optional
-        Instead of it: voltages [V] to visit in this order, from the present one (by default the base). The record
-        ends at the last of them.
-    """
-    if (turns is None) == (highest is None):
-        got = "neither" if turns is None else "both"
-        hint = "try the highest voltage in use"
-        raise RecordError(argument="homing", got=f"{got} of highest and turns", need="one", hint=hint)
-    if turns is None:
-        return _through("homing", [_top(highest, drive), drive.base], drive)
-    stops = voltages(turns, "turns").tolist()
-    if stops[:1] == [drive.start]:
-        del stops[0]
-    if not 0 < len(stops) <= _MOST_TURNS:
-        raise RecordError(
-            argument="turns",
-            got=f"{len(stops)} beside the present {drive.start:g} V",
-            need=f"1 to {_MOST_TURNS} voltages",
-        )
-    return drive.play("homing", drive.legs([drive.start, *stops]))
 
 
 def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
@@ -240,12 +179,12 @@ def _cycles(cycles: object, what: str, first: float, second: float, *, least: in
     return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
 
 
+def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
+    return whole(value, what, least, most, error=RecordError)
+
+
 def _top(highest: object, drive: Sampling) -> float:
     top = volts(highest, "highest")
     if top <= drive.base:
         raise RecordError(argument="highest", got=f"{top:g} V", need=f"a voltage above the base {drive.base:g} V")
     return top
-
-
-def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
-    return count(value, what, least, most, error=RecordError)

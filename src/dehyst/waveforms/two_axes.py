@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, gcd, pi
-from typing import ClassVar, Literal, TypeAlias, get_args
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
+import dehyst.waveforms.scan as base
 from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import choice, keep
-from dehyst.waveforms.excitation import positive, refuse_long, set_checked
+from dehyst._validation import keep
+from dehyst.waveforms.excitation import positive, refuse_long
 from dehyst.waveforms.one_axis import Triangle
-from dehyst.waveforms.scan import (
-    CYCLE_SAMPLES,
-    Bridge,
-    Edge,
-    MotionLimits,
-    PathPoint,
-    Rounding,
-    Scan,
-    Travel,
-    above,
-    between,
-    length,
-    samples_of,
-    share,
-    whole,
-)
+from dehyst.waveforms.scan import Bridge, Edge, MotionLimits, PathPoint, Scan, ScanOption, Travel
 
 Slow: TypeAlias = Literal["staircase", "ramp"]
 # Fields of the triangle along x.
 _FAST = ("low", "high", "frequency", "turns", "speed", "acceleration", "rising", "rounding", "sample_rate")
+YLow: TypeAlias = Annotated[
+    float, ScanOption("um", "Lowest displacement along y; the first line of a raster", "as along x")
+]
+YHigh: TypeAlias = Annotated[
+    float, ScanOption("um", "Highest displacement along y; the last line of a raster", "as along x")
+]
 
 
 @dataclass(frozen=True)
@@ -46,53 +38,50 @@ class Raster(Scan):
     Parameters
     ----------
     low, high, frequency, turns, speed, acceleration, rising, rounding, sample_rate
-        Of the triangle along x, as in `Triangle`; the frequency is that of lines [Hz]. The limits of speed and
-        acceleration apply along y too.
+        Of the triangle along x, as in `Triangle`; the frequency is that of lines. The limits apply along y too.
     lines : int
         2 or more.
     y_low, y_high : float, optional
         Places of the first and the last line [m]; by default `low` and `high`. A ramp is there at the beginning of the
         first line and at the end of the last.
     slow : {"staircase", "ramp"}
-        Whether y stands still on the way forth and goes to the next line on the way back, with the least jerk; or
-        moves at constant speed.
+        Whether y goes to the next line on the way back of x, with the least jerk, or moves at constant speed.
     back : int, optional
-        Periods of x after the last line, while y goes back to the first; by default the fewest that keep the limits of
-        speed and acceleration, or, where these are not given, the largest speed and acceleration of x. A staircase
-        also uses the way back of the last line. A ramp is joined smoothly, and overshoots a little on its way.
-
-    Raises
-    ------
-    RecordError
-        If a number is impossible, or the limits cannot be kept; the message states what can be done.
+        Periods of x after the last line, while y goes back to the first; by default the fewest that keep the limits or,
+        where these are not given, the largest speed and acceleration of x. A staircase also uses the way back of the
+        last line. A ramp is joined smoothly, and overshoots a little on its way.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
 
-    low: float
-    high: float
-    frequency: float
-    lines: int
-    y_low: float | None = None
-    y_high: float | None = None
-    slow: Slow = "staircase"
-    back: int | None = None
-    turns: float | None = None
-    speed: float | None = None
-    acceleration: float | None = None
-    rising: float = 0.5
-    rounding: Rounding = "parabola"
-    sample_rate: float | None = None
+    low: base.Low
+    high: base.High
+    frequency: base.Frequency
+    lines: Annotated[int, ScanOption("", "Lines of a raster", least=2)]
+    y_low: YLow | None = None
+    y_high: YHigh | None = None
+    slow: Annotated[Slow, ScanOption("", "Motion of a raster along y")] = "staircase"
+    back: Annotated[int, ScanOption("", "Lines that y of a raster takes back", "fewest", 0)] | None = None
+    turns: base.Turns | None = None
+    speed: base.Speed | None = None
+    acceleration: base.Acceleration | None = None
+    rising: base.Rising = 0.5
+    rounding: base.Turning = "parabola"
+    sample_rate: base.SampleRate | None = None
 
     def __post_init__(self) -> None:
-        keep(self, **{name: getattr(self.fast, name) for name in _FAST})
+        super().__post_init__()
         ends = self.low if self.y_low is None else self.y_low, self.high if self.y_high is None else self.y_high
-        y_low, y_high = between(*ends, ("y_low", "y_high"))
-        keep(self, y_low=y_low, y_high=y_high, lines=whole(self.lines, "lines", 2))
-        choice(self.slow, "slow", get_args(Slow), error=RecordError)
-        self._refuse_steep()
+        _ = self.fast
+        y_low, y_high = base.between(*ends, ("y_low", "y_high"))
+        keep(self, y_low=y_low, y_high=y_high)
+        if self.slow == "staircase":
+            height = self._height / (self.lines - 1)
+            self.limits.refuse("a step to the next line", self._step.peaks, self.frequency, height)
+        elif self.speed is not None and self._slope > self.speed:
+            self.limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
         if self.back is not None:
-            keep(self, back=whole(self.back, "back", 0 if self.slow == "staircase" else 1))
+            base.whole(self.back, "back", 0 if self.slow == "staircase" else 1)
             what = f"y on its way back in {counted(self.back, 'line')}"
             self.limits.refuse(what, self._return(self.back).peaks, self.frequency, self._height)
         refuse_long(self.samples, self.rate)
@@ -101,11 +90,6 @@ class Raster(Scan):
     def fast(self) -> Triangle:
         """The triangle along x."""
         return Triangle(**{name: getattr(self, name) for name in _FAST})
-
-    @property
-    def rate(self) -> float:
-        """Samples a second [Hz]."""
-        return self.fast.rate
 
     @cached_property
     def pause(self) -> int:
@@ -134,39 +118,33 @@ class Raster(Scan):
 
     @property
     def requested_period(self) -> float | None:
-        """Requested duration of a frame [s]."""
+        """Requested duration of a frame [s], with the way back."""
         return (self.lines + self.pause) / self.frequency
 
-    def travel(self, axis: str) -> Travel:
-        """Return displacement, velocity and acceleration at each sample of a frame."""
+    def _travel(self, axis: str) -> Travel:
         if axis == "x":
-            return Travel(*(np.tile(row, self.lines + self.pause) for row in self.fast.travel("x")))
-        parts = self._stairs() if self.slow == "staircase" else [self._ramp()]
-        back = self._return(self.pause)
-        parts.append(back.at(self._times(self.samples - sum(part[0].size for part in parts))))
-        return Travel(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
-
-    def _stairs(self) -> list[Travel]:
-        """Return y on all lines, without the way back to the first."""
-        forth, retrace = self.fast.legs
-        levels, still = self.levels, np.zeros(forth)
-        step = Bridge(PathPoint(0.0), PathPoint(self._height / (self.lines - 1)), retrace / self.rate).at(
-            self._times(retrace)
-        )
-        line = Travel(*(np.concatenate([still, row]) for row in step))
-        y = levels[:-1, None] + line.displacement
-        v, a = (np.tile(row, self.lines - 1) for row in line[1:])
-        return [Travel(y.ravel(), v, a), Travel(still + levels[-1], still, still)]
+            return Travel(*(np.tile(row, self.lines + self.pause) for row in self.fast.path().rows))
+        if self.slow == "staircase":
+            still, levels = np.zeros(self.fast.legs[0]), np.linspace(*self._ends, self.lines)
+            line = Travel.joined([Travel(still, still, still), self._step.at(self._times(self.fast.legs[1]))])
+            y = levels[:-1, None] + line.displacement
+            stairs = Travel(y.ravel(), *(np.tile(row, self.lines - 1) for row in line[1:]))
+            parts = [stairs, Travel(still + levels[-1], still, still)]
+        else:
+            count = self.lines * self.fast.samples
+            y = self._ends[0] + self._height * (np.arange(count) / count)
+            parts = [Travel(y, np.full(count, self._slope), np.zeros(count))]
+        rest = self.samples - sum(part.displacement.size for part in parts)
+        return Travel.joined([*parts, self._return(self.pause).at(self._times(rest))])
 
     @property
-    def levels(self) -> Array:
-        """Places of the lines of a staircase along y (lines,) [m]."""
-        return np.linspace(*self._ends, self.lines)
+    def _usual_rate(self) -> float:
+        return self.fast.rate
 
-    def _ramp(self) -> Travel:
-        count = self.lines * self.fast.samples
-        y = self._ends[0] + self._height * (np.arange(count) / count)
-        return Travel(y, np.full(count, self._slope), np.zeros(count))
+    @property
+    def _step(self) -> Bridge:
+        """Return y of a staircase from one line to the next, from 0."""
+        return Bridge(PathPoint(0.0), PathPoint(self._height / (self.lines - 1)), self.fast.legs[1] / self.rate)
 
     def _return(self, back: int) -> Bridge:
         """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
@@ -177,7 +155,7 @@ class Raster(Scan):
 
     @property
     def _ends(self) -> tuple[float, float]:
-        return between(self.y_low, self.y_high)
+        return base.between(self.y_low, self.y_high)
 
     @property
     def _height(self) -> float:
@@ -187,14 +165,6 @@ class Raster(Scan):
     def _slope(self) -> float:
         """Speed of a ramp [m/s]."""
         return self._height * self.rate / (self.lines * self.fast.samples)
-
-    def _refuse_steep(self) -> None:
-        if self.slow == "staircase":
-            height = self._height / (self.lines - 1)
-            step = Bridge(PathPoint(0.0), PathPoint(height), self.fast.legs[1] / self.rate)
-            self.limits.refuse("a step to the next line", step.peaks, self.frequency, height)
-        elif self.speed is not None and self._slope > self.speed:
-            self.limits.refuse("the ramp", (self._slope, 1e-300), self.frequency, self._height)
 
     def _times(self, count: int) -> Array:
         return np.arange(count) / self.rate
@@ -218,62 +188,47 @@ class Lissajous(Scan):
     speed, acceleration : float, optional
         Largest abs(dx/dt) [m/s] and abs(d2x/dt2) [m/s^2] allowed, of either axis.
     sample_rate : float, optional
-        Samples a second [Hz]; by default 400 a period of the faster axis.
-
-    Raises
-    ------
-    RecordError
-        If a number is impossible, or the limits cannot be kept; the message states what can be done.
+        [Hz]; by default 400 samples a period of the faster axis.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
 
-    amplitude: tuple[float, float]
-    frequency: float
-    ratio: tuple[int, int] = (1, 1)
-    phase: float | None = None
-    centre: tuple[float, float] = (0.0, 0.0)
-    speed: float | None = None
-    acceleration: float | None = None
-    sample_rate: float | None = None
+    amplitude: Annotated[tuple[float, float], ScanOption("um", "Amplitudes along x and y")]
+    frequency: base.Frequency
+    ratio: Annotated[tuple[int, int], ScanOption("", "Cycles of x and y of a Lissajous figure", "1 1")] = (1, 1)
+    phase: Annotated[float, ScanOption("degrees", "Phase of y of a Lissajous figure", "widest figure")] | None = None
+    centre: base.Centre = (0.0, 0.0)
+    speed: base.Speed | None = None
+    acceleration: base.Acceleration | None = None
+    sample_rate: base.SampleRate | None = None
 
     def __post_init__(self) -> None:
-        set_checked(self, positive, "frequency")
-        for name in ("amplitude", "centre", "ratio"):
-            if not isinstance(getattr(self, name), Sequence) or len(getattr(self, name)) != 2:
-                raise RecordError(argument=name, got=repr(getattr(self, name)), need="a pair, for x and y")
-        keep(self, amplitude=tuple(positive(length(a, "amplitude"), "amplitude") for a in self.amplitude))
-        keep(self, centre=tuple(length(c, "centre") for c in self.centre))
-        p, q = (whole(part, "ratio") for part in self.ratio)
-        if gcd(p, q) > 1:
-            raise RecordError(
-                argument="ratio",
-                got=f"{p} and {q}",
-                need="whole numbers without a common factor",
-                hint=f"try {p // gcd(p, q)} and {q // gcd(p, q)} at {self.frequency * gcd(p, q):.6g} Hz",
-            )
-        set_checked(self, positive, optional=("speed", "acceleration", "sample_rate"))
+        super().__post_init__()
+        keep(self, amplitude=tuple(positive(a, "amplitude") for a in self.amplitude))
+        p, q = self.ratio
+        if (common := gcd(p, q)) > 1:
+            hint = f"try {p // common} and {q // common} at {self.frequency * common:.6g} Hz"
+            need = "whole numbers without a common factor"
+            raise RecordError(argument="ratio", got=f"{p} and {q}", need=need, hint=hint)
         # Backwards from c/2 on, c an odd multiple of pi/p, x is the same; so is y if q c + 2 phase is one of pi.
         widest = 0.5 * pi * (1 + (1 - q) / p)
-        keep(self, phase=widest if self.phase is None else _angle(self.phase))
+        keep(self, phase=widest if self.phase is None else self.phase)
         # The harder axis first, so that the values in a message are possible for both.
         for axis in sorted((0, 1), key=lambda i: -self.amplitude[i] * self.ratio[i] ** 2):
             turning, a = 2 * pi * self.ratio[axis] / self.period, self.amplitude[axis]
             self.limits.refuse(f"{'xy'[axis]} of this figure", (a * turning, a * turning**2), self.frequency, a)
 
     @property
-    def rate(self) -> float:
-        """Samples a second [Hz]."""
-        return CYCLE_SAMPLES * self.frequency * max(self.ratio) if self.sample_rate is None else self.sample_rate
+    def _usual_rate(self) -> float:
+        return base.CYCLE_SAMPLES * self.frequency * max(self.ratio)
 
     @cached_property
     def samples(self) -> int:
         """Samples of a period."""
-        _ = samples_of(0.5 / self.frequency / max(self.ratio), self.rate)
-        return samples_of(1 / self.frequency, self.rate)
+        _ = base.samples_of(0.5 / self.frequency / max(self.ratio), self.rate)
+        return base.samples_of(1 / self.frequency, self.rate)
 
-    def travel(self, axis: str) -> Travel:
-        """Return displacement, velocity and acceleration at each sample."""
+    def _travel(self, axis: str) -> Travel:
         i = int(axis == "y")
         turning, a = 2 * pi * self.ratio[i] / self.period, self.amplitude[i]
         # Whole turns are subtracted before the factor 2 pi: that keeps the digits.
@@ -283,12 +238,6 @@ class Lissajous(Scan):
         return Travel(self.centre[i] + sin, a * turning * np.cos(angle), -(turning**2) * sin)
 
 
-def _angle(value: object) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e3:
-        return float(value)
-    raise RecordError(argument="phase", got=repr(value), need="an angle in radians")
-
-
 Constant: TypeAlias = Literal["linear", "angular"]
 
 # Gauss's rule on panels of this many radians gives lengths to the last digits: r(phi) bends over one radian.
@@ -296,7 +245,7 @@ _PANEL, _NODES = 0.25, 10
 _NEWTON = 8
 _REVOLUTION_SAMPLES = 100
 # Radians a sample at the centre: by default, and those above which there is a warning.
-_CENTRE, _COARSE = 0.25, 0.6
+_STEP, _COARSE = 0.25, 0.6
 
 
 @dataclass(frozen=True)
@@ -326,62 +275,42 @@ class Spiral(Scan):
     rounding : {"parabola", "cosine"}
         How the radius turns, as in `Triangle`.
     sample_rate : float, optional
-        Samples a second [Hz]; by default 100 a revolution, or more if a sample at the centre would take more than
-        about 1/4 rad.
-
-    Raises
-    ------
-    RecordError
-        If a number is impossible, or the limits cannot be kept; the message states what can be done.
+        [Hz]; by default 100 samples a revolution, or so many that one at the centre takes less than about 1/4 rad.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
 
-    radius: float
-    revolutions: int
-    frequency: float
-    constant: Constant = "linear"
-    centre: tuple[float, float] = (0.0, 0.0)
-    turns: float = 0.1
-    speed: float | None = None
-    acceleration: float | None = None
-    rounding: Rounding = "parabola"
-    sample_rate: float | None = None
+    radius: Annotated[float, ScanOption("um", "Radius of a spiral")]
+    revolutions: Annotated[int, ScanOption("", "Revolutions of a spiral outwards; 1/4 is added")]
+    frequency: base.Frequency
+    constant: Annotated[Constant, ScanOption("", "Constant speed of a spiral")] = "linear"
+    centre: base.Centre = (0.0, 0.0)
+    turns: base.Turns = 0.1
+    speed: base.Speed | None = None
+    acceleration: base.Acceleration | None = None
+    rounding: base.Turning = "parabola"
+    sample_rate: base.SampleRate | None = None
 
     def __post_init__(self) -> None:
-        keep(self, radius=positive(length(self.radius, "radius"), "radius"))
-        set_checked(self, positive, "frequency", optional=("speed", "acceleration", "sample_rate"))
-        set_checked(self, share, "turns")
-        set_checked(self, whole, "revolutions")
-        x, y = self.centre
-        keep(self, centre=(length(x, "centre"), length(y, "centre")))
-        choice(self.constant, "constant", get_args(Constant), error=RecordError)
-        choice(self.rounding, "rounding", get_args(Rounding), error=RecordError)
+        super().__post_init__()
+        keep(self, radius=positive(self.radius, "radius"))
         _ = self.samples
         if self.speed is not None or self.acceleration is not None:
             self.limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
 
     @property
-    def rate(self) -> float:
-        """Samples a second [Hz]."""
-        if self.sample_rate is not None:
-            return self.sample_rate
+    def _usual_rate(self) -> float:
         steady = _REVOLUTION_SAMPLES * self._half / pi
         # At constant linear speed the length each way is about half of the square of the angle, in units of r'.
-        count = steady if self.constant == "angular" else max(steady, self._half**2 / _CENTRE)
+        count = steady if self.constant == "angular" else max(steady, self._half**2 / _STEP)
         return self.frequency * 2 * ceil(0.5 * count * (1 - 1e-12))
 
     @cached_property
     def samples(self) -> int:
         """Samples of a period."""
-        _ = samples_of(0.25 / self.frequency / (self.revolutions + 0.25), self.rate)
+        _ = base.samples_of(0.25 / self.frequency / (self.revolutions + 0.25), self.rate)
         # Two halves: one sample lies on the rim.
-        return 2 * samples_of(0.5 / self.frequency, self.rate)
-
-    @property
-    def pitch(self) -> float:
-        """Distance from one track to the next on the way out [m]."""
-        return float(self._rim.speed) * 2 * pi
+        return 2 * base.samples_of(0.5 / self.frequency, self.rate)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -391,13 +320,12 @@ class Spiral(Scan):
             return super().warnings
         coarse = (
             f"near the centre it turns by {step:.2g} rad a sample, which makes corners; try a sample rate of "
-            f"{above(self.rate * step / _CENTRE)} Hz"
+            f"{base.above(self.rate * step / _STEP)} Hz"
         )
         return (*super().warnings, coarse)
 
-    def travel(self, axis: str) -> Travel:
-        """Return displacement, velocity and acceleration at each sample."""
-        return self._travel(self.samples)[axis == "y"]
+    def _travel(self, axis: str) -> Travel:
+        return self._motions(self.samples)[axis == "y"]
 
     @property
     def _half(self) -> float:
@@ -407,8 +335,8 @@ class Spiral(Scan):
     @property
     def _rim(self) -> Edge:
         """The radius over the angle: from the rim, where it is negative, through the centre to the rim."""
-        seconds = 2 * self._half
-        return Edge(-self.radius, self.radius, seconds, 0.5 * self.turns * seconds, self.rounding)
+        angle = 2 * self._half
+        return Edge(-self.radius, self.radius, angle, 0.5 * self.turns * angle, self.rounding)
 
     def _radius(self, angle: Array) -> Travel:
         """Return r, dr/dphi and d2r/dphi2 at angles [rad] from the centre."""
@@ -416,18 +344,17 @@ class Spiral(Scan):
         r, slope, bend = self._rim.at(np.where(back, 2 * self._half - angle, angle) + self._half)
         return Travel(r, np.where(back, -slope, slope), bend)
 
-    def _travel(self, count: int) -> tuple[Travel, Travel]:
+    def _motions(self, count: int) -> tuple[Travel, Travel]:
         """Return both axes at `count` equal parts of a period."""
         angle, rate, acceleration = self._angles(count)
         r, slope, bend = self._radius(angle)
-        axes = []
-        for centre, cos, sin in zip(
-            self.centre, (np.cos(angle), np.sin(angle)), (np.sin(angle), -np.cos(angle)), strict=True
-        ):
-            along = slope * cos - r * sin
-            second = (bend - r) * cos - 2 * slope * sin
-            axes.append(Travel(centre + r * cos, along * rate, second * rate**2 + along * acceleration))
-        return axes[0], axes[1]
+
+        def along(centre: float, cos: Array, sin: Array) -> Travel:
+            first, second = slope * cos - r * sin, (bend - r) * cos - 2 * slope * sin
+            return Travel(centre + r * cos, first * rate, second * rate**2 + first * acceleration)
+
+        cos, sin = np.cos(angle), np.sin(angle)
+        return along(self.centre[0], cos, sin), along(self.centre[1], sin, -cos)
 
     def _angles(self, count: int) -> tuple[Array, Array, Array]:
         """Return the angle [rad], its rate [rad/s] and its acceleration [rad/s^2] at equal parts of a period."""
@@ -456,7 +383,7 @@ class Spiral(Scan):
 
     def _peaks(self) -> tuple[float, float]:
         """Return the largest speed and acceleration of an axis, on four times the samples."""
-        axes = self._travel(4 * self.samples)
+        axes = self._motions(4 * self.samples)
         speed = max(float(np.abs(axis.velocity).max()) for axis in axes)
         return speed, max(float(np.abs(axis.acceleration).max()) for axis in axes)
 
