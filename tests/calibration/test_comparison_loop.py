@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_listener import Heard
+from dehyst.cli.output.instrument_errors import _left
 from plain_records import plant
 from rehearsal import DEHYST, Served
 
@@ -18,7 +19,6 @@ from dehyst.calibration.comparison_loop import agreement, cycles, replay
 from dehyst.calibration.plan import steps
 from dehyst.calibration.protocol import ExcitationPlan
 from dehyst.calibration.session import NullProgress, Session
-from dehyst.cli.output.instrument_errors import _left
 from dehyst.instruments import open_rig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator

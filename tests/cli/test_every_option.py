@@ -116,7 +116,7 @@ VALUES = {
     "shared_datum": "--shared-datum",
     "time_limit": "--time-limit 1e-6",
     "no_drift": "--no-drift",
-    "verbose": "--verbose",
+    "verbose": "--all",
     # What only some commands have.
     "pace": "--pace rate",
     "base": "--base 3",
@@ -298,7 +298,7 @@ CASES = {
         Case("model.json record.csv --repeats 20 --trajectory texts/commas.txt", only=("decimal",)),
         Case(
             "model.json record.csv --repeats 0",
-            _COLUMNS | {"limits": "--verbose"},
+            _COLUMNS | {"limits": "--all"},
             values={"repeats": "--repeats 20"},
             exempt={"trajectory": "needs intervals: see below", "seconds": "of advice, which is not needed: see below"},
         ),

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from command_line import run_as_process as run
 
-import dehyst.cli.registry
+import dehyst.cli.commands
 from dehyst import Compensator, FileFormatError, Record, write_record
 from dehyst._io import GENERATOR, demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
@@ -93,7 +93,7 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 # Every command
 
 
-def commands(group=dehyst.cli.registry.main, names=()):
+def commands(group=dehyst.cli.commands.main, names=()):
     """Names and object of every command."""
     for name, one in group.commands.items():
         if isinstance(one, click.Group):
@@ -161,11 +161,11 @@ def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, names, one,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious.csv").write_text("mine")
     arguments = call(names, one, parameter, "precious.csv")
-    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
     assert done.exit_code == 2, done.output
     assert "precious.csv: is there already" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
-    forced = CliRunner().invoke(dehyst.cli.registry.main, [*arguments, "--force"])
+    forced = CliRunner().invoke(dehyst.cli.commands.main, [*arguments, "--force"])
     assert "is there already" not in forced.stderr and "No such option" not in forced.stderr
 
 
@@ -176,7 +176,7 @@ def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, names, o
     target.mkdir()
     (target / "report.html").write_text("mine")
     arguments = ["model.json" if word == "absent-model" else word for word in call(names, one, parameter, "precious")]
-    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
+    done = CliRunner().invoke(dehyst.cli.commands.main, arguments)
     assert done.exit_code == 2, done.output
     assert re.search("holds other files .report.html|report.html: is there already", done.stderr), done.stderr
     assert [path.name for path in target.iterdir()] == ["report.html"]
@@ -224,7 +224,7 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
 
     made, output = standard.raised_cosine, tmp_path / "v.csv"
     monkeypatch.setattr(standard, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
-    done = CliRunner().invoke(dehyst.cli.registry.main, ["excite", "raised-cosine", "10", "-o", str(output)])
+    done = CliRunner().invoke(dehyst.cli.commands.main, ["excite", "raised-cosine", "10", "-o", str(output)])
     assert done.exit_code == 2 and "is there already" in done.stderr
     assert output.read_text() == "mine"
 
@@ -266,7 +266,7 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path):
 def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "loops.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
-    done = CliRunner().invoke(dehyst.cli.registry.main, ["identify", "loops.csv", "-o", "-"])
+    done = CliRunner().invoke(dehyst.cli.commands.main, ["identify", "loops.csv", "-o", "-"])
     assert done.exit_code == 2
     assert "-: is no name of a file" in done.stderr
     assert not (tmp_path / "-").exists()

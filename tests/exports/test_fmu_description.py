@@ -171,7 +171,7 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     compensator = ALL["creep"]
     compensator.actuator.save(tmp_path / "model.json")
     low, high = compensator.limits
-    options = "--limits", low, high, "--slew", compensator.slew_rate, "--period", PERIOD
+    options = "--limits", low, high, "--slew-rate", compensator.slew_rate, "--period", PERIOD
     status, out, err = run("export", "model.json", "c.fmu", *options, "--fmu", cwd=tmp_path)
     assert status == 0
     assert out.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")

@@ -159,7 +159,7 @@ def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
     print_fit(fit, None, None, verbose=False)
     out = capsys.readouterr().out
     assert out.startswith(fit.summary() + "\n")
-    assert "--verbose" in out.removeprefix(fit.summary())
+    assert "--all" in out.removeprefix(fit.summary())
 
 
 @pytest.mark.parametrize("remarks", [0, 1, 3, 4, 9])

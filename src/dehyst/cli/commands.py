@@ -59,9 +59,9 @@ class _Typed(click.ParamType):  # type: ignore[type-arg]
         self.kind, self.name = kind, kind.metavar.lower()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what a word means."""
+        """Return what one word means, or several."""
         try:
-            return self.kind.parse(value) if isinstance(value, str) else value
+            return self.kind.parse_words([value] if isinstance(value, str) else value)
         except (ValueError, DehystError) as error:
             self.fail(str(error), param, ctx)
 
@@ -70,12 +70,19 @@ class _Typed(click.ParamType):  # type: ignore[type-arg]
         return [click.shell_completion.CompletionItem(one) for one in self.kind.choices if one.startswith(incomplete)]
 
 
+class _Pair(_Typed, click.types.CompositeParamType):  # type: ignore[type-arg]
+    """A kind whose values are two words."""
+
+    @property
+    def arity(self) -> int:  # type: ignore[override]
+        """The number of words of a value."""
+        return self.kind.count
+
+
 def _click_parameter(one: Parameter) -> click.Parameter:
     """Return a parameter for click."""
     kind = one.kind
-    typed: Any = click.Path(path_type=Path) if kind.type is Path else _Typed(kind)
-    if kind.count > 1:
-        typed = (_Typed(kind),) * kind.count
+    typed: Any = click.Path(path_type=Path) if kind.type is Path else (_Pair if kind.count > 1 else _Typed)(kind)
     if one.positional:
         metavar = one.name.upper() if one.required else f"[{one.name.upper()}]"
         return click.Argument(
@@ -166,14 +173,10 @@ class OperationCommand(click.Command):
             self._refuse(error, given, as_json, run.known)
             sys.exit(1 if isinstance(error, LinkError | DeviceError | SensorError) else 2)
         except (KeyboardInterrupt, SystemExit) as error:
-            signalled = isinstance(error, SystemExit)
-            status = error.code if signalled else _INTERRUPTED
-            if not signalled or status == 128 + signal.SIGTERM:
-                for sentence in (
-                    f"stopped by {'SIGTERM' if signalled else 'Ctrl-C'}",
-                    *getattr(error, "__notes__", ()),
-                ):
-                    note(sentence)
+            status = error.code if isinstance(error, SystemExit) else _INTERRUPTED
+            by = {_INTERRUPTED: "Ctrl-C", 128 + signal.SIGTERM: "SIGTERM"}.get(status)  # type: ignore[arg-type]
+            for sentence in (f"stopped by {by}", *getattr(error, "__notes__", ())) if by else ():
+                note(sentence)
             sys.exit(status)
         finally:
             run.progress("")
@@ -312,10 +315,10 @@ class Commands(click.Group):
         """Run as a program, even with closed or full standard streams."""
         words = list(sys.argv[1:] if args is None else args)
         if not standalone_mode:
-            return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
+            return super().main(args, prog_name or "dehyst", complete_var, standalone_mode=False, **extra)
         with guarded_streams():
             try:
-                sys.exit(super().main(args, prog_name, complete_var, standalone_mode=False, **extra))
+                sys.exit(super().main(args, prog_name or "dehyst", complete_var, standalone_mode=False, **extra))
             except click.ClickException as error:
                 shown = io.StringIO()
                 error.show(shown)

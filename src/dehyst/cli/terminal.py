@@ -66,16 +66,17 @@ class TerminalRun(Run):
             sys.stdout.flush()
 
     @contextmanager
-    def ended_by(self, end: Callable[[], bool]) -> Iterator[None]:
+    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
         """Let the first Ctrl-C end the operation early, if that is possible by then, and the second one stop it."""
 
         def interrupt(*_: object) -> None:
-            if not end():
+            if not possible():
                 raise KeyboardInterrupt
             signal.signal(signal.SIGINT, signal.default_int_handler)
             # Not through the stream, which may be in the middle of a line.
             with suppress(OSError):
                 os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
+            end()
 
         before = signal.getsignal(signal.SIGINT)
         # A program in the background ignores Ctrl-C.

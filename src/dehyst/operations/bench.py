@@ -23,7 +23,7 @@ from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.model import Actuator
-from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
+from dehyst.operations.axes import Limit, Slew, limits_of, rates_of
 from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.run import Result, Run
@@ -93,7 +93,7 @@ def calibrate(
     columns.demand(("max_size",), "on voltages to play")
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
-    allowed, steepest = limits_of(every, limits), [one and one.rate for one in slews_of(every, slew_rate)]
+    allowed, steepest = limits_of(every, limits), rates_of(every, slew_rate)
     played = tuple(read_voltage(path, max_bytes=columns.max_bytes).excitation for path in protocol)
     plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
     if not dry_run and format_of(output / "campaign.json") != FORMAT:
@@ -114,7 +114,7 @@ def calibrate(
         warnings.append(f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}")
     fields = {**calibration.as_dict(), "output": str(output)}
     warnings += calibration.warnings()
-    return Result(fields, _lines(calibration, output), warnings=warnings, good=calibration.good)
+    return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
 
 
 _ANEW = "give another -o to measure anew"
@@ -233,7 +233,7 @@ def serve(
     speed: float = 1.0,
     noise: float | None = None,
     wave_points: int = 65536,
-    faults: tuple[str, ...] = (),
+    fault: tuple[str, ...] = (),
     seconds: float | None = None,
     epics: Annotated[str | None, Only(lambda given: given.get("axes", 1) == 1, "with several axes")] = None,
 ) -> Result:
@@ -266,7 +266,7 @@ def serve(
         Of the sensor [nm]; default: the actuator's, 2 nm.
     wave_points
         Samples that wave generator and recorder hold.
-    faults
+    fault
         A fault to rehearse, NAME@WHEN: after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the
         middle of the first wave. drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall; may
         be repeated.
@@ -286,7 +286,7 @@ def serve(
     names = actuator.split(",")
     if len(names) not in (1, axes):
         raise RigError(argument="actuator", got=f"{len(names)} for {axes} axes", need="one, or one for each")
-    rehearsed = [Fault.parse(text) for text in faults]
+    rehearsed = [Fault.parse(text) for text in fault]
     shares = coupling / 100, hysteretic / 100
     bench = {"slew_rate": slew_rate, "speed": speed, "wave_points": wave_points, "record_points": wave_points}
     instrument, ranges = _instrument(

@@ -8,12 +8,12 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import sys
 import tomllib
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, Self, Union, get_args, get_origin
 
@@ -60,6 +60,11 @@ def beside(*names: str) -> Only:
     return Only(lambda given: any(given.get(name) not in (None, (), False) for name in names), f"without {flags}")
 
 
+def one_of(name: str, choices: Collection[str]) -> Only:
+    """Return the condition that a parameter has one of these values."""
+    return Only(lambda given: given[name] in choices, f"without {' or '.join(choices)}")
+
+
 class Value(Protocol):
     """A type with a text of its own: `str` writes what `parse` reads."""
 
@@ -74,7 +79,7 @@ class Value(Protocol):
 class Kind:
     """The values of a parameter: how one is read from a text, and shown.
 
-    `count`: words of one value. `several`: any number of values, a tuple. `spread`: after one option, up to the next.
+    `count`: words of one value. `several`: any number of values, a tuple.
     """
 
     type: Any
@@ -100,7 +105,8 @@ class Kind:
             return replace(cls.of(arguments[0]), several=True)
         if origin is tuple:
             return cls(arguments[0], "LOW HIGH" if arguments[0] is float else "N M", len(arguments))
-        return cls(annotation, getattr(annotation, "metavar", _METAVARS.get(annotation, "TEXT")))
+        metavar = getattr(annotation, "metavar", _METAVARS.get(annotation, "TEXT"))
+        return cls(annotation, metavar, getattr(annotation, "word_count", 1))
 
     def parse(self, text: str) -> Any:
         """Return what a word means; raise ValueError with what is needed."""
@@ -113,6 +119,12 @@ class Kind:
                 raise ValueError(f"got {text!r}, need a {_NUMBERS[self.type]}") from error
         return self.type.parse(text) if hasattr(self.type, "parse") else self.type(text)
 
+    def parse_words(self, words: Sequence[str]) -> Any:
+        """Return what the words of one value mean; raise ValueError with what is needed."""
+        if self.count > 1 and not hasattr(self.type, "parse"):
+            return tuple(map(self.parse, words))
+        return self.parse(" ".join(words))
+
     def of_json(self, value: Any) -> Any:
         """Return what a JSON value means; raise ValueError with what is needed."""
         if not self.several:
@@ -123,30 +135,33 @@ class Kind:
 
     def words(self, value: Any) -> list[str]:
         """Return the words of one value that `parse` reads."""
-        return [_text(one) for one in value] if self.count > 1 else [_text(value)]
+        if self.count > 1:
+            return str(value).split() if hasattr(self.type, "parse") else list(map(_text, value))
+        return [_text(value)]
 
     def _one(self, value: Any) -> Any:
-        if self.count > 1:
+        if isinstance(value, list | tuple) and hasattr(self.type, "parse"):
+            value = (" " if self.count > 1 else ",").join(map(_text, value))
+        elif self.count > 1 and not hasattr(self.type, "parse"):
             if not isinstance(value, list | tuple) or len(value) != self.count:
                 raise ValueError(f"need {self.count} numbers")
-            return tuple(replace(self, count=1)._one(one) for one in value)
+            return tuple(map(replace(self, count=1)._one, value))
         if self.type is bool:
             if not isinstance(value, bool):
                 raise ValueError(f"got {str(value)[:40]!r}, need true or false")
             return value
         if isinstance(value, int | float) and not isinstance(value, bool) and self.type not in (str, Path):
-            number = float(value) if abs(value) < 1e300 else float("inf")
-            if not isfinite(number) or (self.type is int and not number.is_integer()):
+            if not abs(value) < 1e300 or (self.type is int and value != int(value)):
                 raise ValueError(f"got {str(value)[:40]}, need a {_NUMBERS.get(self.type, 'finite number')}")
-            return self.type(value) if self.type in (int, float) else self.parse(_text(value))
-        if self.type in (int, float):
-            raise ValueError(f"got {str(value)[:40]!r}, need a number")
+            return self.type(value) if self.type in _NUMBERS else self.parse(_text(value))
+        if self.type in _NUMBERS:
+            raise ValueError(f"got {str(value)[:40]!r}, need a {_NUMBERS[self.type]}")
         if not isinstance(value, str) or len(value) > _LONGEST or "\0" in value:
             raise ValueError(f"need a text of at most {_LONGEST} letters")
         return self.parse(value)
 
 
-_METAVARS = {float: "NUMBER", int: "N", Path: "FILE"}
+_METAVARS = {float: "NUMBER", int: "N", Path: "FILE", bool: "true|false"}
 _NUMBERS = {int: "whole number", float: "number"}
 
 
@@ -182,7 +197,7 @@ class Parameter:
     @property
     def whole_help(self) -> str:
         """Its help with the default."""
-        known = self.default in (REQUIRED, None, (), False, True) or "default" in self.help.lower()
+        known = self.default in (REQUIRED, None, (), False, True) or "default" in self.help or not _text(self.default)
         return self.help if known else f"{self.help}  [default: {_text(self.default)}]"
 
     def words(self, value: Any) -> list[str]:
@@ -206,9 +221,10 @@ def _declared(function: Callable[..., Any], name: str, text: str, **more: Any) -
     one = inspect.signature(function).parameters[name]
     annotation = one.annotation
     if isinstance(annotation, str):
-        annotation = eval(annotation, function.__globals__)
+        annotation = eval(annotation, vars(sys.modules[function.__module__]))
     conditions = tuple(each for each in get_args(annotation)[1:] if isinstance(each, Only))
-    return Parameter(name, Kind.of(annotation), one.default, text, conditions=conditions, **more)
+    kind = Kind.of(annotation)
+    return Parameter(name, kind, one.default, text or getattr(kind.type, "about", ""), conditions=conditions, **more)
 
 
 def merged(
@@ -226,24 +242,29 @@ def merged(
 
 def _joined(by: str, owners: Mapping[str, Parameter]) -> Parameter:
     """Return one parameter for those of one name of several functions."""
+    first, *others = owners.values()
+    same = all(one.default == first.default for one in others)
     texts: dict[str, list[str]] = {}
     for word, one in owners.items():
-        texts.setdefault(one.whole_help, []).append(word)
+        texts.setdefault(one.help if same else one.whole_help, []).append(word)
     text = " ".join(f"{', '.join(words)}: {text}" for text, words in texts.items())
-    condition = Only(lambda given: given[by] in owners, f"without {' or '.join(owners)}")
-    return replace(next(iter(owners.values())), default=None, help=text, conditions=(condition,))
+    default = first.default if same and not first.required else None
+    return replace(first, default=default, help=text, conditions=(one_of(by, owners),))
+
+
+# Of a parameter in a running text: "`steps`: number of tops." or "`lowest` [V]: the last one."
+_INLINE = re.compile(r"(?:^|(?<=\. ))`(\w+)`( \[[^\]]+\])?[:,] (.+?\.)(?=$| `| Raise )")
 
 
 def documented(thing: Any) -> dict[str, str]:
-    """Return the texts of the parameters in a numpydoc docstring, each as one line without markup."""
-    _, _, rest = inspect.getdoc(thing or object).partition("Parameters\n----------\n")  # type: ignore[union-attr]
-    section = re.split(r"\n\n?\w[\w ]*\n-{3,}\n", rest)[0]
-    texts: dict[str, str] = {}
-    for entry in re.split(r"\n(?=\S)", section):
+    """Return the texts of parameters in a docstring, each as one line without markup."""
+    text, _, rest = (inspect.getdoc(thing) or "").partition("Parameters\n----------\n")
+    inline = _INLINE.findall(" ".join(text.split()))
+    found = {name: f"{words[:1].upper()}{words[1:-1]}{unit or ''}." for name, unit, words in inline}
+    for entry in re.split(r"\n(?=\S)", re.split(r"\n\n?\w[\w ]*\n-{3,}\n", rest)[0]):
         head, _, body = entry.partition("\n")
-        plain = re.sub(r"`{1,2}", "", " ".join(body.split()))
-        texts |= dict.fromkeys((name.strip() for name in head.partition(" : ")[0].split(",")), plain)
-    return texts
+        found |= dict.fromkeys((name.strip() for name in head.partition(" : ")[0].split(",")), " ".join(body.split()))
+    return {name: re.sub(r"`{1,2}", "", words) for name, words in found.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 from dehyst._errors import FileFormatError
-from dehyst._io import format_of
+from dehyst._io import SCAN, format_of
 from dehyst._types import Array
 from dehyst.model import Actuator
-from dehyst.operations.run import Run
+from dehyst.operations.run import MODELS, Run
 from dehyst.records import Record, read, read_table, write_columns
 from dehyst.records.files import named_and_joined, record_of, time_of
 from dehyst.records.formats.columns import GAIN, Table
@@ -48,7 +48,8 @@ class Columns:
     time, voltage, displacement : str, optional
         NAME or NAME:UNIT; a "?" at the end marks a guess. Columns without a header are named 1, 2, 3.
     voltage_scale, displacement_scale : str, optional
-        After a "*" in the text: the gain of an amplifier whose monitor it is, or what one volt of a sensor means.
+        After a "*" in the text: the gain of an amplifier whose monitor it is, or what one volt of a sensor means. Of
+        several axes without a name, for all: ``voltage=*100``.
     sample_rate : float, optional
         rate in the text: samples a second [Hz], instead of a time.
     names : str, optional
@@ -79,6 +80,11 @@ class Columns:
     axes: Mapping[str, str] = field(default_factory=dict)
 
     metavar: ClassVar[str] = "TEXT"
+    about: ClassVar[str] = (
+        "How files are read, as 'time=Time:ms, voltage=Ch1:mV*100, displacement=Sensor:um'. Other keys: rate=HZ, "
+        "join=FILE, names=A|B|-, decimal=point|comma, max_size=MB, and of several axes x=VOLTAGE:DISPLACEMENT; "
+        "default: columns are found by their names."
+    )
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -91,8 +97,8 @@ class Columns:
             if key in found or key in found["axes"]:
                 raise ValueError(f"got {key} twice; give it once")
             if key in ("voltage", "displacement"):
-                found[key], scale = _scaled(value, _SCALES[key])
-                found |= {f"{key}_scale": scale} if scale else {}
+                name, scale = _scaled(value, _SCALES[key])
+                found |= {key: name or None, f"{key}_scale": scale or None}
             elif key in ("time", "wanted"):
                 found[key] = value
             elif key == "names":
@@ -135,9 +141,15 @@ class Columns:
         """The keys that were given."""
         return tuple(entry.partition("=")[0] for entry in self._entries())
 
+    def demand_axes(self, keys: Sequence[str], words: str) -> None:
+        """Refuse keys as `demand` does; columns are those of axes, but a scale may be given for all of them."""
+        named = [key for key in ("voltage", "displacement") if getattr(self, key) is not None]
+        self.demand([key for key in keys if key not in named], words, axes=True)
+
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
-        """Refuse keys other than these, and without `axes` those of axes; `words` say beside what they have no effect."""
-        wrong = [key for key in self.keys if key not in keys and not (axes and key in self.axes)]
+        """Refuse keys other than these, and without `axes` those of axes; `words`: where they have no effect."""
+        known = (*keys, *self.axes) if axes else keys
+        wrong = [key for key in self.keys if key not in known]
         if wrong:
             raise FileFormatError(
                 f"{wrong[0]} has no effect {words}",
@@ -153,7 +165,12 @@ class Columns:
     def table(self, path: Path, *, several: bool = False) -> Table:
         """Read the table of a file, with the names and the joined file of the text."""
         choice = Choice(**{name: getattr(self, name) for name in Choice._fields})
-        given = {"columns": self.names, "join": self.join, "decimal": self.decimal, "max_bytes": self.max_bytes}
+        given: dict[str, Any] = {
+            "columns": self.names,
+            "join": self.join,
+            "decimal": self.decimal,
+            "max_bytes": self.max_bytes,
+        }
         return named_and_joined(self.plain_table(path, several=several), choice, **given)
 
     def plain_table(self, path: Path, *, several: bool = True) -> Table:
@@ -205,9 +222,10 @@ class Columns:
 
     def _entries(self) -> Iterator[str]:
         for name in ("time", "voltage", "displacement", "wanted"):
-            if (value := getattr(self, name)) is not None:
-                scale = getattr(self, f"{name}_scale", None)
-                yield f"{name}={value}{f'*{scale}' if scale else ''}"
+            value, scale = getattr(self, name), getattr(self, f"{name}_scale", None)
+            scale = "" if scale is None else f"*{scale.removesuffix(' V/V')}"
+            if value or scale:
+                yield f"{name}={value or ''}{scale}"
         if self.sample_rate is not None:
             yield f"rate={self.sample_rate if isinstance(self.sample_rate, str) else f'{self.sample_rate:.12g}'}"
         if self.names is not None:
@@ -243,14 +261,12 @@ def _number(text: str) -> float:
 
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
-# Begins the first line of the path of a scan, with its declaration.
-_SCAN = "# dehyst-scan: "
 _LONGEST = 1_000_000
 
 
 def is_model(path: Path, *formats: str) -> bool:
     """Return whether a file is a model, by its format alone; by default of one axis or several."""
-    return path.is_file() and format_of(path) in (formats or ("dehyst-actuator", "dehyst-stage"))
+    return path.is_file() and format_of(path) in (formats or MODELS)
 
 
 def read_model(run: Run, path: Path) -> Actuator:
@@ -266,7 +282,7 @@ def read_model(run: Run, path: Path) -> Actuator:
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:
     """Write a table without the tails of rounding errors; that of a `scan` begins with its declaration."""
-    head = () if scan is None else (f"{_SCAN}{json.dumps(scan)}",)
+    head = () if scan is None else (f"{SCAN}{json.dumps(scan)}",)
     write_columns(path, columns, digits=_DIGITS, head=head)
 
 
@@ -276,6 +292,6 @@ def scan_declared(path: Path) -> dict[str, Any] | None:
         return None
     with path.open("rb") as stream, suppress(ValueError):
         line = stream.readline(_LONGEST).decode(errors="replace")
-        if line.startswith(_SCAN) and isinstance(found := json.loads(line.removeprefix(_SCAN)), dict):
+        if line.startswith(SCAN) and isinstance(found := json.loads(line.removeprefix(SCAN)), dict):
             return found
     return None

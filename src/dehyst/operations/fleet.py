@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from dehyst._errors import FileFormatError
 from dehyst.fleet import Drifts, Fleet, FleetOptions, drifts_of, findings_of, identify_fleet, load
@@ -73,7 +73,7 @@ def identify(
         run.note(sentence)
 
     keys = () if by is None else tuple(part.strip() for part in by.split(","))
-    given = {"prior": prior, "jobs": jobs, "dask": dask, "time_limit": time_limit, "resume": resume}
+    given: dict[str, Any] = {"prior": prior, "jobs": jobs, "dask": dask, "time_limit": time_limit, "resume": resume}
     try:
         done = identify_fleet(dataset, output, by=keys, options=options, **given, progress=run.progress, remark=remark)
     except (KeyboardInterrupt, SystemExit):

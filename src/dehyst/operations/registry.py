@@ -36,7 +36,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
     "Compensate and check": {
         "scan": Entry("waves:scan", "Write the path of a scan to follow"),
         "compensate": Entry("paths:compensate", "The voltage that follows a path"),
-        "simulate": Entry("paths:simulate", "The displacement that a voltage causes"),
+        "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
     },
     "Deploy": {

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError
-from dehyst._io import demand_alike, protecting
+from dehyst._io import demand_alike, format_of, protecting
 from dehyst.operations.declaration import Operation, OperationError, Role
+
+# Formats of models, of one axis and several.
+MODELS = ("dehyst-actuator", "dehyst-stage")
 
 
 class Run:
@@ -22,12 +25,14 @@ class Run:
     ----------
     command : str
         The command that does the same, for reports.
+    force : bool
+        Whether outputs may replace any file.
     known : dict
         What is known already if the operation fails, as JSON values.
     """
 
     def __init__(self) -> None:
-        self.command = ""
+        self.command, self.force = "", False
         self.known: dict[str, Any] = {}
 
     def progress(self, words: str) -> None:
@@ -39,13 +44,13 @@ class Run:
     def say(self, line: object) -> None:
         """Tell a line of the result at once."""
 
-    def ended_by(self, end: Callable[[], bool]) -> AbstractContextManager[Any]:
-        """Let a request to end early, such as Ctrl-C, call `end`; if that returns False, it interrupts as usual."""
+    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> AbstractContextManager[Any]:
+        """Let a request to end early, such as Ctrl-C, call `end` if that is `possible` by then; else it interrupts."""
         return nullcontext()
 
     def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
         """Return the watcher of a calibration with these steps."""
-        from dehyst.calibration.experiment import NullProgress
+        from dehyst.calibration.session import NullProgress
 
         return nullcontext(NullProgress())
 
@@ -88,13 +93,29 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
         A parameter has no effect, an output is an input or would replace another file, or the operation's own error.
     """
     operation.check(values)
-    run.command = shlex.join(operation.command(values))
+    _demand_order(operation, values)
+    run.command, run.force = shlex.join(operation.command(values)), force
     with protecting(force=force):
         outputs = list(operation.paths(values, Role.OUTPUT))
         if force and not outputs and not any(operation.paths({**operation.defaults, **values}, Role.FOLDER)):
             raise OperationError("has no effect without an output", argument="force", hint="leave it out")
         demand_outputs(operation.paths(values, Role.INPUT), outputs)
-        return operation.function(run, **values)
+        result: Result = operation.function(run, **values)
+        return result
+
+
+def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
+    """Refuse a model that comes after other files."""
+    files = [
+        path
+        for one in operation.parameters
+        if one.positional
+        for path in operation.paths({one.name: values.get(one.name)}, Role.INPUT)
+    ]
+    if files and operation.parameter("model") is not None and format_of(files[0]) not in MODELS:
+        for other in files[1:]:
+            if format_of(other) in MODELS:
+                raise FileFormatError(f"{files[0]}: is no model, but {other} is one; give MODEL first, then {files[0]}")
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:

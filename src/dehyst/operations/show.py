@@ -19,7 +19,7 @@ from dehyst.records import Record, write_record
 from dehyst.records.formats.columns import Table
 from dehyst.report import write_record_page
 
-_MODELS = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
+_MODELS: dict[str | None, type[Actuator | Stage]] = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
 # What a guess is marked with, and the factor and unit in which values of a quantity are shown.
 _GUESSED = "guessed, verify"
 _SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
@@ -49,11 +49,9 @@ def show(
         Write a self-contained HTML page here.
     """
     if is_model(file):
-        model = _MODELS[str(format_of(file))].load(file)
+        model = _MODELS[format_of(file)].load(file)
         return Result(model.as_dict(), model.summary().split("\n"))
-    columns.demand(
-        RECORD[:1] + RECORD[3:] if columns.axes else RECORD, "with axes" if columns.axes else "here", axes=True
-    )
+    (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
     table = columns.table(file)
     run.known["file_columns"] = file_columns = [{"name": one.name, "unit": one.parts[1]} for one in table.columns]
     for line in _column_lines(table):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
-from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, merged, operation
+from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, merged, one_of, operation
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
@@ -89,7 +89,13 @@ def excite(
     pace
         frequency: every leg takes half a cycle; rate: only the highest leg does.
     """
-    sampled = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits, "slew_rate": slew_rate}
+    sampled: dict[str, Any] = {
+        "sample_rate": sample_rate,
+        "base": base,
+        "present": present,
+        "limits": limits,
+        "slew_rate": slew_rate,
+    }
     sampled |= {"pace": pace, "shape": options.pop("shape", "cosine")}
     if hold is not None:
         options["hold"] = hold
@@ -213,20 +219,33 @@ def refuse_cycles(made: Scan, cycles: int) -> None:
         )
 
 
+class Numbers(tuple[float, ...]):
+    """Numbers with commas between them."""
+
+    metavar = "UM,UM,..."
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the numbers in a text; raise ValueError if there are none."""
+        return cls(map(float, text.split(",")))
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return ",".join(f"{one:.12g}" for one in self)
+
+
 def _scan_options() -> list[Parameter]:
     """Return the options of all named scans; each has an effect on its own only."""
-    types: dict[Any, Any] = {"pair": tuple[int, int], "numbers": tuple[float, ...]}
+    types: dict[Any, Any] = {"pair": tuple[int, int], "numbers": Numbers}
     found = []
     for name, option in OPTIONS.items():
-        kind = Literal[option.kind] if isinstance(option.kind, tuple) else types.get(option.kind, option.kind)
         takes = [one for one, scan in SCANS.items() if name in scan.takes]
-        condition = Only(
-            lambda given, takes=takes: given["kind"] in takes,  # type: ignore[misc]
-            f"on another scan than {' or '.join(takes)}",
-        )
-        default = f"; default: {option.default}" if option.default else ""
-        unit = f" [{option.unit}]" if option.unit else ""
-        found.append(Parameter(name, Kind.of(kind), None, f"{option.help}{unit}{default}.", conditions=(condition,)))
+        condition = one_of("kind", takes)
+        choices = isinstance(option.kind, tuple)
+        default = option.default or (option.kind[0] if isinstance(option.kind, tuple) else "")
+        text = f"{option.help}{f' [{option.unit}]' if option.unit else ''}{default and f'; default: {default}'}."
+        kind = Literal[option.kind] if choices else types.get(option.kind, option.kind)
+        found.append(Parameter(name, Kind.of(kind), None, text, conditions=(condition,)))
     return found
 
 
