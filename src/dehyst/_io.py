@@ -225,7 +225,7 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
 def format_of(path: PathLike) -> str | None:
     """Return the "format" at the beginning of a JSON file, or that of the path of a scan; None for any other file."""
     match = _FORMAT.match(_sample(path))
-    return match[match.lastindex].decode() if match else None
+    return (match[1] or match[2]).decode() if match else None
 
 
 def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
@@ -271,7 +271,7 @@ def _kind(content: bytes) -> str | None:
     """Return what files that begin alike have in common; None if nothing shows it."""
     head = content[:_HEAD]
     if match := _FORMAT.match(head):
-        return match[match.lastindex].decode()
+        return (match[1] or match[2]).decode()
     if _GENERATED.match(content if head.startswith(b"PAR1") else head):
         return "dehyst"
     if head.startswith(b"PK\3\4"):

@@ -73,7 +73,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
         assert run("compensate", "model.json", "raster.csv", *axis, *TOP, "-o", "r.csv", cwd=folder)[0] == 0
         y = rows(folder / "r.csv")[1]
         assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
-    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", 0.02, "--shape", "trapezoid")
+    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", 0.02, *rare(shape="trapezoid"))
     assert run("scan", *steps, "-o", "steps.csv", cwd=folder)[0] == 0
     assert run("compensate", "model.json", "steps.csv", *TOP, "-o", "s.csv", cwd=folder)[0] == 0
     # A scan is replaced by another one.
@@ -83,7 +83,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
 @pytest.mark.parametrize(
     "kind",
     [
-        ("spiral", "--frequency", 1, "--revolutions", 3, "--constant", "angular", "--y-low", 1, "--y-high", 11),
+        ("spiral", "--frequency", 1, "--revolutions", 3, *rare(constant="angular"), "--y-low", 1, "--y-high", 11),
         ("lissajous", "--frequency", 2, "--ratio", 3, 4, "--phase", 0, "--y-low", 5, "--y-high", 6),
     ],
 )

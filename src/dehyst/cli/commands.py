@@ -18,8 +18,8 @@ import click
 from dehyst._errors import DecimalSignError, DehystError, DeviceError, LinkError, SensorError
 from dehyst._text import escaped
 from dehyst._version import __version__
-from dehyst.cli.terminal import TerminalRun, echo, echo_json, guarded_streams, note, terminable
-from dehyst.operations import JOURNEY, Operation, Parameter, find, perform
+from dehyst.cli.terminal import TerminalRun, echo, echo_json, guarded_streams, note
+from dehyst.operations import JOURNEY, Operation, Parameter, find, perform, terminable
 from dehyst.operations.declaration import Kind, flag
 from dehyst.operations.files import Columns
 from dehyst.records.tables import ColumnsError, notes_on

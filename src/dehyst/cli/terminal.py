@@ -6,9 +6,7 @@ import errno
 import json
 import os
 import shutil
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -18,7 +16,7 @@ import click
 
 from dehyst._io import finite
 from dehyst._text import escaped
-from dehyst.operations import Run
+from dehyst.operations import InterruptibleRun
 
 # Seconds between lines of progress where there is no terminal, and before the first one.
 _FEW_SECONDS = 5.0
@@ -44,7 +42,7 @@ def note(sentence: object) -> None:
     echo(f"dehyst: {sentence}", err=True)
 
 
-class TerminalRun(Run):
+class TerminalRun(InterruptibleRun):
     """A run that shows its progress on standard error, and that Ctrl-C ends; `quiet`: nothing on standard output."""
 
     def __init__(self, *, quiet: bool = False) -> None:
@@ -65,52 +63,16 @@ class TerminalRun(Run):
             echo(line)
             sys.stdout.flush()
 
-    @contextmanager
-    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
-        """Let the first Ctrl-C end the operation early, if that is possible by then, and the second one stop it."""
-
-        def interrupt(*_: object) -> None:
-            if not possible():
-                raise KeyboardInterrupt
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            # Not through the stream, which may be in the middle of a line.
-            with suppress(OSError):
-                os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
-            end()
-
-        before = signal.getsignal(signal.SIGINT)
-        # A program in the background ignores Ctrl-C.
-        handles = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
-        if handles:
-            signal.signal(signal.SIGINT, interrupt)
-        try:
-            yield
-        finally:
-            if handles:
-                signal.signal(signal.SIGINT, before)
+    def ending(self) -> None:
+        """Say that it ends; not through the stream, which may be in the middle of a line."""
+        with suppress(OSError):
+            os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
 
     def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
         """Show the steps of a calibration as a picture that moves, or as lines."""
         from dehyst.cli.live import display
 
         return display(steps)
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """End on SIGTERM as on an error, so that drafts and temporary folders are removed."""
-
-    def leave(number: int, _: object) -> None:
-        sys.exit(128 + number)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, leave)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def progress_line() -> Callable[[str], None]:

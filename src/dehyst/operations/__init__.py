@@ -2,6 +2,16 @@
 
 from dehyst.operations.declaration import Operation, Parameter
 from dehyst.operations.registry import JOURNEY, find
-from dehyst.operations.run import Result, Run, perform
+from dehyst.operations.run import InterruptibleRun, Result, Run, perform, terminable
 
-__all__ = ["JOURNEY", "Operation", "Parameter", "Result", "Run", "find", "perform"]
+__all__ = [
+    "JOURNEY",
+    "InterruptibleRun",
+    "Operation",
+    "Parameter",
+    "Result",
+    "Run",
+    "find",
+    "perform",
+    "terminable",
+]

@@ -30,8 +30,10 @@ def _target(given: Values) -> str:
     """Return what is written: "C", "C of axes", "WebAssembly", "FMU" or "FMU of the actuator"."""
     if is_stage(given["model"]):
         return "C of axes"
+    if given["directory"].suffix == ".wasm":
+        return "WebAssembly"
     if given.get("fmu") is None:
-        return "WebAssembly" if given["directory"].suffix == ".wasm" else "C"
+        return "C"
     return "FMU of the actuator" if given.get("kind") == "actuator" else "FMU"
 
 

@@ -32,6 +32,8 @@ TEXT = ("decimal", "max_size")
 RECORD = ("time", "voltage", "displacement", "rate", "names", "join", *TEXT)
 VOLTAGE = tuple(key for key in RECORD if key != "displacement")
 PATH = tuple(key for key in RECORD if key != "voltage")
+# Letters of a field.
+_LONGEST_FIELD = 1000
 # Of an axis that stays in the middle of its range.
 MIDDLE = "middle"
 
@@ -130,6 +132,19 @@ class Columns:
             entries = (name.strip().partition(":") for name in str(names).split(","))
             known |= {name: f"{k}:{unit}" for k, (name, _, unit) in enumerate(entries, 1) if name not in ("", "-")}
         return replace(before or cls(), **known)
+
+    @classmethod
+    def of_fields(cls, fields: Mapping[str, Any]) -> Columns:
+        """Return columns with keywords of `dehyst.read`, as the fields of a form; raise FileFormatError for others."""
+        known = {*cls.__dataclass_fields__} - {"names", "wanted"} | {"columns"}
+        for name, value in fields.items():
+            kind = {"sample_rate": float | int, "axes": dict}.get(name, str)
+            fits = isinstance(value, kind) and not isinstance(value, bool) and len(str(value)) <= _LONGEST_FIELD
+            if name not in known or not fits:
+                raise FileFormatError(
+                    argument="options", got=f"{name[:40]!r}", need=f"one of {', '.join(sorted(known))}"
+                )
+        return cls(**{"names" if name == "columns" else name: value for name, value in fields.items()})
 
     @property
     def files(self) -> tuple[Path, ...]:

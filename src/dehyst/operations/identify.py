@@ -43,7 +43,6 @@ def _several(given: Values) -> bool:
         "elements",
         "knots",
         "slope_floor",
-        "branch",
         "delay",
         "refine",
         "drift",
@@ -69,6 +68,10 @@ def identify(
     zero: Zero | None = None,
     time_limit: float | None = None,
     shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
+    branch: Annotated[
+        Literal["descending", "ascending"],
+        Only(lambda given: given.get("method") == "antisymmetric", "without method antisymmetric"),
+    ] = "descending",
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
@@ -101,7 +104,13 @@ def identify(
     best = _BestSoFar(output)
     run.progress("reading")
     training, held_out = _zeroed(columns.records(records), columns.records(validate), zero)
-    settings |= {"structure": structure, "shared_datum": shared_datum, "validate": held_out, "progress": run.progress}
+    settings |= {
+        "structure": structure,
+        "shared_datum": shared_datum,
+        "branch": branch,
+        "validate": held_out,
+        "progress": run.progress,
+    }
     fit: Fit | StageFit
     model: Actuator | Stage | None
     with run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True), lambda: best.usable):

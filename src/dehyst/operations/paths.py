@@ -297,7 +297,7 @@ def compensate(
         remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
     declared = None if known.stage is not None else scan_declared(trajectory)
     if declared is None:
-        read = columns.table(trajectory, several=True)
+        read = columns.table(trajectory, several=start is not None and start.path is not None)
         (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
         return _follow(run, known, axes, wanted, columns.clock(read, len(wanted)), {}, output, zero, home, remarks)
@@ -349,7 +349,7 @@ def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, ze
     if wanted not in names:
         raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
     axis = names[wanted]
-    table, one = columns.plain_table(path), made.path(axis)
+    table, one = columns.plain_table(path, several=False), made.path(axis)
     rows = one.repeated(declared["cycles"]) if one.periodic else one
     written = next(column.data for column in table.columns if names.get(column.name) == axis)
     span = float(np.abs(rows.displacement).max())
@@ -517,11 +517,11 @@ def _tabulate(
         warnings += starts.file_warnings(actuator, float(table.start_up.voltage[0]), start, state, slew.bound)
     else:
         warnings += starts.delay_warnings(actuator)
-    error = None
+    left = None
     if not start.known:
-        error = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
+        left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
-    judged = judge(actuator, path=error)
+    judged = judge(actuator, path=left)
     fields = {
         "samples": played.voltage.size,
         "sample_rate_Hz": table.sample_rate,
@@ -532,7 +532,7 @@ def _tabulate(
         "error_um": table.error * 1e6,
         "unknown_um": table.unknown * 1e6,
         **starts.start_fields(
-            start.name, error, samples=first, seconds=_homing_seconds(table), certified=table.certified
+            start.name, left, samples=first, seconds=_homing_seconds(table), certified=table.certified
         ),
         "settled": table.settled,
         "clamped": table.clamped,
@@ -553,7 +553,7 @@ def _tabulate(
         f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {start_up}: "
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
-        *starts.error_lines(start.name, error, homed=homes),
+        *starts.error_lines(start.name, left, homed=homes),
         *one.promise_lines(judged),
     ]
     good = table.settled and table.certified and not table.clamped

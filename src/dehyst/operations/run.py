@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,6 +56,52 @@ class Run:
         from dehyst.calibration.session import NullProgress
 
         return nullcontext(NullProgress())
+
+
+class InterruptibleRun(Run):
+    """A run in the main thread that SIGINT ends early, where that is possible, and stops elsewhere."""
+
+    @contextmanager
+    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
+        """Let the first SIGINT end the operation early, if that is possible by then, and the second one stop it."""
+
+        def interrupt(*_: object) -> None:
+            if not possible():
+                raise KeyboardInterrupt
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self.ending()
+            end()
+
+        before = signal.getsignal(signal.SIGINT)
+        # A program in the background ignores Ctrl-C.
+        handles = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
+        if handles:
+            signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            if handles:
+                signal.signal(signal.SIGINT, before)
+
+    def ending(self) -> None:
+        """Tell that the operation ends early; called in a signal handler."""
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """End on SIGTERM as on an error, so that drafts and temporary folders are removed."""
+
+    def leave(number: int, _: object) -> None:
+        sys.exit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def simulate(
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
     (columns.demand if known.stage is None else columns.demand_axes)(VOLTAGE, "on a voltage")
-    table = columns.table(voltage, several=start is not None)
+    table = columns.table(voltage, several=start is not None and start.path is not None)
     given = known.values(table, "voltage", columns)
     time = columns.clock(table, len(given))
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from dehyst.operations.declaration import Folder, operation
+from dehyst.operations.declaration import operation
 from dehyst.operations.run import Result, Run
 from dehyst.studies import demo as demonstration
 from dehyst.studies.paper import Paper
@@ -24,7 +24,7 @@ _HEADS = (
 
 
 @operation()
-def demo(run: Run, *, output: Folder = Path("dehyst-demo"), report: bool = True) -> Result:
+def demo(run: Run, *, output: Path = Path("dehyst-demo"), report: bool = True) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator.
 
     Parameters
@@ -50,7 +50,7 @@ def demo(run: Run, *, output: Folder = Path("dehyst-demo"), report: bool = True)
 
 
 @operation()
-def paper(run: Run, *, output: Folder = Path("dehyst-paper")) -> Result:
+def paper(run: Run, *, output: Path = Path("dehyst-paper")) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers.
 
     Parameters

@@ -41,7 +41,10 @@ _holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "w
 
 
 @operation(
-    Sampling, take=("shape",), more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")), rare=("seed",)
+    Sampling,
+    take=("shape",),
+    more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
+    rare=("shape", "pace", "ramp", "seed"),
 )
 def excite(
     run: Run,
@@ -249,7 +252,7 @@ def _scan_options() -> list[Parameter]:
     return found
 
 
-@operation(more=_scan_options())
+@operation(more=_scan_options(), rare=("rounding", "rising", "back", "constant", "shape"))
 def scan(
     run: Run,
     kind: Literal["triangle", "raster", "spiral", "lissajous", "steps"],

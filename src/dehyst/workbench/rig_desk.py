@@ -15,8 +15,8 @@ from dehyst._errors import DehystError, LinkError
 from dehyst.records.recording import salvage
 from dehyst.waveforms.excitation import positive
 from dehyst.workbench import folder as places
+from dehyst.workbench.data import limits_of, number_of
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.requests import limits_of, number_of
 from dehyst.workbench.rig.link import RigLink
 
 _NONE: dict[str, Any] = {"status": "none", "words": [], "error": None, "plan": None, "result": None, "silent": None}
