@@ -66,14 +66,8 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/workbench.py
 	$(BIN)/python benchmarks/workbench_rehearsal.py
 	$(BIN)/python benchmarks/fleet.py
-	$(BIN)/python benchmarks/fleet_page.py
-	$(BIN)/python benchmarks/figure.py
-	$(BIN)/python benchmarks/readme.py
-	$(BIN)/python benchmarks/benchmarks_page.py
-	$(BIN)/python benchmarks/rules_page.py
-	$(BIN)/python benchmarks/control_page.py
-	$(BIN)/python benchmarks/safety_page.py
-	$(BIN)/python benchmarks/trust_page.py
+	$(BIN)/python benchmarks/figures.py
+	$(BIN)/python benchmarks/pages.py
 	$(BIN)/python benchmarks/architecture.py
 
 $(BIN)/python:

@@ -27,26 +27,6 @@ SPEED, RATE = 20.0, 400.0
 GOAL = 0.3
 
 
-class Stranger:
-    """A mechanism of `strangers.truths` as a virtual actuator."""
-
-    def __init__(self, mechanism, stroke, highest):
-        self.mechanism, self.stroke, self.highest = mechanism(), stroke, highest
-
-    def relax(self):
-        """Begin anew."""
-        self.mechanism = type(self.mechanism)()
-
-    def play(self, voltage, *, time, measured=False):
-        """Return the displacement [m]; without noise, whatever `measured` is."""
-        steps = np.ones(len(voltage))
-        return self.stroke * self.mechanism.play(np.asarray(voltage) / self.highest, steps)
-
-
-def own(kind, stroke, highest, **options):
-    return kind(stroke=stroke, highest=highest, noise=0.0, **options)
-
-
 # Name: mechanisms of the axes, seed, and the largest share of hysteretic coupling.
 CASES = {
     "plays, Preisach, relays": ([PlayActuator, PreisachActuator, truths.Relays], 1, 0.0),
@@ -58,8 +38,9 @@ CASES = {
 
 
 def actuator(kind, j):
-    made = own if kind.__module__.startswith("dehyst") else Stranger
-    return made(kind, STROKES[j], HIGHEST[j])
+    if kind.__module__.startswith("dehyst"):
+        return kind(stroke=STROKES[j], highest=HIGHEST[j], noise=0.0)
+    return truths.VirtualStranger(kind, STROKES[j], HIGHEST[j])
 
 
 def measure(name):

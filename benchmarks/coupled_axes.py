@@ -28,25 +28,13 @@ WIDE = 0.9
 PLAIN, BENT = (0, 1, 2), (3, 4)
 
 
-class Stranger:
-    """A mechanism of `strangers.truths` as a virtual actuator."""
-
-    def __init__(self, mechanism, stroke, highest):
-        self.mechanism, self.stroke, self.highest = mechanism(), stroke, highest
-
-    def play(self, voltage, *, time, measured=False):
-        """Return the displacement [m]; without noise, whatever `measured` is."""
-        steps = np.r_[1.0, np.diff(time) * RATE]
-        return self.stroke * self.mechanism.play(np.asarray(voltage) / self.highest, steps)
-
-
 def own(kind, stroke, highest):
     return kind(stroke=stroke, highest=highest, noise=0.0)
 
 
 def strange(*kinds):
     """Return makers of actuators of the suite of strangers."""
-    return [partial(Stranger, kind) for kind in kinds]
+    return [partial(truths.VirtualStranger, kind, rate=RATE) for kind in kinds]
 
 
 # The model of no axis can follow the third set: elements of Bouc and Wen do not return to where a loop began.

@@ -13,32 +13,28 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from speed import KNOTS, VOLTAGES, actuator, creep, transformer
 
-from dehyst import Actuator, Compensator, Creep, MaxwellSlip, Spring, Transformer
+from dehyst import Actuator, Compensator
 from dehyst.exports import export
 
 OUTPUT = Path(__file__).parent / "latency.json"
-KNOTS = np.linspace(0, 1, 21)
-VOLTAGES = KNOTS + 0.1 * KNOTS**2
 SAMPLES, REPEATS, C_STEPS = 200_000, 15, 10_000_000
 LOW, HIGH = 0.02, 0.98
 QUANTILES = ("median", "one_in_100", "one_in_10000", "worst")
 
 
-def actuator() -> Actuator:
-    rho = 0.05 * np.arange(1, 11)
-    return Actuator(MaxwellSlip(rho, np.random.default_rng(10).random(10) / 10), Spring(KNOTS, VOLTAGES))
-
-
-def wider() -> Actuator:
-    plain, volts = actuator(), np.linspace(-1, 3, 11)
-    creep = Creep(np.geomspace(1e-3, 10, 8), 0.1 * np.random.default_rng(8).random(8))
-    return Actuator(plain.slip, plain.spring, transformer=Transformer(volts, volts + 0.05 * np.sin(volts)), creep=creep)
+def models() -> dict[str, Actuator]:
+    return {
+        "plain": actuator(10),
+        "with transformer and 8 creep": replace(actuator(10), transformer=transformer(), creep=creep()),
+    }
 
 
 def paths() -> dict[str, np.ndarray]:
@@ -90,7 +86,7 @@ def in_c(model: Actuator) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     result = {}
-    for name, model in (("plain", actuator()), ("with transformer and 8 creep", wider())):
+    for name, model in models().items():
         found = {path: in_python(model, values) for path, values in paths().items()}
         c = in_c(model)
         for path, times in found.items():

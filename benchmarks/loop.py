@@ -25,13 +25,13 @@ import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import loop_figure
+import figures
 import numpy as np
 import stage
 from stage import HIGHEST, PERIOD, Stage
 
 import dehyst
-from dehyst.control.loop import Preview
+from dehyst.control.loop import preview_filter
 from dehyst.model import simulated
 
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -53,7 +53,8 @@ class Bench:
     stage: Stage
     model: dehyst.Actuator
     state: dehyst.State
-    foresight: Preview
+    taps: np.ndarray
+    ahead: int
     gains: dict[str, float]
 
     @classmethod
@@ -62,8 +63,8 @@ class Bench:
         one, voltage = Stage(seed=1), stage.homing()
         one.play(voltage)
         state = simulated(model, voltage, PERIOD * np.arange(voltage.size)).state
-        foresight = Preview.of(model, PERIOD)
-        return cls(one, model, state, foresight, gains(model, foresight))
+        taps, ahead = preview_filter(model, PERIOD)
+        return cls(one, model, state, taps, ahead, gains(model, taps))
 
     @property
     def start(self) -> float:
@@ -73,7 +74,7 @@ class Bench:
     def reached(self, kind: str, wanted: np.ndarray, disturbance: np.ndarray | None = None) -> np.ndarray:
         """Return the true displacement (n,) [m], with a disturbance (n,) [m] added to it."""
         shaken = np.zeros(wanted.size) if disturbance is None else disturbance
-        own, ahead = copy.deepcopy(self.stage), self.foresight.ahead
+        own, ahead = copy.deepcopy(self.stage), self.ahead
         fed = np.concatenate([wanted, np.full(ahead, wanted[-1])])[ahead:]
         compensator = dehyst.Compensator(self.model, LIMITS, period=PERIOD, state=self.state, preview=True)
         if kind == "feedforward":
@@ -88,11 +89,11 @@ class Bench:
         return y
 
 
-def gains(model: dehyst.Actuator, foresight: Preview) -> dict[str, float]:
+def gains(model: dehyst.Actuator, taps: np.ndarray) -> dict[str, float]:
     """Of the integral, for each sample."""
     w = 2 * np.pi * np.geomspace(0.5, 0.5 / PERIOD, 40_000)
-    late = np.exp(-1j * np.outer(w * PERIOD, np.arange(foresight.taps.size)))
-    ahead = late @ foresight.taps
+    late = np.exp(-1j * np.outer(w * PERIOD, np.arange(taps.size)))
+    ahead = late @ taps
     found = {}
     for kind, before in (("feedback", np.full(w.size, steepest(model), complex)), ("both", ahead)):
         worst = 0.0
@@ -270,7 +271,7 @@ def measure(model: dehyst.Actuator, errors: list[dict]) -> tuple[dict, dict]:
         "delay_s": model.delay,
         "steepest": steepest(model),
         "period_s": PERIOD,
-        "samples_ahead": bench.foresight.ahead,
+        "samples_ahead": bench.ahead,
         "errors": errors,
     }
     true = {"resonance_Hz": Stage.resonance, "damping": Stage.damping, "delay_s": Stage.late * PERIOD}
@@ -296,7 +297,7 @@ def main() -> None:
     warnings.simplefilter("ignore", dehyst.ClampWarning)  # fast large sines ask for more than the limits
     found, shown = measure(*identified(parser.parse_args().model))
     OUTPUT.write_text(json.dumps(found, indent=1) + "\n")
-    loop_figure.draw(found, shown, PERIOD)
+    figures.draw_loop(found, shown, PERIOD)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from latency import actuator, paths, wider
+from latency import models, paths
 from playwright.sync_api import sync_playwright
 
 from dehyst import Compensator
@@ -74,9 +74,8 @@ def in_chromium(compensator: Compensator, path: np.ndarray, page: Any) -> dict[s
 
 
 def measured(page: Any) -> dict[str, Mapping[str, Mapping[str, Any]]]:
-    models = {"plain": actuator(), "transformer and 8 creep": wider()}
     found: dict[str, Any] = {"node": {}, "chromium": {}}
-    for model, one in models.items():
+    for model, one in models().items():
         compensator = Compensator(one, (-10.0, 10.0), period=1e-3)
         for name, path in paths().items():
             found["node"].setdefault(model, {})[name] = in_node(compensator, path)
@@ -94,7 +93,7 @@ def main() -> None:
         result = {
             "bytes": {
                 "core": len(shipped_bytes("core.wasm")),
-                "plain": len(wasm_module(Compensator(actuator(), (-10.0, 10.0)))),
+                "plain": len(wasm_module(Compensator(models()["plain"], (-10.0, 10.0)))),
             },
             "versions": versions,
             **measured(browser.new_page()),

@@ -8,7 +8,7 @@ void bind_fields(nb::module_ &m);
 
 NB_MODULE(_rivals, m) {
     nb::set_leak_warnings(false);
-    m.doc() = "Steppers of rival models; use them through their doors, dehyst._native_*.";
+    m.doc() = "Steppers of rival models; use them by the models of dehyst.baselines.";
     bind_plays(m);
     bind_fields(m);
 }

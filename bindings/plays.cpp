@@ -1,4 +1,4 @@
-// Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst._native_plays.
+// Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst.baselines.plays.
 #include <memory>
 #include <stdexcept>
 #include <tuple>

@@ -269,6 +269,28 @@ class Bench:
         return self.scale * self.mechanism.play(u, steps)
 
 
+class VirtualStranger:
+    """A mechanism as a virtual actuator: `stroke` [m] at `highest` [V].
+
+    Its steps of time are those of the samples times `rate` [Hz], without one 1 each.
+    """
+
+    def __init__(
+        self, mechanism: Callable[[], Mechanism], stroke: float, highest: float, rate: float | None = None
+    ) -> None:
+        self.make, self.stroke, self.highest, self.rate = mechanism, stroke, highest, rate
+        self.relax()
+
+    def relax(self) -> None:
+        """Begin anew."""
+        self.mechanism = self.make()
+
+    def play(self, voltage: Array, *, time: Array, measured: bool = False) -> Array:
+        """Return the displacement (n,) [m]; without noise, whatever `measured` is."""
+        steps = np.ones(len(voltage)) if self.rate is None else np.r_[1.0, np.diff(time) * self.rate]
+        return self.stroke * self.mechanism.play(np.asarray(voltage) / self.highest, steps)
+
+
 TRUTHS = {
     truth.name: truth
     for truth in (

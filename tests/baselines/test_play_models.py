@@ -18,9 +18,10 @@ from dehyst.baselines import (
     PrandtlIshlinskii,
     Preisach,
 )
-from dehyst.baselines.base import AbstractBaseline, PlayBank
+from dehyst.baselines.base import AbstractBaseline, PlayRows, prepare_training, ramps
+from dehyst.baselines.play_models import differences, low_pass, with_unknown_start
+from dehyst.baselines.plays import PlayBank
 from dehyst.baselines.tracking_trials import TRIALS
-from dehyst.baselines.training import PlayRows, differences, low_pass, prepare_training, ramps, with_unknown_start
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling, standard
 
@@ -254,12 +255,16 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
     y = truth.simulate(voltage, state, time[before.size :])[0]
     record = Record(time[before.size :], voltage, y, "later")
     ready = prepare_training(record, delay=0.0, drift=False)
-    rows = PlayRows.from_training(with_unknown_start(ready, truth.times), truth.thresholds, truth.times)
-    found = rows.fit(rows.ramps())
+
+    def fitted_to(training):
+        rows = PlayRows.from_training(training, truth.thresholds)
+        passed = rows.training.sampled(lambda piece: low_pass(piece, truth.times))
+        return rows.fit(np.hstack([rows.ramps(), passed]))
+
+    found = fitted_to(with_unknown_start(ready, truth.times))
     np.testing.assert_allclose(found.weights, [5e-8, 2e-8, 3e-9, 4e-9], rtol=1e-6)
     assert found.rms < 1e-9 * STROKE
-    plain = PlayRows.from_training(ready, truth.thresholds, truth.times)
-    assert plain.fit(plain.ramps()).rms > 1e-5 * STROKE
+    assert fitted_to(ready).rms > 1e-5 * STROKE
 
 
 @pytest.mark.parametrize(
@@ -341,6 +346,6 @@ def test_impossible_curves_and_times_are_refused():
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[np.nan])
     bank = PlayBank([0.0], [()], [[1.0]])
     with pytest.raises(ModelError, match=r"values: got .*strictly increasing"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_rise(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_descent(0))
     with pytest.raises(ModelError, match=r"values: got 3, need one for each of 2 places"):
-        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_rise(0))
+        ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_descent(0))

@@ -57,7 +57,7 @@ def test_simulate_and_compensate_undo_each_other(folder):
     t = np.arange(0, 10, 0.02)
     path = {"x_um": 7 + 3 * np.sin(t), "y_um": 9 + 4 * np.sin(0.7 * t)}
     write_columns(folder / "path.csv", {"time_s": t, **path})
-    found = json.loads(run("compensate", folder / "stage.json", folder / "path.csv", "-o", folder / "v.csv", "--json"))
+    found = result_of(run("compensate", folder / "stage.json", folder / "path.csv", "-o", folder / "v.csv", "--json"))
     assert found["clamped"] == {"x": 0, "y": 0}
     assert found["homing_samples"]["x"] == found["homing_samples"]["y"] > 0
     assert found["certified"] == {"x": True, "y": True}
@@ -124,7 +124,7 @@ def test_each_axis_starts_as_a_record_began(folder):
         legs = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(turns)])
         return np.column_stack([legs, 0.9 * legs + 0.05]) * np.array([100.0, 120.0])
 
-    lead = stage.simulate(played(0, 1, 0.25, 0.6)).states
+    lead = stage.simulate(played(0, 1, 0.25, 0.6)).state
     voltage = played(0.6, 0.1, 0.9, 0.1, 0.9, 0.3, 0.6)
     record = Record(np.arange(600) * 0.05, voltage, stage.simulate(voltage, states=lead).displacement)
     write(folder / "began.csv", record)

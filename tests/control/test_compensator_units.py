@@ -68,10 +68,10 @@ def test_quantities_are_converted_once():
 def test_a_copy_keeps_the_unit():
     micro = pair()[1]
     micro.step(5.0)
-    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro.afresh()):
+    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro.clone()):
         assert other.units == "um"
     assert pickle.loads(pickle.dumps(micro)).step(7.0) == micro.step(7.0)
-    assert micro.afresh("m").units == "m"
+    assert micro.clone("m").units == "m"
 
 
 def test_what_strays_is_refused_in_words_of_the_unit():

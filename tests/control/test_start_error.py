@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
 from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
-from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage, start_at
+from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage
 from dehyst.control.planning.start import model_error
 
 LIMITS = -40.0, 260.0
@@ -139,7 +139,7 @@ def test_without_a_homing_it_is_not():
     """The law above would hold of any voltage if the start did not matter."""
     time = np.arange(400) * 0.05
     wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
-    start = start_at(PLAIN, float(wanted[0]))
+    start = PossibleStart.unknown_near(PLAIN, float(wanted[0]))
     command = Compensator(PLAIN).trajectory(wanted, state=start.state)
     states = PossibleStart.unknown(PLAIN, float(command.voltage[0])).states
     error = StartError.along(PLAIN, states, command.voltage, time=time)

@@ -55,7 +55,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
     low, high = loop.reach
     path = np.random.default_rng(3).uniform(low, high, 80)
     loop.run(path[:40])
-    kept, other = loop.snapshot_block(), loop.afresh()
+    kept, other = loop.snapshot_block(), loop.clone()
     expected = loop.run(path[40:])
     for place in range(8 * len(kept)):
         broken = bytearray(kept)
@@ -65,7 +65,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
     for block in (kept[:-1], kept + b"0", b"", loop.model_block(), compiled_exports.KINDS["creep"]().snapshot_block()):
         with pytest.raises(ModelError):
             other.restore_block(block)
-    assert other.snapshot_block() == loop.afresh().snapshot_block()
+    assert other.snapshot_block() == loop.clone().snapshot_block()
     other.restore_block(kept)
     np.testing.assert_array_equal(other.run(path[40:]), expected)
 

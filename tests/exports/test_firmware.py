@@ -49,7 +49,7 @@ def unmeasured(monkeypatch):
 @cache
 def pythons(kind, samples):
     """What Python answers to so many wishes, a hundred of them one by one."""
-    loop = KINDS[kind]().afresh()
+    loop = KINDS[kind]().clone()
     voltages = loop.run(compiled_exports.wishes(loop, samples))
     return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
 

@@ -77,11 +77,11 @@ def test_simulate_fmu_gives_the_same(fmus, model, version):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, version, kind):
-    fresh = ALL["mass"].afresh()
+    fresh = ALL["mass"].clone()
     start = fresh.state.motion[0], fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
-        asked = fresh.actuator.model.complete_state(fresh.asked_start)
+        asked = fresh.actuator.model.complete_state(fresh.initial_state)
         start = asked.motion[0], fresh.actuator.voltage(asked)
     with Slave(fmus("mass", version, kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])

@@ -81,7 +81,7 @@ def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
     folder = exported(tmp_path / kind, compensator)
     wanted = compiled_exports.wishes(compensator, samples)
     counts = [int(word) for word in node(folder, STEPS, wanted=wanted).split()]
-    loop = compensator.afresh()
+    loop = compensator.clone()
     voltage = loop.run(wanted)
     assert np.array_equal(column(folder, "voltage"), voltage.view(np.uint64))
     assert counts[:3] == [*loop.clamps, 0] and counts[0] > 0
@@ -113,7 +113,7 @@ def test_an_actuator_is_pythons_to_the_bit(tmp_path, kind):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)
     node(folder, STEPS, wanted=compiled_exports.wishes(compensator, 5000))
-    loop, places_ = compensator.afresh("m"), []
+    loop, places_ = compensator.clone("m"), []
     for voltage in column(folder, "path").view(np.float64).tolist():
         loop.commit(voltage)
         state = loop.state
@@ -173,14 +173,14 @@ def test_limits_and_slew_rate_may_be_others(tmp_path):
         "console.log(JSON.stringify([c.limits, c.slewRate, c.period, c.clamps.limited, c.clamps.slewed]))",
         wanted=wanted,
     )
-    loop = Compensator(compensator.actuator, (30, 90), 1e4, period=1e-3, state=compensator.asked_start)
+    loop = Compensator(compensator.actuator, (30, 90), 1e4, period=1e-3, state=compensator.initial_state)
     assert np.array_equal(column(folder, "voltage"), loop.run(wanted).view(np.uint64))
     assert json.loads(said) == [[30, 90], 1e4, 1e-3, *loop.clamps]
 
 
 def test_units_do_not_matter_and_the_compensator_does_not_change():
     made = compiled_exports.plain()
-    other = made.afresh("um")
+    other = made.clone("um")
     other.step(3.0)
     assert wasm_module(other) == wasm_module(made)
 

@@ -115,7 +115,7 @@ class Life:
         twin = (
             copy.deepcopy(self.compensator) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.compensator))
         )
-        other = self.compensator.afresh()
+        other = self.compensator.clone()
         other.restore(self.compensator.snapshot())
         stepped = np.array([twin.step(y) for y in wanted.tolist()])
         here, there = self.compensator.run(wanted), other.run(wanted)
@@ -172,7 +172,7 @@ class Life:
 
     def damaged(self):
         """A snapshot with a damaged number is refused, or the loop goes on within its limits."""
-        loop = self.compensator.afresh()
+        loop = self.compensator.clone()
         snapshot = self.compensator.snapshot()
         where, bad = self.rng.integers(5), float(self.rng.choice(HOSTILE))
         try:

@@ -189,7 +189,7 @@ class Trial:
         loop, path = self.compensator(), self.folder / "loop.json"
         loop.snapshot().save(path)
         path.write_text(json.dumps(mutated(json.loads(path.read_text()), self.rng)))
-        other = loop.afresh()
+        other = loop.clone()
         other.restore(Snapshot.load(path))
         self.note("restored")
         self.steps(other, "after a snapshot")

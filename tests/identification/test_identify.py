@@ -11,9 +11,10 @@ import pytest
 import dehyst
 from dehyst import IdentifyError, Outcome, Record, RecordError
 from dehyst.identification import Structure
+from dehyst.identification.diagnostics.identifiability import projected
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import highs, least_absolute, least_absolute_blocks
+from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.least_absolute import PrimalDual
 from dehyst.identification.solvers.program import NORMS
 from dehyst.identification.structure import Grid
@@ -101,10 +102,8 @@ def test_directions_that_an_excitation_determines(turns, determined, samples):
     record = plain_records.loops(PLANT, turns, samples=samples)
     rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
     movable = np.arange(10) < 9
-    regression = Regression(
-        rows, Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable), 1.0, np.zeros(1)
-    )
-    values = np.linalg.svd(regression.projected(), compute_uv=False)
+    grid = Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable)
+    values = np.linalg.svd(projected(Regression(rows, grid, 1.0, np.zeros(1))), compute_uv=False)
     assert np.count_nonzero(values > 1e-3 * values[0]) == determined
 
 
@@ -255,13 +254,13 @@ def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
 
 def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
     """What a solver leaves behind need not be an actuator."""
-    solved = least_absolute_blocks.least_absolute_deviations
+    solved = least_absolute.least_absolute_deviations
 
     def asleep(problem, pull, unit):
         found = solved(problem, pull, unit)
         return replace(found, x=np.full(found.x.size, -1.0), optimal=False, status="asleep")
 
-    monkeypatch.setattr(least_absolute_blocks, "least_absolute_deviations", asleep)
+    monkeypatch.setattr(least_absolute, "least_absolute_deviations", asleep)
     structure = Structure(elements=10, grades=4)
     with pytest.raises(IdentifyError, match=r"Not identified: .* asleep"):
         dehyst.identify(TOPS, structure=structure)

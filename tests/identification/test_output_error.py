@@ -94,3 +94,11 @@ def test_identify_says_what_came_of_it():
     assert any(remark.startswith("Refined by simulation: RMS error of cycles held out") for remark in fit.remarks)
     with pytest.raises(IdentifyError, match="refine: 'maxwell_slip' is fitted as it is"):
         dehyst.identify(plant.record(), elements=10, refine=True)
+
+
+def test_inequalities_of_the_program_have_a_column_for_each_unknown_of_the_refinement():
+    """Tau and graded elements have them; a simulation's errors have other free columns than the program's rows."""
+    structure = wide.STRUCTURES["all"]
+    frame = wide.frame([wide.plant(structure).record(noise=1e-4 * plain_records.STROKE)])
+    found = refine(StructuredFit.solve(frame, structure, "l2"), lambda _: None)
+    assert found.after > 0

@@ -9,6 +9,8 @@ import structured_records as wide
 
 from dehyst.identification import Structure, structure_selection
 from dehyst.identification.regression.fold_sums import FoldSums, blocks
+from dehyst.identification.run import IdentificationRun
+from dehyst.identification.settings import Settings
 from dehyst.identification.structure_selection import PARTS, StructureTrial, Tried, select
 
 START = Structure()
@@ -67,7 +69,7 @@ def test_every_part_can_be_added(monkeypatch):
     best, trials = select(None, START, None)
     assert len(trials) == 1 + 5 + 4 + 3 + 2 + 1 + 1 + 3
     assert best == Structure(elements=40, spacing=2.0, knots=41, transformer=20, grades=8, creep=9, smooth=True)
-    assert best == Structure(**{key: value for _, change in PARTS for key, value in change.items()})
+    assert best == Structure(**{key: value for change in PARTS for key, value in change.items()})
 
 
 def test_what_was_found_is_tuned(monkeypatch):
@@ -93,7 +95,7 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     """A second way, block by block: no row of a fold enters its own prediction."""
     whole = regression()
     weights = np.ones(len(whole.rows))
-    errors = FoldSums(whole, weights).held_out_errors()
+    errors = FoldSums(whole, weights, folds=3).held_out_errors()
     fold = blocks(whole.rows.voltage, whole.rows.epoch) % 3
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)
@@ -141,7 +143,8 @@ def test_a_plain_actuator_keeps_the_plain_structure(noise):
         plain_records.loops(plant, plain_records.THREE_LOOPS, noise=noise * plain_records.STROKE, seed=1, name="loops"),
     ]
     frame = wide.frame(records)
-    best, _, _ = frame.chosen(Structure(), lambda _: None)
+    run = IdentificationRun(Settings(), list(frame.training), [], lambda _: None)
+    best, _ = run.search(frame, Structure())
     assert replace(best, smoothing=START.smoothing) == START
 
 

@@ -14,7 +14,9 @@ from dehyst import Record, State
 from dehyst.identification import Structure
 from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.preprocessing.regressors import InternalStates
+from dehyst.identification.preprocessing.regressors import internal_states
+from dehyst.identification.run import IdentificationRun
+from dehyst.identification.settings import Settings
 from dehyst.virtual import BoucWenActuator
 from dehyst.waveforms import Sampling, descending_tops
 
@@ -56,7 +58,7 @@ def test_a_record_goes_on_from_its_lead():
     record = plant.record()
 
     def moved_along(grid, piece, lead):
-        return np.vstack(list(InternalStates(grid, piece, lead).blocks(97)))
+        return np.vstack(list(internal_states(grid, piece, lead, 97)))
 
     whole = moved_along(plant.grid, record, None)
     cut = 200
@@ -117,8 +119,9 @@ def swept(rates, *, hold=0):
 def test_creep_needs_a_hold_of_a_leg_or_loops_at_speeds_three_times_apart(rates, hold, supported):
     frame = wide.frame(swept(rates, hold=hold))
     assert frame.supports_creep() is supported
-    _, trials, remarks = frame.chosen(Structure(elements=10, knots=11), lambda _: None)
-    tried = any(trial.structure.creep for trial in trials)
+    run = IdentificationRun(Settings(), list(frame.training), [], lambda _: None)
+    _, trials = run.search(frame, Structure(elements=10, knots=11))
+    tried, remarks = any(trial.structure.creep for trial in trials), run.remarks
     assert tried is supported
     assert len(remarks) == (not supported)
     # A hold that is too short is reported with what is missing.

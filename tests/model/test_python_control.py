@@ -1,7 +1,6 @@
 """Blocks for python-control: the same numbers as the methods they stand for, and functions in the strict sense."""
 
 import re
-import subprocess
 import sys
 import warnings
 from dataclasses import replace
@@ -371,8 +370,3 @@ def check_its_device(names, actuator):
     device.set(6e-6)
     assert [written[0], written[2]] == [other.step(5e-6), other.step(6e-6)]
     assert device.read() == {"displacement": 6e-6, "voltage": written[2]}
-
-
-def test_the_figures_on_its_page_are_those_of_the_benchmark():
-    check = [sys.executable, str(ROOT / "benchmarks" / "control_page.py"), "--check"]
-    assert subprocess.run(check, check=False).returncode == 0, "run benchmarks/control_page.py"

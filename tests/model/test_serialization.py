@@ -449,5 +449,5 @@ def test_provenance_that_is_no_json_leaves_the_old_file(tmp_path):
     write_json(path, made().as_dict())
     before = path.read_bytes()
     with pytest.raises(FileFormatError, match=r"a\.json: cannot be written as JSON \(.*\); use text, finite numbers"):
-        write_json(path, made().with_provenance(gap=float("nan")).as_dict())
+        write_json(path, replace(made(), provenance={"gap": float("nan")}).as_dict())
     assert path.read_bytes() == before

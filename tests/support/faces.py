@@ -21,10 +21,9 @@ FACES = {
             main
         """,
         "control": """
-            Bank BankClamps BankState ClampWarning Command Compensator HomedPath Homing
-            PossibleStart Snapshot StageCompensator StartError StateBounds VoltageLimits WaveTable
-            home_stage_before plan_path plan_stage_path plan_stage_voltage plan_voltage
-            shortest_homing start_at wave_table
+            Bank BankClamps BankState ClampWarning Command Compensator HomedPath Homing PossibleStart
+            Snapshot StageCompensator StartError StateBounds VoltageLimits WaveTable plan_path
+            plan_voltage shortest_homing wave_table
         """,
         "exports": """
             Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
@@ -42,8 +41,8 @@ FACES = {
             open_rig
         """,
         "model": """
-            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion
-            Physical SmoothSlip Spring Stage StageTrace State Transformer simulated
+            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical
+            SmoothSlip Spring Stage State Transformer simulated
         """,
         "records": """
             Record Recording read read_table write_columns write_hdf5 write_record

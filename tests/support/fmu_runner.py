@@ -53,7 +53,7 @@ def wanted(seed=1, size=400):
 
 def voltages(compensator, path):
     """Python's, begun where an FMU begins."""
-    fresh = compensator.afresh()
+    fresh = compensator.clone()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
         return fresh.run(path), fresh.clamps
@@ -72,7 +72,7 @@ def actuator_voltages(model):
 def displacements(model, volts, start=None):
     """Of `Actuator.simulate`, from the start state on."""
     compensator = ALL[model]
-    actuator, start = compensator.actuator, compensator.asked_start if start is None else start
+    actuator, start = compensator.actuator, compensator.initial_state if start is None else start
     given = np.append(actuator.voltage(start), volts)
     time = np.arange(given.size) * PERIOD if compensator.period else None
     return actuator.simulate(given, time=time, state=start).displacement[1:]

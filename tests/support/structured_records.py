@@ -16,7 +16,7 @@ from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
-from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.identification.training_data import Lagging, TrainingData
 from dehyst.model import SmoothSlip
 
 SLOPE = plain_records.VOLTS / plain_records.STROKE
@@ -110,7 +110,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.identification.preprocessing.regressors.Beside` is, in one piece."""
+    """What `dehyst.identification.preprocessing.regressors.internal_states` yields, in one piece."""
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     time, y = piece.time, piece.displacement
@@ -159,4 +159,4 @@ def frame(records, delay=0.0):
     volts = [one.voltage_range for one in records]
     ends = min(low for low, _ in volts), max(high for _, high in volts)
     floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
-    return TrainingData(training, SensedDynamics(delay, 0.0, 0.0), span, ends, floor, np.zeros(len(records)))
+    return TrainingData(training, Lagging(delay), span, ends, floor, np.zeros(len(records)))

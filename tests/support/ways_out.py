@@ -20,7 +20,7 @@ from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
-from dehyst.control import PossibleStart, StageCompensator, home_stage_before, plan_path, plan_voltage, wave_table
+from dehyst.control import PossibleStart, StageCompensator, plan_path, plan_voltage, wave_table
 from dehyst.instruments.base import TICK
 from dehyst.model import Creep, Dynamics, Stage
 from dehyst.waveforms import Excitation
@@ -181,7 +181,7 @@ class Life:
         self.step()
         self.loop.restore(memory)
         self.before = before
-        other = self.loop.afresh()
+        other = self.loop.clone()
         other.restore(memory)
         self.loop = other
         self.step()
@@ -257,8 +257,8 @@ class Life:
         loop = StageCompensator(stage, period=self.period, slew_rate=slews)
         present = float(loop.voltage[0])
         wanted = np.column_stack([self.path(20), np.full(20, np.mean(other.reach))])
-        trace = loop.trajectory(wanted, extrapolate=True)
-        self.hold_against("stage: trajectory", trace.voltage[:, 0], present, self.period)
+        commands = loop.trajectory(wanted, extrapolate=True)
+        self.hold_against("stage: trajectory", commands[0].voltage, present, self.period)
         stepped = np.array([loop.step(row) for row in wanted])
         self.hold_against("stage: step", stepped[:, 0], present, self.period)
 
@@ -270,7 +270,8 @@ class Life:
         time = self.period * np.arange(40)
         wanted = np.column_stack([self.path(40), self.path(40)])
         known = bool(self.rng.integers(2))
-        homed = home_stage_before(loop, wanted, time=time, states=loop.states if known else None)
+        start = [PossibleStart("given", (state,)) for state in loop.states] if known else None
+        homed = plan_path(loop, wanted, time=time, start=start, home=True)
         voltage = np.column_stack([one.voltage for one in homed])
         present = loop.voltage if known else np.full(2, min(max(0.0, self.low), self.high))
         for j in range(2):

@@ -10,8 +10,6 @@ import dehyst
 from dehyst import Outcome, Record
 from dehyst._io import finite
 from dehyst.identification.diagnostics.identifiability import identifiability
-from dehyst.identification.preprocessing.regressors import collect
-from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
 from dehyst.trust import insight
 from dehyst.trust.evidence import Evidence
@@ -39,11 +37,8 @@ TABLE = [
 
 def told(turns, plant=PLANT, relaxed=False):
     record, rho = plain_records.loops(plant, turns), plant.slip.breakaway
-    rows, _ = collect([(0, record, np.zeros(len(record)))], rho, [0.0])
-    regression = Regression(
-        rows, Grid.maxwell_slip(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool)), 1.0, np.zeros(1)
-    )
-    return identifiability([record], regression, relaxed=(0,) if relaxed else ())
+    grid = Grid.maxwell_slip(rho, plant.spring.displacement, np.ones(rho.size, dtype=bool))
+    return identifiability([record], grid, relaxed=(0,) if relaxed else ())
 
 
 @pytest.mark.parametrize(("turns", "determined"), TABLE)

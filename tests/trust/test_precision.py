@@ -137,7 +137,7 @@ def test_each_part_of_a_structured_model_is_judged():
     fit = dehyst.identify(record, structure=structure, delay=0.0)
     found = insight(fit.actuator, record, repeats=20)
     actuator, parts = fit.actuator, {part.part: part for part in found.precision.parts}
-    assert parts["stiffness"].of_all == 3 * found.evidence.regression.movable.sum()
+    assert parts["stiffness"].of_all == 3 * found.evidence.regression.grid.movable.sum()
     assert parts["spring segment"].of_all == 6
     assert parts["creep branch"].of_all == actuator.creep.stiffness.size
     assert parts["smooth element"].of_all == actuator.smooth.stiffness.size

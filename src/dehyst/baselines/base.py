@@ -1,21 +1,36 @@
-"""What all baselines share: fit and predict; and the weighted plays of those that are inverted in closed form."""
+"""What all baselines share: simulation and inverse from one method, and the records that a fit is trained on."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from numbers import Real
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import ModelError
+import dehyst._rivals as rivals
+from dehyst._errors import IdentifyError, ModelError
+from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst._validation import demand_result, keep, number, vector
-from dehyst.baselines._native import PlayCore
-from dehyst.baselines.training import Training
+from dehyst._validation import demand_result, vector
+from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
+from dehyst.identification.preprocessing.regressors import collect
+from dehyst.identification.regression.nuisances import searched_delay, worthwhile
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.structure import Grid
 from dehyst.model import AbstractModel, Motion
+from dehyst.records import Record
+from dehyst.records.signals import rms
+
+Model = TypeVar("Model")
+# Samples that count in a fit of plays, and in the search for a delay.
+_MOST_ROWS, _SEARCH_ROWS = 30_000, 4000
+# Plays, and segments of each play's curve, of the model that estimates a delay.
+_PLAYS, _SEGMENTS = 30, 4
 
 
 class AbstractBaseline(AbstractModel):
@@ -23,8 +38,10 @@ class AbstractBaseline(AbstractModel):
 
     Its `fit` takes `records`, a Record or a sequence of them: loops, each with an offset of its own; none needs to
     start relaxed. `delay` [s] is that by which the displacement lags the voltage; default: estimated. With `drift` a
-    record may creep by a logarithm of the time since its start; the drift is then removed. It raises `RecordError` if a
-    record cannot be used, and `IdentifyError` if no sample counts or an option is impossible.
+    record may creep by a logarithm of the time since its start; the drift is then removed. `plays` is a number of play
+    operators, whose thresholds divide half of the voltage's range into equal parts, from 0; `slope_floor` the least
+    slope as a fraction of the mean one, for a slope of 0 has no inverse. It raises `RecordError` if a record cannot be
+    used, and `IdentifyError` if no sample counts or an option is impossible.
 
     `state`: default start of a motion. `delay`: seconds by which the measured displacement lagged the voltage;
     `simulate` and `compensate` do not apply it.
@@ -43,7 +60,7 @@ class AbstractBaseline(AbstractModel):
         model's own. `time` (n,) [s], increasing; models without creep ignore it.
         """
         v = vector(voltage, "voltage")
-        y, after = self._run(v, self.state if state is None else state, time, inverse=False)
+        y, after = self._run(v, self._start(state), time, inverse=False)
         demand_result(y, "displacement")
         return Motion(v, y, after)
 
@@ -53,9 +70,16 @@ class AbstractBaseline(AbstractModel):
         Raise `ModelError` as `simulate`, and if no voltage reaches a displacement.
         """
         y = vector(displacement, "displacement")
-        v, after = self._run(y, self.state if state is None else state, time, inverse=True)
+        v, after = self._run(y, self._start(state), time, inverse=True)
         demand_result(v, "voltage")
         return Motion(v, y, after)
+
+    def _start(self, state: Any) -> Any:
+        start = self.state if state is None else state
+        if not isinstance(start, type(self.state)):
+            kind = type(self.state).__name__
+            raise ModelError(f"state: got {type(start).__name__}, need a {kind} that a motion of this model returned")
+        return start
 
     @abstractmethod
     def _run(self, drive: Array, state: Any, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, Any]:
@@ -63,234 +87,248 @@ class AbstractBaseline(AbstractModel):
 
 
 @dataclass(frozen=True, eq=False)
-class PlayState:
-    """Memory of play operators and low-passes.
+class Training:
+    """Pieces of records, each simulated from its first sample, and their samples that count.
 
-    `voltage` [V]. `plays` (N,): outputs [V], each within its threshold of the voltage. `lowpasses` (K,): outputs [V].
-    `time`: time of this state [s]; only low-passes need it.
+    `pieces`: their voltages are delayed. `kept`: samples of each piece that count. `displacement` (n,) [m]: of the
+    samples that count, of all pieces. `reach` (n,) [V]: range of the voltage before the epoch of each of them; what has
+    been through it is in a known state.
+
+    `nuisances` (n, m): columns that every fit is free to use, one constant for each of the `epochs`, then drifts.
+    `reference`: the column whose coefficient is the model's own constant, that of the widest record's last epoch.
+
+    `limits`: lowest and highest voltage [V]. `stroke`: range of the widest record's loops [m]. `delay`: seconds by
+    which the displacement lags the voltage.
     """
 
-    voltage: float
-    plays: Array
-    lowpasses: Array
-    time: float | None = None
+    pieces: tuple[Record, ...]
+    kept: tuple[NDArray[np.intp], ...]
+    displacement: Array
+    reach: Array
+    nuisances: Array
+    epochs: int
+    reference: int
+    limits: tuple[float, float]
+    stroke: float
+    delay: float
 
-    def __post_init__(self) -> None:
-        keep(self, voltage=number(self.voltage, "state: voltage"))
-        keep(self, **{name: vector(getattr(self, name), f"state: {name}") for name in ("plays", "lowpasses")})
-
-
-@dataclass(frozen=True, eq=False)
-class PlayBank:
-    """Curves of play operators and low-passes, ``y = offset + sum_i phi_i(z_i) + sum_k share_k q_k``.
-
-    Raise `ModelError` if a number is impossible.
-
-    `thresholds` (N,): r_i [V], 0 or more. `knots`: places [V] where the slope of phi_i changes, increasing; none for a
-    straight line through 0. `slopes`: slopes of phi_i [m/V], 0 or more, one more than knots: below the first, between
-    them, beyond the last. phi_i is 0 at its first knot. `offset`: [m]. `times`, `shares` (K,): of the low-passes: time
-    constants [s], above 0, and shares [m/V], 0 or more.
-    """
-
-    thresholds: Array
-    knots: tuple[Array, ...]
-    slopes: tuple[Array, ...]
-    offset: float = 0.0
-    times: Array = field(default_factory=lambda: np.zeros(0))
-    shares: Array = field(default_factory=lambda: np.zeros(0))
-    _core: PlayCore = field(init=False, repr=False)
-
-    def __init__(
-        self,
-        thresholds: ArrayLike,
-        knots: Sequence[ArrayLike],
-        slopes: Sequence[ArrayLike],
-        offset: float = 0.0,
-        times: ArrayLike = (),
-        shares: ArrayLike = (),
-    ) -> None:
-        given = {
-            "thresholds": vector(thresholds, "thresholds"),
-            "knots": tuple(vector(k, f"knots of play {i + 1}") for i, k in enumerate(knots)),
-            "slopes": tuple(vector(s, f"slopes of play {i + 1}") for i, s in enumerate(slopes)),
-            "offset": number(offset, "offset"),
-            "times": vector(times, "times"),
-            "shares": vector(shares, "shares"),
-        }
-        keep(self, **given)
-        self._check()
-        keep(self, _core=self._compiled())
-
-    def _check(self) -> None:
-        sizes = {len(self.knots), len(self.slopes), self.thresholds.size}
-        if len(sizes) > 1 or any(s.size != k.size + 1 for k, s in zip(self.knots, self.slopes, strict=True)):
-            raise ModelError("plays: need knots and slopes for each threshold, and one slope more than knots")
-        if np.any(self.thresholds < 0) or any(np.any(np.diff(k) <= 0) for k in self.knots):
-            raise ModelError("plays: need thresholds of 0 or more, and increasing knots")
-        if any(np.any(s < 0) for s in self.slopes) or np.any(self.shares < 0):
-            raise ModelError("plays: got a negative slope or share; more voltage must not be less displacement")
-        if self.times.size != self.shares.size or np.any(self.times <= 0):
-            raise ModelError("low-passes: need a time above 0 and a share for each")
-
-    def _compiled(self) -> PlayCore:
-        # A straight line is a curve of one knot, the same on both sides.
-        knots = [k if k.size else np.zeros(1) for k in self.knots]
-        slopes = [s if s.size > 1 else np.repeat(s, 2) for s in self.slopes]
-        first = np.cumsum([0, *(k.size for k in knots)]).astype(np.intc)
-        values = [np.cumsum(np.append(0.0, s[1:-1] * np.diff(k))) for k, s in zip(knots, slopes, strict=True)]
-        none = np.zeros(0)
-        knot, value, slope = (np.concatenate([none, *parts]) for parts in (knots, values, slopes))
-        return PlayCore(self.thresholds, first, knot, value, slope, self.times, self.shares, self.offset)
-
-    def state_after_rise(self, voltage: float) -> PlayState:
-        """Return the state after a long rise to a voltage [V] and a rest there."""
-        return PlayState(voltage, voltage - self.thresholds, np.full(self.times.size, voltage))
-
-    def state_after_descent(self, voltage: float) -> PlayState:
-        """Return the state after a long descent to a voltage [V] and a rest there."""
-        return PlayState(voltage, voltage + self.thresholds, np.full(self.times.size, voltage))
-
-    def simulate(self, v: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        """Return the displacement (n,) [m] that a voltage (n,) [V] causes, and the state at its end."""
-        after, steps = self._timed(state, time, v.size)
-        y, plays, passed = self._core.simulate(v, steps, state.voltage, state.plays, state.lowpasses)
-        return y, replace(after, voltage=float(v[-1]) if v.size else state.voltage, plays=plays, lowpasses=passed)
-
-    def compensate(self, y: Array, state: PlayState, time: ArrayLike | None) -> tuple[Array, PlayState]:
-        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; exact."""
-        after, steps = self._timed(state, time, y.size)
-        v, plays, passed = self._core.compensate(y, steps, state.voltage, state.plays, state.lowpasses)
-        return v, replace(after, voltage=float(v[-1]) if v.size else state.voltage, plays=plays, lowpasses=passed)
-
-    def check(self, state: PlayState) -> None:
-        """Refuse a state that is not this bank's.
-
-        Raises
-        ------
-        ModelError
-        """
-        if not isinstance(state, PlayState):
-            raise ModelError(f"state: got {type(state).__name__}, need one that this model returned")
-        if state.plays.size != self.thresholds.size or state.lowpasses.size != self.times.size:
-            raise ModelError(
-                f"state: got {state.plays.size} plays and {state.lowpasses.size} low-passes, need "
-                f"{self.thresholds.size} and {self.times.size}; use one that this model returned"
-            )
-        slack = 1e-9 * (abs(state.voltage) + float(self.thresholds.max(initial=0.0)))
-        if np.any(np.abs(state.plays - state.voltage) > self.thresholds + slack):
-            raise ModelError("state: a play lies farther from the voltage than its threshold")
-
-    def _timed(self, state: PlayState, time: ArrayLike | None, count: int) -> tuple[PlayState, Array]:
-        """Return the state with the time at its end and, with low-passes, the seconds (n,) before each sample."""
-        self.check(state)
-        if not self.times.size or not count:
-            return state, np.zeros(0)
-        if time is None:
-            raise ModelError(
-                "this model creeps: it needs the time of each sample", hint="give the time [s]", change=("time",)
-            )
-        return _time_steps(state, vector(time, "time"), count)
+    def __len__(self) -> int:
+        return self.displacement.size
 
     @property
-    def parameters(self) -> int:
-        """Number of coefficients: slopes, shares and the offset."""
-        return sum(s.size for s in self.slopes) + self.shares.size + 1
+    def slope(self) -> float:
+        """Mean slope [m/V] of the widest loop."""
+        return self.stroke / (self.limits[1] - self.limits[0])
 
+    @property
+    def offsets(self) -> Array:
+        """The constants among the nuisances (n, epochs)."""
+        return self.nuisances[:, : self.epochs]
 
-def _time_steps(state: PlayState, time: Array, count: int) -> tuple[PlayState, Array]:
-    """Continue from the state's time if `time` begins after it, else let it begin one interval later."""
-    if time.size != count:
-        raise ModelError(argument="time", got=f"{time.size} samples", need=f"{count}, one for each")
-    gaps = np.diff(time)
-    if np.any(gaps <= 0):
-        raise ModelError(f"time: does not increase at sample {int(np.argmax(gaps <= 0)) + 1}; need seconds, in order")
-    # Even sampling stays even where rounding made the steps differ: the core caches the numbers of one step.
-    rounding = 4 * np.finfo(np.float64).eps * float(np.abs(time).max())
-    usual = float(np.median(gaps)) if gaps.size else 0.0
-    gaps = np.where(np.abs(gaps - usual) <= rounding, usual, gaps)
-    if state.time is None:
-        first = 0.0
-    elif time[0] > state.time:
-        first = float(time[0]) - state.time
-    else:
-        first = float(gaps[0]) if gaps.size else 0.0
-    return replace(state, time=float(time[-1])), np.concatenate([[first], gaps])
+    def thresholds(self, plays: int) -> Array:
+        """Return thresholds (N,) [V] from 0 that divide half of the voltage's range into equal parts."""
+        low, high = self.limits
+        return np.asarray(0.5 * (high - low) * np.arange(plays) / plays, dtype=np.float64)
 
+    def fit_constant(self, rest: Array) -> tuple[float, float]:
+        """Fit the nuisances to what a model leaves (n,) [m]; return the model's own constant and the RMS residual."""
+        constants = np.linalg.lstsq(self.nuisances, rest, rcond=None)[0]
+        return float(constants[self.reference]), rms(rest - self.nuisances @ constants)
 
-@dataclass(frozen=True, eq=False)
-class PlayInverse:
-    """Closed-form inverse of ``y = offset + sum_i w_i play_i[v]``, r_0 = 0 < r_1 < ..., w_0 > 0, other w_i >= 0.
+    def sampled(self, run: Callable[[Record], Array]) -> Array:
+        """Return `run` of each piece at the samples that count: (n,) or (n, columns)."""
+        return np.concatenate([run(piece)[rows] for piece, rows in zip(self.pieces, self.kept, strict=True)])
 
-    ``v = sum_i w'_i play_{r'_i}[y - offset]`` with
-    ``r'_i = sum_{j<=i} w_j (r_i - r_j)``, ``w'_0 = 1 / w_0`` and ``w'_i = 1 / W_i - 1 / W_{i-1}``, W_i the sum of
-    w_0 ... w_i. Raise `ModelError` if the bank has no such inverse.
-    """
-
-    bank: PlayBank
-    weights: Array = field(init=False)
-    _back: Array = field(init=False, repr=False)
-    _core: PlayCore = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        r = self.bank.thresholds
-        if not r.size or r[0] != 0 or np.any(np.diff(r) <= 0) or any(k.size for k in self.bank.knots):
-            raise ModelError("no closed-form inverse: need plays of increasing thresholds from 0, on straight lines")
-        if self.bank.times.size or self.bank.slopes[0][0] <= 0:
-            raise ModelError("no closed-form inverse: need a positive weight at threshold 0 and no low-passes")
-        w = np.concatenate(self.bank.slopes)
-        summed = np.cumsum(w)
-        thresholds = np.concatenate([[0.0], np.cumsum(summed[:-1] * np.diff(r))])
-        back = np.diff(1 / summed, prepend=0.0)
-        zeros, none = np.zeros(r.size), np.zeros(0)
-        core = PlayCore(
-            thresholds, np.arange(r.size + 1, dtype=np.intc), zeros, zeros, np.repeat(back, 2), none, none, 0.0
+    def subsample(self, most: int) -> Training:
+        """Return a copy in which about `most` evenly spaced samples count; voltages stay whole."""
+        step = max(1, len(self) // most)
+        if step == 1:
+            return self
+        chosen = np.arange(0, len(self), step)
+        ends = np.cumsum([0, *(rows.size for rows in self.kept)])
+        kept = tuple(
+            rows[chosen[(chosen >= a) & (chosen < b)] - a]
+            for rows, a, b in zip(self.kept, ends[:-1], ends[1:], strict=True)
         )
-        keep(self, weights=w, _back=back, _core=core)
-
-    def compensate(self, y: Array, state: PlayState) -> tuple[Array, PlayState]:
-        """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; equals `bank.compensate`.
-
-        The closed form does not hold from a state that no history leads to, in which neighbours lie farther apart than
-        their thresholds; then `bank.compensate` is used.
-        """
-        self.bank.check(state)
-        steps = np.diff(self.bank.thresholds)
-        if not y.size or np.any(np.abs(np.diff(state.plays)) > steps + 1e-9 * self.bank.thresholds.max()):
-            return self.bank.compensate(y, state, None)
-        start = _through(self.weights, np.concatenate([[state.voltage], state.plays[1:]]))
-        none = np.zeros(0)
-        v, z, _ = self._core.simulate(y - self.bank.offset, none, float(start[0]), start, none)
-        return v, PlayState(float(v[-1]), _through(self._back, z), none, state.time)
+        fewer = {name: getattr(self, name)[chosen] for name in ("displacement", "reach", "nuisances")}
+        return replace(self, kept=kept, **fewer)
 
 
-def _through(weights: Array, z: Array) -> Array:
-    """Return the outputs of the inverse operator's plays: sum_{j<=i} w_j z_i + sum_{j>i} w_j z_j."""
-    product = weights * z
-    return np.asarray(np.cumsum(weights) * z + product.sum() - np.cumsum(product))
+@one_thread()
+def fit_with_delay(
+    records: Record | Sequence[Record],
+    delay: float | None,
+    fit: Callable[[Training], tuple[Model, float]],
+    *,
+    drift: bool = True,
+) -> Model:
+    """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
+
+    The delay is estimated with plays; they can mistake for a delay what another model explains. `fit`: training ->
+    model and its RMS residual. Raise as `prepare_training`.
+    """
+    training = prepare_training(records, delay=delay, drift=drift)
+    model, residual = fit(training)
+    if delay is None and training.delay:
+        undelayed, residual_undelayed = fit(prepare_training(records, delay=0.0, drift=drift))
+        if residual_undelayed <= residual:
+            return undelayed
+    return model
+
+
+def prepare_training(records: Record | Sequence[Record], *, delay: float | None = None, drift: bool = True) -> Training:
+    """Prepare records for the fit of a model that maps voltage to displacement; parameters are those of a `fit`.
+
+    Without a `delay` one is estimated, 0 unless a delay lowers the residual clearly. Raise `RecordError` if a record
+    cannot be used, `IdentifyError` if there is none, no sample counts, or the delay is impossible.
+    """
+    items = [prepare(record) for record in as_list(records)]
+    if not items:
+        raise IdentifyError("got no records, need at least one loop of voltage and displacement")
+    able = [q for q, item in enumerate(items) if item.can_drift] if drift else []
+    shortest = min(cycle_time(item.record) for item in items)
+    if delay is None:
+        delay = _estimated_delay(items, able, 0.05 * shortest)
+    elif not isinstance(delay, Real) or isinstance(delay, bool) or not 0 <= float(delay) < 0.25 * shortest:
+        need = f"seconds, 0 or more and less than a quarter of a cycle of {shortest:.4g} s"
+        raise IdentifyError(argument="delay", got=repr(delay), need=need)
+    lag = float(delay)
+    drifting: Sequence[int] = ()
+    if able:
+        stroke = max(high - low for low, high in (item.span() for item in items))
+        drifting = worthwhile(lambda which: _play_residual(_assemble(items, lag, which)), able, stroke)
+    return _assemble(items, lag, drifting)
+
+
+def _estimated_delay(items: list[Prepared], able: Sequence[int], longest: float) -> float:
+    """Return the delay [s] with the least residual of plays."""
+    sample = min(item.record.sample_time for item in items)
+    undelayed = _assemble(items, 0.0, ())
+    voltage = undelayed.sampled(lambda piece: piece.voltage)
+    return searched_delay(
+        lambda delay: _play_residual(_assemble(items, delay, able)), longest, sample, voltage, undelayed.stroke
+    )
+
+
+def _play_residual(training: Training) -> float:
+    """RMS residual [m] of a fit of plays; like every baseline they map voltage to displacement."""
+    rows = PlayRows.from_training(training, training.thresholds(_PLAYS), most=_SEARCH_ROWS)
+    return rows.fit(rows.ramps(rows.knots(_SEGMENTS))).rms
+
+
+def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Training:
+    spans = [item.span() for item in items]
+    widest = int(np.argmax([high - low for low, high in spans]))
+    parts = [part for q, item in enumerate(items) for part in item.delayed(q, lag)]
+    rows, epochs = collect(parts, np.zeros(0), [items[q].noise for q, _, _ in parts])
+    pieces = tuple(piece for _, piece, _ in parts)
+    grid = Grid.maxwell_slip(np.zeros(0), np.array(spans[widest]))
+    nuisances = Regression(rows, grid, 0.0, np.zeros(len(items)), tuple(drifting)).nuisances()
+    voltages = np.concatenate([piece.voltage for piece in pieces])
+    kept, reach = [], []
+    for piece, own in zip(pieces, epochs, strict=True):
+        kept.append(np.concatenate([np.zeros(0, np.intp), *(np.arange(one.start, one.stop) for one in own)]))
+        reach += [np.full(one.stop - one.start, np.ptp(piece.voltage[: one.start])) for one in own]
+    return Training(
+        pieces=pieces,
+        kept=tuple(kept),
+        displacement=rows.displacement,
+        reach=np.concatenate(reach),
+        nuisances=nuisances,
+        epochs=nuisances.shape[1] - len(drifting),
+        reference=int(rows.epoch[rows.record == widest].max()),
+        limits=(float(voltages.min()), float(voltages.max())),
+        stroke=spans[widest][1] - spans[widest][0],
+        delay=lag,
+    )
+
+
+class WeightFit(NamedTuple):
+    """Weights (p,), coefficients of the nuisances (B,) and the RMS residual."""
+
+    weights: Array
+    nuisances: Array
+    rms: float
 
 
 @dataclass(frozen=True, eq=False)
-class AbstractPlayModel(AbstractBaseline):
-    """A bank of play operators behind the common interface.
+class PlayRows:
+    """Outputs of plays at the samples that count, stacked over all records.
 
-    `bank`: its operators. `state`: default start: after a long descent to the lowest voltage of its records. `remarks`:
-    repairs of the records, as sentences.
+    `training`: displacements and nuisances. `thresholds` (N,): r_i [V]. `plays` (n, N): outputs z_i [V]. `known` (n, N)
+    bool: whether the state of play i is known; a play whose state is not known stands still.
     """
 
-    bank: PlayBank
-    state: PlayState
-    delay: float = 0.0
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients."""
-        return self.bank.parameters
-
-    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
-        return (self.bank.compensate if inverse else self.bank.simulate)(drive, state, time)
+    training: Training
+    thresholds: Array
+    plays: Array
+    known: NDArray[np.bool_]
 
     @classmethod
-    def _from_bank(cls, bank: PlayBank, training: Training) -> Self:
-        """Return the model of a bank fitted to these records."""
-        return cls(bank, bank.state_after_descent(training.limits[0]), training.delay, training.sentences)
+    def from_training(cls, training: Training, thresholds: Array, most: int = _MOST_ROWS) -> PlayRows:
+        """Simulate plays of these thresholds (N,) [V] on the records."""
+        few = training.subsample(most)
+        plays = few.sampled(
+            lambda piece: rivals.play_outputs(thresholds, np.full(thresholds.size, piece.voltage[0]), piece.voltage)
+        )
+        # The range of a sampled wave ends a rounding error short of its turns.
+        return cls(few, thresholds, plays, 2 * thresholds <= few.reach[:, None] * (1 + 1e-9))
+
+    def knots(self, segments: int) -> list[Array]:
+        """Return the inner ends [V] of equal segments over the range of each play."""
+        low, high = self.training.limits
+        return [np.linspace(low + r, high - r, segments + 1)[1:-1] for r in self.thresholds]
+
+    def ramps(self, knots: Sequence[Array] | None = None) -> Array:
+        """Return the columns (n, p) of the slopes of each play's curve, by default straight.
+
+        A play whose state is not known contributes 0.
+        """
+        bends = [np.zeros(0)] * self.thresholds.size if knots is None else knots
+        curves = [ramps(z, k) * known[:, None] for z, k, known in zip(self.plays.T, bends, self.known.T, strict=True)]
+        return np.concatenate(curves, axis=1)
+
+    def fit(
+        self, columns: Array, floors: Array | None = None, rough: Array | None = None, smoothing: float = 0.0
+    ) -> WeightFit:
+        """Fit the weights of columns (n, p) by nonnegative least squares; see `fit_nonnegative`."""
+        training = self.training
+        return fit_nonnegative(columns, training.nuisances, training.displacement, floors, rough, smoothing)
+
+
+def ramps(z: Array, knots: Array) -> Array:
+    """Return columns (n, K + 1) whose weights are the slopes of a curve through (knots[0], 0), without knots (0, 0)."""
+    edges = np.concatenate([[-np.inf], knots, [np.inf]])
+    origin = knots[0] if knots.size else 0.0
+    return np.asarray(np.clip(z[:, None], edges[:-1], edges[1:]) - np.clip(origin, edges[:-1], edges[1:]))
+
+
+def fit_nonnegative(
+    columns: Array,
+    nuisance: Array,
+    target: Array,
+    floors: Array | None = None,
+    rough: Array | None = None,
+    smoothing: float = 0.0,
+) -> WeightFit:
+    """Fit weights of columns, each at least its floor, beside nuisances of any sign, by least squares.
+
+    `floors` (p,): least weights; by default 0. `rough` (m, p): combinations of the weights that shall be small; by
+    default each weight. `smoothing`: weight of their squares, relative to the largest mean square of a column.
+    """
+    from scipy.optimize import nnls
+
+    count = columns.shape[1]
+    least = np.zeros(count) if floors is None else floors
+    scale, y_scale = float(np.sqrt(np.mean(columns**2, axis=0)).max()), float(np.ptp(target))
+    rest = (target - columns @ least) / y_scale
+    # The triangular factor below the nuisances' rows is the same problem without them.
+    r = np.asarray(np.linalg.qr(np.column_stack([nuisance, columns / scale, rest]), mode="r"))
+    r = r[nuisance.shape[1] :, nuisance.shape[1] :]
+    penalty = np.sqrt(smoothing * target.size) * (np.eye(count) if rough is None else rough)
+    penalty_target = -penalty @ least * scale / y_scale
+    excess, _ = nnls(np.concatenate([r[:, :-1], penalty]), np.append(r[:, -1], penalty_target), maxiter=30 * count)
+    weights = least + excess * y_scale / scale
+    rest = target - columns @ weights
+    coefficients = np.asarray(np.linalg.lstsq(nuisance, rest, rcond=None)[0], dtype=np.float64)
+    return WeightFit(weights, coefficients, rms(rest - nuisance @ coefficients))

@@ -16,13 +16,11 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst import _validation
+import dehyst._rivals as rivals
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import keep, number, vector
-from dehyst.baselines import _native
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.training import Training, fit_with_delay
+from dehyst._validation import count, fraction, keep, number, vector
+from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
 from dehyst.identification.solvers.program import Solution, solve
 from dehyst.records import Record
 from dehyst.records.signals import rms
@@ -50,23 +48,10 @@ class BoucWen(AbstractBaseline):
 
     ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
 
-    Parameters
-    ----------
-    alpha : float
-        Above 0 and below 1.
-    beta, gamma : float
-        [1/V]; beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma: then w, and y, follow v.
-    limits : (float, float)
-        Lowest and highest w [V] of the cubic map.
-    cubic : (4,) array_like
-        c [m]; it increases from 0 to 1.
-    state : BoucWenState, optional
-        Default start of a motion: at the lower limit, after a long fall.
-
-    Raises
-    ------
-    ModelError
-        If the displacement would fall somewhere while the voltage rises.
+    `alpha`: above 0 and below 1. `beta`, `gamma` [1/V]: beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma;
+    then w, and y, follow v. `limits`: lowest and highest w [V] of the cubic map. `cubic` (4,): c [m]; it increases from
+    0 to 1. `state`: default start of a motion, by default at the lower limit, after a long fall. Raise `ModelError` if
+    the displacement would fall somewhere while the voltage rises.
     """
 
     alpha: float
@@ -76,6 +61,8 @@ class BoucWen(AbstractBaseline):
     cubic: Array
     state: BoucWenState = None  # type: ignore[assignment]
     delay: float = 0.0
+    # Three of the equation, four of the map.
+    parameters = 7
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "gamma", "delay"):
@@ -100,21 +87,16 @@ class BoucWen(AbstractBaseline):
             hidden = -self.alpha / total
             keep(self, state=BoucWenState(low + hidden, hidden))
 
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients: three of the equation, four of the map."""
-        return 7
-
     def _run(
         self, drive: Array, state: BoucWenState, time: ArrayLike | None, *, inverse: bool
     ) -> tuple[Array, BoucWenState]:
         # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
-        if not isinstance(state, BoucWenState) or not abs(state.hidden) <= most:
+        if not abs(state.hidden) <= most:
             raise ModelError(f"state: got {state!r}, need a BoucWenState whose hidden part is at most {most:g} V")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
-        out, v, h = _native.bouc_wen(numbers, state.voltage, state.hidden, drive, _COMPENSATE if inverse else _SIMULATE)
+        out, v, h = rivals.bouc_wen(numbers, state.voltage, state.hidden, drive, _COMPENSATE if inverse else _SIMULATE)
         return out, BoucWenState(v, h)
 
     @classmethod
@@ -130,25 +112,18 @@ class BoucWen(AbstractBaseline):
         """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
 
         For given alpha, beta and gamma the map and the constants of the records are linear: they are eliminated.
-        `records`, `delay` and errors are those of every baseline, see `AbstractBaseline`.
-
-        Parameters
-        ----------
-        starts : int, optional
-            Random starts; the best six are polished.
-        slope_floor : float, optional
-            Least slope of the map as a fraction of its mean slope.
-        seed : int, optional
-            Of the starts.
+        Parameters are those of every baseline, see `AbstractBaseline`, and `starts`: number of random starts, drawn
+        from `seed`, the best six of which are polished. `slope_floor` is that of the map.
         """
-        _validation.count(starts, "starts", most=None)
-        _validation.fraction(slope_floor, "slope_floor")
+        count(starts, "starts", most=None)
+        fraction(slope_floor, "slope_floor")
         begins = np.random.default_rng(seed).uniform(_LEAST, _MOST, (starts, 3))
 
         def fit_model(training: Training) -> tuple[BoucWen, float]:
             best = _BoucWenFit(training.subsample(_SEARCH_ROWS), slope_floor).polished(begins)
             problem = _BoucWenFit(training, slope_floor)
-            return cls(*problem.equation(best), *problem.map(best), delay=training.delay), rms(problem.residual(best))
+            model = cls(*problem.equation(best), *problem.map(best), delay=training.delay)
+            return model, rms(problem.residual(best))
 
         return fit_with_delay(records, delay, fit_model)
 
@@ -160,6 +135,11 @@ class _BoucWenFit:
     training: Training
     slope_floor: float
 
+    @property
+    def floor(self) -> float:
+        """Least slope of the map, dy/dt [m]."""
+        return self.slope_floor * self.training.stroke
+
     def equation(self, at: Array) -> tuple[float, float, float]:
         """Return alpha, beta and gamma for the three unknowns."""
         alpha, hidden, log_rate = (float(x) for x in at)
@@ -168,27 +148,25 @@ class _BoucWenFit:
         beta = hidden * total / (2 * alpha)
         return alpha, beta, total - beta
 
-    def solve(self, at: Array) -> tuple[Solution, Array, tuple[float, float]]:
-        """Return the map in Bernstein's form with the constants, its least slopes, and the limits of w."""
+    def solve(self, at: Array) -> tuple[Solution, tuple[float, float]]:
+        """Return the map in Bernstein's form, less its least slopes, with the constants; and the limits of w."""
         alpha, beta, gamma = self.equation(at)
         numbers = np.array([alpha, beta, gamma, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
         low, high = self.training.limits
         # The state before a record is not known: take that of the closed major loop.
         past = np.array([high, low] * _MAJOR_LOOPS)
 
-        def lag(v: Array) -> Array:
-            return _native.bouc_wen(numbers, low, -alpha / (beta + gamma), np.concatenate([past, v]), _LAG)[0][
-                past.size :
-            ]
+        def lag(piece: Record) -> Array:
+            path = np.concatenate([past, piece.voltage])
+            return rivals.bouc_wen(numbers, low, -alpha / (beta + gamma), path, _LAG)[0][past.size :]
 
-        w = self.training.map_voltages(lag)
+        w = self.training.sampled(lag)
         low, high = float(w.min()), float(w.max())
         t = (w - low) / (high - low)
         # Integrals of Bernstein's quadratics: a slope whose coefficients are positive is positive.
         columns = np.column_stack([1 - (1 - t) ** 3, t * t * (3 - 2 * t), t**3]) / 3
-        floor = np.full(3, self.slope_floor * self.training.stroke)
-        target = self.training.displacement - columns @ floor
-        return solve(self.training.nuisances, columns, target, norm="l2"), floor, (low, high)
+        target = self.training.displacement - columns @ np.full(3, self.floor)
+        return solve(self.training.nuisances, columns, target, norm="l2"), (low, high)
 
     def residual(self, at: Array) -> Array:
         """Return the residuals (n,) in parts of the stroke."""
@@ -207,7 +185,7 @@ class _BoucWenFit:
 
     def map(self, at: Array) -> tuple[tuple[float, float], Array]:
         """Return the limits and coefficients of the cubic."""
-        solution, floor, limits = self.solve(at)
-        a, b, c = solution.nonnegative + floor
+        solution, limits = self.solve(at)
+        a, b, c = solution.nonnegative + self.floor
         constant = float(solution.free[self.training.reference])
         return limits, np.array([constant, a, b - a, (a - 2 * b + c) / 3])

@@ -1,8 +1,4 @@
-"""The baselines by name.
-
-`BASELINES` holds one entry for each way to get a model: its name, and a function of training records that returns the
-model or raises an error that states why these records give none.
-"""
+"""All models on the same records and virtual actuators: the baselines by name, and a row of figures for each."""
 
 from __future__ import annotations
 
@@ -11,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Real
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
-from dehyst._types import Array
+from dehyst._types import Array, Progress
+from dehyst._validation import choice
 from dehyst._views.fields import json_value, json_values
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
@@ -31,7 +28,7 @@ from dehyst.baselines.play_models import (
     PrandtlIshlinskii,
 )
 from dehyst.baselines.preisach import Preisach
-from dehyst.baselines.tracking_trials import TrackingErrors, TrackingTrial, trial
+from dehyst.baselines.tracking_trials import TRIALS, TrackingErrors, TrackingTrial
 from dehyst.identification import identify, state_after
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
@@ -43,6 +40,8 @@ from dehyst.records.signals import largest, percent, rms
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 
+OURS = "dehyst"
+# Each a function of training records that returns the model, or raises an error that states why there is none.
 BASELINES: Mapping[str, Identification] = {
     "Goldfarb-Celanovic": lambda records: GoldfarbCelanovic.fit(records[0]),
     "Prandtl-Ishlinskii": PrandtlIshlinskii.fit,
@@ -55,9 +54,9 @@ BASELINES: Mapping[str, Identification] = {
     "Duhem": Duhem.fit,
     "linear ratio": Linear.fit,
 }
-
-
-OURS = "dehyst"
+_SAMPLES_TO_TIME, _RUNS_TO_TIME = 20_000, 5
+# DehystError and NumPy's LinAlgError are among them.
+_FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -119,15 +118,8 @@ class ModelScore:
 class ModelComparison:
     """A table with one row for each model.
 
-    Attributes
-    ----------
-    rows : tuple of ModelScore
-    stroke : float
-        Stroke [m] to which the percentages refer.
-    records, held_out, truths : tuple of str
-        Names of the training records, of the held-out records and of the virtual actuators.
-    lead : float
-        Lead-in of the held-out records [s].
+    `stroke` [m]: to which the percentages refer. `records`, `held_out`, `truths`: names of the training records, of the
+    held-out records and of the virtual actuators. `lead`: lead-in of the held-out records [s].
     """
 
     rows: tuple[ModelScore, ...]
@@ -154,12 +146,6 @@ class ModelComparison:
         return {**json_values(self, keys), "note": self.note or None, "models": json_value(self.rows)}
 
 
-_SAMPLES_TO_TIME = 20_000
-_RUNS_TO_TIME = 5
-# DehystError and NumPy's LinAlgError are among them.
-_FAILURES = (ValueError, ArithmeticError, RuntimeError)
-
-
 def contenders() -> dict[str, Identification]:
     """Return all models, name -> identification: dehyst's selected structure and "maxwell_slip", then baselines."""
     return {
@@ -177,7 +163,7 @@ def compare(
     truths: Sequence[str] = (),
     lead: float = 0.0,
     models: Mapping[str, Identification] | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> ModelComparison:
     """Fit every model to the same training records and score it on the same held-out records.
 
@@ -209,174 +195,141 @@ def compare(
 
     Raises
     ------
-    RecordError
-        If a record cannot be used at all.
+    RecordError, ModelError
+        If a record cannot be used at all; if there is no such virtual actuator.
     IdentifyError
         If there is neither a record nor a virtual actuator, or the lead-in is impossible.
-    ModelError
-        If there is no such virtual actuator.
     """
-    trials = [trial(name) for name in truths]
+    for name in truths:
+        choice(name, "truths", TRIALS, error=ModelError)
+    trials = [TRIALS[name] for name in truths]
     if not isinstance(lead, Real) or not 0 <= float(lead) < np.inf:
         raise IdentifyError(argument="lead", got=repr(lead), need="seconds, 0 or more")
-    given = as_list(records)
-    training, held_out = _records(given, as_list(validate), trials)
-    run = _ComparisonRun(training, list(map(prepare, training)), list(map(prepare, held_out)), float(lead))
+    given, held_out = as_list(records), as_list(validate)
+    if not given and not trials:
+        raise IdentifyError("got neither records nor a virtual actuator; give at least one of them")
+    if not given and held_out:
+        raise IdentifyError("got held-out records but no training records; give these too")
+    training = given or list(trials[0].records())
+    held_out = held_out if given else list(trials[0].held_out())
+    played = [_Played(prepare(record), "training", 0.0) for record in training]
+    stroke = max(high - low for low, high in (one.item.span() for one in played))
+    for record in held_out:
+        played.append(_Played(prepare(record), "validation", float(lead)))
+        if not played[-1].counted():
+            raise IdentifyError(
+                f"{record.name}: no sample counts after {lead:g} s; need samples after the voltage has been through "
+                "its range. Give a longer record or a shorter lead-in"
+            )
     # The same list, so that one fit serves both.
     trial_records = [(item, list(item.records()) if given or i else training) for i, item in enumerate(trials)]
     chosen = contenders() if models is None else models
-    rows = tuple(_row(name, fit, run, trial_records, progress or (lambda _: None)) for name, fit in chosen.items())
-    return ModelComparison(
-        rows,
-        run.stroke,
-        tuple(record.name for record in training),
-        tuple(record.name for record in held_out),
-        tuple(item.name for item in trials),
-        run.lead,
-    )
+    report = progress or (lambda _: None)
+    rows = tuple(_row(name, fit, training, played, stroke, trial_records, report) for name, fit in chosen.items())
+    names = (tuple(one.name for one in group) for group in (training, held_out, trials))
+    return ModelComparison(rows, stroke, *names, float(lead))
 
 
-def _records(
-    training: list[Record], held_out: list[Record], trials: Sequence[TrackingTrial]
-) -> tuple[list[Record], list[Record]]:
-    """Return the training and the held-out records: those given, or those of the first virtual actuator."""
-    if training:
-        return training, held_out
-    if not trials:
-        raise IdentifyError("got neither records nor a virtual actuator; give at least one of them")
-    if held_out:
-        raise IdentifyError("got held-out records but no training records; give these too")
-    return list(trials[0].records()), list(trials[0].held_out())
+class _Played(NamedTuple):
+    """A prepared record, and the seconds at its start that do not count."""
 
-
-@dataclass(frozen=True, eq=False)
-class _ComparisonRun:
-    """The records, as given and as prepared."""
-
-    records: list[Record]
-    training: list[Prepared]
-    held_out: list[Prepared]
+    item: Prepared
+    role: str
     lead: float
 
-    def __post_init__(self) -> None:
-        for item in self.held_out:
-            if not _counted(item, self.lead):
-                raise IdentifyError(
-                    f"{item.name}: no sample counts after {self.lead:g} s; need samples after the voltage has been "
-                    "through its range. Give a longer record or a shorter lead-in"
-                )
+    def score(self, model: AbstractModel, stroke: float) -> RecordScore:
+        """Return the errors of a model [% of the stroke]."""
+        item = self.item
+        residuals = [
+            _residual(model, piece, kept, item.noise, stroke if self.lead else None)
+            for piece, kept in self.counted(float(getattr(model, "delay", 0.0)))
+        ]
+        error = np.concatenate([np.zeros(0), *residuals])
+        if not np.isfinite(error).all():
+            raise IdentifyError(f"{item.name}: the simulation diverges")
+        free = error - error.mean() if error.size else error
+        figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
+        return RecordScore(item.name, self.role, error.size, item.samples - error.size, *figures)
 
-    @property
-    def stroke(self) -> float:
-        """Range of the widest training record's loops [m]."""
-        return max(high - low for low, high in (item.span() for item in self.training))
+    def counted(self, delay: float = 0.0) -> list[tuple[Record, NDArray[np.bool_]]]:
+        """Return pieces with their voltage delayed, and which of their samples count."""
+        counted = []
+        for _, piece, _ in self.item.delayed(0, delay):
+            kept = np.zeros(len(piece), dtype=bool)
+            for epoch in epochs(piece, self.item.noise)[-1:]:
+                kept[epoch.start : epoch.stop] = True
+            kept &= piece.time >= self.item.start + self.lead
+            if kept.any():
+                counted.append((piece, kept))
+        return counted
 
-    def scores(self, model: AbstractModel) -> tuple[RecordScore, ...]:
-        """Return one score for each record, training first."""
-        items = [(item, "training", 0.0) for item in self.training]
-        items += [(item, "validation", self.lead) for item in self.held_out]
-        return tuple(_score(model, item, role, lead, self.stroke) for item, role, lead in items)
+
+def _residual(
+    model: AbstractModel, piece: Record, kept: NDArray[np.bool_], noise: float, stroke: float | None
+) -> Array:
+    """Return measured minus simulated displacement of the samples that count, simulated from the first sample.
+
+    With a lead-in, which is known by the `stroke` [m] that is given, on the axis found from the samples before them.
+    """
+    before = 0 if stroke is None else int(np.argmax(kept))
+    if before and isinstance(model, Actuator):
+        state, offset = state_after(replace(model, delay=0.0), piece.slice(0, before + 1), stroke)
+        rest = piece.slice(before, len(piece))
+        voltage = without_offset(model, rest.voltage, offset)
+        motion = model.simulate(voltage, state=state, **timed(model, rest.time))
+        return np.asarray((rest.displacement - motion.displacement)[kept[before:]])
+    error = piece.displacement - simulated(model, piece.voltage, piece.time).displacement
+    if not before:
+        return np.asarray(error[kept])
+    # As `state_after` does: over the samples that count, or from the last one.
+    last = epochs(piece.slice(0, before + 1), noise)[-1:]
+    return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
 
 
 def _row(
     name: str,
     fit: Identification,
-    run: _ComparisonRun,
+    training: list[Record],
+    played: list[_Played],
+    stroke: float,
     trials: list[tuple[TrackingTrial, list[Record]]],
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> ModelScore:
     """Fit one model and compute all its figures; a failure becomes a sentence."""
     progress(f"fitting {name}")
     fitted: dict[int, AbstractModel] = {}
-    row, failures = ModelScore(name), []
+    row, tracking, failures = ModelScore(name), dict[str, TrackingErrors](), list[str]()
     begin = time.perf_counter()
     try:
-        model = fitted[id(run.records)] = fit(run.records)
+        model = fitted[id(training)] = fit(training)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         progress(f"simulating {name}")
-        simulate, compensate = speeds(model, run.training[0].record)
-        row = replace(row, scores=run.scores(model), simulate=simulate, compensate=compensate)
+        simulate, compensate = speeds(model, played[0].item.record)
+        scores = tuple(one.score(model, stroke) for one in played)
+        row = replace(row, scores=scores, simulate=simulate, compensate=compensate)
     except _FAILURES as error:
-        failures.append(_sentence(error))
-    tracking = {}
+        failures.append(str(error) or type(error).__name__)
     for item, records in trials:
-        if records is run.records and not fitted:
+        if records is training and not fitted:
             continue
         progress(f"tracking with {name} on {item.name}")
         try:
             tracking[item.name] = item.track(fitted.get(id(records)) or fit(records))
         except _FAILURES as error:
-            failures.append(f"{item.name}: {_sentence(error)}")
+            failures.append(f"{item.name}: {str(error) or type(error).__name__}")
     return replace(row, tracking=tracking, failure=" ".join(failures))
-
-
-def _sentence(error: Exception) -> str:
-    return str(error) or type(error).__name__
-
-
-def _score(model: AbstractModel, item: Prepared, role: str, lead: float, stroke: float) -> RecordScore:
-    delay = float(getattr(model, "delay", 0.0))
-    residuals = [
-        _error_after_lead_in(model, piece, kept, item.noise, stroke) if lead else _error(model, piece)[kept]
-        for piece, kept in _counted(item, lead, delay)
-    ]
-    error = np.concatenate([np.zeros(0), *residuals])
-    if not np.isfinite(error).all():
-        raise IdentifyError(f"{item.name}: the simulation diverges")
-    free = error - error.mean() if error.size else error
-    figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
-    return RecordScore(item.name, role, error.size, item.samples - error.size, *figures)
-
-
-def _error(model: AbstractModel, piece: Record) -> Array:
-    """Return measured minus simulated displacement, simulated from the first sample."""
-    return np.asarray(piece.displacement - simulated(model, piece.voltage, piece.time).displacement)
-
-
-def _error_after_lead_in(
-    model: AbstractModel, piece: Record, kept: NDArray[np.bool_], noise: float, stroke: float
-) -> Array:
-    """Return the error of the samples that count, on the axis found from the samples before them."""
-    before = int(np.argmax(kept))
-    if not before:
-        return _error(model, piece)[kept]
-    lead_in = piece.slice(0, before + 1)
-    if not isinstance(model, Actuator):
-        error = _error(model, piece)
-        # As `state_after` does: over the samples that count, or from the last one.
-        last = epochs(lead_in, noise)[-1:]
-        return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
-    state, offset = state_after(replace(model, delay=0.0), lead_in, stroke)
-    rest = piece.slice(before, len(piece))
-    voltage = without_offset(model, rest.voltage, offset)
-    displacement = model.simulate(voltage, state=state, **timed(model, rest.time)).displacement
-    return np.asarray((rest.displacement - displacement)[kept[before:]])
-
-
-def _counted(item: Prepared, lead: float, delay: float = 0.0) -> list[tuple[Record, Any]]:
-    """Return pieces with their voltage delayed, and which of their samples count."""
-    counted = []
-    for _, piece, _ in item.delayed(0, delay):
-        kept = np.zeros(len(piece), dtype=bool)
-        for epoch in epochs(piece, item.noise)[-1:]:
-            kept[epoch.start : epoch.stop] = True
-        kept &= piece.time >= item.start + lead
-        if kept.any():
-            counted.append((piece, kept))
-    return counted
 
 
 def parameters_of(model: AbstractModel) -> int | None:
     """Return the number of coefficients of a model: its `parameters`, or the elements and knots of an actuator."""
     inner = getattr(model, "actuator", model)
-    if isinstance(inner, Actuator):
-        tables = [inner.slip.stiffness, inner.spring.voltage]
-        tables += [part.stiffness for part in (inner.creep, inner.smooth) if part is not None]
-        rest = 0 if inner.transformer is None else inner.transformer.drive.size - 2
-        rest += 0 if inner.dynamics is None else 3
-        return sum(table.size for table in tables) + rest + bool(inner.lag)
-    count = getattr(inner, "parameters", None)
-    return None if count is None else int(count)
+    if not isinstance(inner, Actuator):
+        return getattr(inner, "parameters", None)
+    tables = [inner.slip.stiffness, inner.spring.voltage]
+    tables += [part.stiffness for part in (inner.creep, inner.smooth) if part is not None]
+    rest = 0 if inner.transformer is None else inner.transformer.drive.size - 2
+    rest += 0 if inner.dynamics is None else 3
+    return sum(table.size for table in tables) + rest + bool(inner.lag)
 
 
 def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
@@ -384,16 +337,16 @@ def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
     long = np.resize(record.voltage, max(len(record), _SAMPLES_TO_TIME))
     options = timed(model, record.sample_time * np.arange(long.size, dtype=np.float64))
     path = model.simulate(long, **options).displacement
-    both = _nanoseconds(model.simulate, long, options), _nanoseconds(model.compensate, path, options)
+
+    def nanoseconds(run: Callable[..., Motion], drive: Array) -> float:
+        best = np.inf
+        for _ in range(_RUNS_TO_TIME):
+            begin = time.perf_counter()
+            run(drive, **options)
+            best = min(best, time.perf_counter() - begin)
+        return 1e9 * best / drive.size
+
+    both = nanoseconds(model.simulate, long), nanoseconds(model.compensate, path)
     if not all(map(isfinite, both)):
         raise IdentifyError("the clock gave no time: got an infinite or undefined duration; run the comparison again")
     return both
-
-
-def _nanoseconds(run: Callable[..., Motion], drive: Array, options: Mapping[str, Any]) -> float:
-    best = np.inf
-    for _ in range(_RUNS_TO_TIME):
-        begin = time.perf_counter()
-        run(drive, **options)
-        best = min(best, time.perf_counter() - begin)
-    return 1e9 * best / drive.size

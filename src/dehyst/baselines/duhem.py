@@ -18,13 +18,11 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-from dehyst import _validation
+import dehyst._rivals as rivals
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
-from dehyst._validation import keep, number, vector
-from dehyst.baselines import _native
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.training import Training, fit_with_delay
+from dehyst._validation import count, fraction, keep, number, vector
+from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
 from dehyst.records import Record
 
 _SEARCH_ROWS = 3000
@@ -50,21 +48,10 @@ class Duhem(AbstractBaseline):
     ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y continues with its mean slope, and the
     distance does not decay.
 
-    Parameters
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage [V].
-    rate : float
-        a times the range of the voltage, above 0.
-    anhysteretic, reversible : (k,) array_like
-        Coefficients [m] of f, and of g times the range, the constant first.
-    state : DuhemState, optional
-        Default start of a motion: at the lowest voltage, at the bottom of the major loop.
-
-    Raises
-    ------
-    ModelError
-        If y does not follow v, rising and falling, everywhere within the major loop.
+    `limits`: lowest and highest voltage [V]. `rate`: a times the range of the voltage, above 0. `anhysteretic`,
+    `reversible` (k,): coefficients [m] of f, and of g times the range, the constant first. `state`: default start of a
+    motion, by default at the lowest voltage, at the bottom of the major loop. Raise `ModelError` if y does not follow
+    v, rising and falling, everywhere within the major loop.
     """
 
     limits: tuple[float, float]
@@ -80,8 +67,7 @@ class Duhem(AbstractBaseline):
         if low >= high or number(self.rate, "rate") <= 0:
             raise ModelError(f"limits {self.limits} and rate {self.rate}: need an interval, and a rate above 0")
         keep(self, **{name: vector(getattr(self, name), name) for name in ("anhysteretic", "reversible")})
-        slopes = _slopes(self.rate, self.anhysteretic, self.reversible)
-        if slopes.min() <= 0:
+        if _slopes(self.rate, self.anhysteretic, self.reversible).min() <= 0:
             raise ModelError(
                 "anhysteretic and reversible: displacement would fall somewhere while the voltage rises; need a "
                 "reversible share above the rate times half of the loop's width"
@@ -107,12 +93,8 @@ class Duhem(AbstractBaseline):
         self, drive: Array, state: DuhemState, time: ArrayLike | None, *, inverse: bool
     ) -> tuple[Array, DuhemState]:
         # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
-        if not isinstance(state, DuhemState):
-            raise ModelError(
-                f"state: got {type(state).__name__}, need a DuhemState that a motion of this model returned"
-            )
         numbers, rise, fall = self._tables
-        out, v, y = _native.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
+        out, v, y = rivals.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
         return out, DuhemState(v, y)
 
     @classmethod
@@ -126,14 +108,12 @@ class Duhem(AbstractBaseline):
     ) -> Duhem:
         """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
 
-        The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. `records`,
-        `delay` and errors are those of every baseline, see `AbstractBaseline`.
-
-        `degree`: of f; g has one less. `slope_floor`: least slope dy/dv within the major loop, as a fraction of the
-        mean slope.
+        The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. Parameters
+        are those of every baseline, see `AbstractBaseline`, and `degree`: of f; g has one less. `slope_floor` is that
+        of dy/dv within the major loop.
         """
-        _validation.count(degree, "degree", most=_HIGHEST_DEGREE)
-        _validation.fraction(slope_floor, "slope_floor")
+        count(degree, "degree", most=_HIGHEST_DEGREE)
+        fraction(slope_floor, "slope_floor")
 
         def fit_model(training: Training) -> tuple[Duhem, float]:
             rate = _search_rate(training.subsample(_SEARCH_ROWS), degree, slope_floor)
@@ -175,32 +155,26 @@ def _slopes(rate: float, f: Array, g: Array) -> Array:
     return np.concatenate([share + rate * (middle - upper), share - rate * (middle - lower)])
 
 
-def _unit(k: int, size: int) -> Array:
-    return np.asarray(np.eye(1, size, k)[0])
-
-
 def _solve(training: Training, rate: float, degree: int, slope_floor: float) -> tuple[Array, Array, float]:
     """Return the coefficients of f and g for a rate, and the RMS residual in parts of the stroke."""
     low, high = training.limits
     numbers = np.array([low, high - low, rate, 0.0, 0.0])
     # The constant of f is that of the record.
-    units = [(_unit(k, degree + 1), np.zeros(degree)) for k in range(1, degree + 1)]
-    units += [(np.zeros(degree + 1), _unit(k, degree)) for k in range(degree)]
+    units = [np.split(unit, [degree + 1]) for unit in np.eye(2 * degree + 1)[1:]]
 
     def column(f: Array, g: Array) -> Array:
         rise, fall = _branches(rate, f, g)
         begin = float(_major_loop(rate, rise, fall)[0][0])
-        return training.map_voltages(lambda v: _native.coleman_hodgdon(numbers, rise, fall, low, begin, v, False)[0])
+        return training.sampled(
+            lambda piece: rivals.coleman_hodgdon(numbers, rise, fall, low, begin, piece.voltage, False)[0]
+        )
 
     columns = np.column_stack([column(f, g) for f, g in units])
     slopes = np.column_stack([_slopes(rate, f, g) for f, g in units])
     m = training.nuisances.shape[1]
-    x, residual = _least_squares(
-        np.hstack([training.nuisances, columns]),
-        training.displacement / training.stroke,
-        np.hstack([np.zeros((len(slopes), m)), slopes]),
-        slope_floor * 1.0,
-    )
+    sides = np.hstack([np.zeros((len(slopes), m)), slopes])
+    target = training.displacement / training.stroke
+    x, residual = _least_squares(np.hstack([training.nuisances, columns]), target, sides, slope_floor)
     x *= training.stroke
     return np.concatenate([[x[training.reference]], x[m : m + degree]]), x[m + degree :], residual
 
@@ -217,9 +191,8 @@ def _least_squares(columns: Array, target: Array, sides: Array, least: float) ->
     shift = np.zeros(optimum.size)
     if violation.max() > 0:
         size = np.linalg.norm(constraints, axis=1)
-        system = np.vstack([(constraints / size[:, None]).T, violation / size])
-        weights, _ = nnls(system, np.append(np.zeros(optimum.size), 1.0), maxiter=100 * len(sides))
-        rest = system @ weights - np.append(np.zeros(optimum.size), 1.0)
+        system, goal = np.vstack([(constraints / size[:, None]).T, violation / size]), np.eye(optimum.size + 1)[-1]
+        rest = system @ nnls(system, goal, maxiter=100 * len(sides))[0] - goal
         if -rest[-1] < 1e-12:
             raise IdentifyError("no Duhem model of this degree follows the voltage everywhere; try another degree")
         shift = rest[:-1] / -rest[-1]

@@ -57,27 +57,18 @@ class GoldfarbCelanovic(AbstractBaseline):
         beside it are those of one straight segment: the model's rise is the least concave one above the break points,
         and passes through all that were kept.
 
-        Parameters
-        ----------
-        record : Record
-            Its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
-            alternation. It may rest before; noise is allowed.
-        elements : int, optional
-            Number N of elements; the rise X is divided into equal parts, rho_i = i X / (N + 1).
-        breakaway : (N,) array_like, optional
-            Elongations rho_i [m] in place of equal parts; `elements` is then ignored.
+        `record`: its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
+        alternation. It may rest before; noise is allowed. `elements`: number N; the rise X is divided into equal parts,
+        rho_i = i X / (N + 1). `breakaway` (N,): elongations rho_i [m] in place of equal parts and `elements`.
 
-        Raises
-        ------
-        IdentifyError
-            If `record` is not a Record, its voltage does not rise first, the rise is too short for so many elements,
-            or a break point is impossible.
+        Raise `IdentifyError` if `record` is not a Record, its voltage does not rise first, the rise is too short for so
+        many elements, or a break point is impossible.
         """
         if not isinstance(record, Record):
             raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
         record, _, repairs = remove_glitches(record)
         rise, rest, height = _first_rise(record)
-        rho = _equal_parts(elements, height) if breakaway is None else _checked(breakaway, height, record.name)
+        rho = _break_points(elements, breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:
             raise IdentifyError(
                 f"record '{record.name}': its first rise has {len(rise[0])} samples, {rho.size} elements need at least "
@@ -117,13 +108,11 @@ def _first_rise(record: Record) -> tuple[Branch, float, float]:
     return (y, v), rest, height
 
 
-def _equal_parts(elements: int, height: float) -> Array:
-    """Return break points that divide the rise into N + 1 equal parts, the last of which is the spring's."""
-    count(elements, "elements", most=None)
-    return np.asarray(height / (elements + 1) * np.arange(1, elements + 1), dtype=np.float64)
-
-
-def _checked(breakaway: ArrayLike, height: float, name: str) -> Array:
+def _break_points(elements: int, breakaway: ArrayLike | None, height: float, name: str) -> Array:
+    """Return the elongations given, or those that divide the rise into N + 1 equal parts, the last the spring's."""
+    if breakaway is None:
+        count(elements, "elements", most=None)
+        return np.asarray(height / (elements + 1) * np.arange(1, elements + 1), dtype=np.float64)
     rho = vector(breakaway, "breakaway", error=IdentifyError)
     if not rho.size or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
         raise IdentifyError(
@@ -149,16 +138,15 @@ def _non_increasing(slopes: Array, widths: Array) -> tuple[Array, tuple[str, ...
     negative = steps < -slight
     if not negative.any():
         return pooled, ()
-    beside = (pooled[:-1] == pooled[1:]) & (steps > slight)
-    also = f"; so was that of neighbouring {_listed(beside)}" if beside.any() else ""
+
+    def listed(chosen: NDArray[np.bool_]) -> str:
+        return f"element{'s' if chosen.sum() > 1 else ''} {', '.join(map(str, np.flatnonzero(chosen) + 1))}"
+
+    neighbours = (pooled[:-1] == pooled[1:]) & (steps > slight)
+    also = f"; so was that of neighbouring {listed(neighbours)}" if neighbours.any() else ""
     part = 100 * float(-steps.min() / np.average(slopes, weights=widths))
     return pooled, (
-        f"The first rise is not concave: the stiffness of {_listed(negative)} came out negative, by at most "
+        f"The first rise is not concave: the stiffness of {listed(negative)} came out negative, by at most "
         f"{part:.3g} % of the mean slope, and was set to 0{also}. Small negative stiffnesses come from noise, large "
         "ones from residual strain or a curved spring: then the loop is not that of this model.",
     )
-
-
-def _listed(chosen: NDArray[np.bool_]) -> str:
-    numbers = [str(i + 1) for i in np.flatnonzero(chosen)]
-    return f"element{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"

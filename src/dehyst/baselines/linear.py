@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.training import Training, fit_with_delay
+from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
 from dehyst.model import State
 from dehyst.records import Record
 
@@ -32,17 +31,13 @@ class Linear(AbstractBaseline):
     offset: float = 0.0
     delay: float = 0.0
     state: State = field(init=False, repr=False, compare=False)
+    parameters = 2
 
     def __post_init__(self) -> None:
         number(self.offset, "offset")
         if number(self.slope, "slope") <= 0:
             raise ModelError(f"slope: got {self.slope}, need metres a volt, above 0")
         keep(self, state=State(self.offset, []))
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients."""
-        return 2
 
     def _run(self, drive: Array, state: State, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, State]:
         y = drive if inverse else self.offset + self.slope * drive
@@ -53,14 +48,12 @@ class Linear(AbstractBaseline):
     def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
         """Take the slope from the end points of the widest loop, and fit the offset by least squares.
 
-        `records`, `delay` and errors are those of every baseline, see `AbstractBaseline`.
+        Parameters are those of every baseline, see `AbstractBaseline`.
         """
 
         def fit_model(training: Training) -> tuple[Linear, float]:
-            low, high = training.limits
-            slope = training.stroke / (high - low)
-            rest = training.displacement - slope * training.map_voltages(lambda v: v)
+            rest = training.displacement - training.slope * training.sampled(lambda piece: piece.voltage)
             constant, residual = training.fit_constant(rest)
-            return cls(slope, constant, training.delay), residual
+            return cls(training.slope, constant, training.delay), residual
 
         return fit_with_delay(records, delay, fit_model)

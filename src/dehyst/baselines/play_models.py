@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import final
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,21 +12,44 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, vector
-from dehyst.baselines.base import AbstractBaseline, AbstractPlayModel, PlayBank, PlayInverse, PlayState
-from dehyst.baselines.training import (
-    PlayRows,
-    Training,
-    cross_validation_error,
-    differences,
-    even_thresholds,
-    fit_nonnegative,
-    fit_with_delay,
-    ramps,
-    with_unknown_start,
-)
+from dehyst.baselines.base import AbstractBaseline, PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
+from dehyst.baselines.plays import EMPTY, PlayBank, PlayState
 from dehyst.model.elements import on_curve
 from dehyst.records import Record
 from dehyst.records.signals import rms
+
+_QUARTERS = 4
+# Least share of a decay that constants and the other decays do not explain already.
+_NEW = 1e-6
+# Passes of the alternating fit; one that makes the residual smaller by less than this part is the last one.
+_PASSES, _SETTLED = 30, 1e-4
+# Low-passes fitted to anything but creep do harm elsewhere: their cross-validation error must be this much smaller.
+_GAIN = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class AbstractPlayModel(AbstractBaseline):
+    """A bank of play operators behind the common interface.
+
+    `bank`: its operators. `state`: default start: after a long descent to the lowest voltage of its records.
+    """
+
+    bank: PlayBank
+    state: PlayState
+    delay: float = 0.0
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return self.bank.parameters
+
+    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
+        return (self.bank.compensate if inverse else self.bank.simulate)(drive, state, time)
+
+    @classmethod
+    def _from_bank(cls, bank: PlayBank, training: Training) -> Self:
+        """Return the model of a bank fitted to these records."""
+        return cls(bank, bank.state_after_descent(training.limits[0]), training.delay)
 
 
 @final
@@ -34,18 +57,10 @@ from dehyst.records.signals import rms
 class PrandtlIshlinskii(AbstractPlayModel):
     """``y = offset + sum_i w_i play_i[v]``, all w_i >= 0: loops are symmetric about their centre."""
 
-    inverse: PlayInverse = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        keep(self, inverse=PlayInverse(self.bank))
-
     @property
     def weights(self) -> Array:
         """w_i (N,) [m/V]."""
-        return self.inverse.weights
-
-    def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
-        return self.inverse.compensate(drive, state) if inverse else self.bank.simulate(drive, state, time)
+        return np.concatenate(self.bank.slopes)
 
     @classmethod
     def fit(
@@ -57,31 +72,22 @@ class PrandtlIshlinskii(AbstractPlayModel):
         delay: float | None = None,
         drift: bool = True,
     ) -> PrandtlIshlinskii:
-        """Fit the weights by nonnegative least squares.
+        """Fit the weights by nonnegative least squares; parameters are those of every baseline, see `AbstractBaseline`.
 
-        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
-
-        `plays`: number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
-        `slope_floor`: least weight of threshold 0, as a fraction of the mean slope; 0 would have no inverse.
+        `slope_floor` is that of the weight of threshold 0.
         """
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")
 
         def fit_model(training: Training) -> tuple[PrandtlIshlinskii, float]:
-            rows = PlayRows.from_training(training, even_thresholds(training, plays))
+            rows = PlayRows.from_training(training, training.thresholds(plays))
             floors = np.zeros(plays)
             floors[0] = slope_floor * training.slope
             weights, nuisances, residual = rows.fit(rows.ramps(), floors)
-            offset = float(nuisances[training.reference])
-            bank = PlayBank(rows.thresholds, [()] * plays, list(weights[:, None]), offset)
+            bank = PlayBank(rows.thresholds, [EMPTY] * plays, weights[:, None], float(nuisances[training.reference]))
             return cls._from_bank(bank, training), residual
 
         return fit_with_delay(records, delay, fit_model, drift=drift)
-
-
-_PASSES = 30
-# A pass that makes the residual smaller by less than this part is the last one.
-_SETTLED = 1e-4
 
 
 @final
@@ -91,21 +97,9 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
     S is Kuhnen's superposition of one-sided dead zones: its slope changes at each dead zone's threshold.
 
-    Attributes
-    ----------
-    bank : PlayBank
-        The plays, whose sum is in volts; the first threshold is 0.
-    places, values : (M,) array
-        Knots of S: [V] and [m], both strictly increasing; S continues linearly beyond.
-    state : PlayState
-        Default start: after a long descent to the lowest voltage of its records.
-    remarks : tuple of str
-        Repairs of the records, as sentences.
-
-    Raises
-    ------
-    ModelError
-        If S does not increase, or the plays have no closed-form inverse.
+    `bank`: the plays, whose sum is in volts; the first threshold is 0. `places`, `values` (M,): knots of S, [V] and
+    [m], both strictly increasing; S continues linearly beyond. `state`: default start, after a long descent to the
+    lowest voltage of its records. Raise `ModelError` if S does not increase.
     """
 
     bank: PlayBank
@@ -113,8 +107,6 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
     values: Array
     state: PlayState
     delay: float = 0.0
-    remarks: tuple[str, ...] = ()
-    inverse: PlayInverse = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("places", "values"):
@@ -124,12 +116,11 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
             keep(self, **{name: values})
         if self.places.size != self.values.size:
             raise ModelError(f"values: got {self.values.size}, need one for each of {self.places.size} places")
-        keep(self, inverse=PlayInverse(self.bank))
 
     @property
     def weights(self) -> Array:
         """w_i (N,)."""
-        return self.inverse.weights
+        return np.concatenate(self.bank.slopes)
 
     @property
     def parameters(self) -> int:
@@ -138,8 +129,8 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
     def _run(self, drive: Array, state: PlayState, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, PlayState]:
         if inverse:
-            return self.inverse.compensate(on_curve(self.values, self.places, drive), state)
-        x, after = self.bank.simulate(drive, state, time)
+            return self.bank.compensate(on_curve(self.values, self.places, drive), state)
+        x, after = self.bank.simulate(drive, state)
         return on_curve(self.places, self.values, x), after
 
     @classmethod
@@ -158,126 +149,104 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but needs one sensor zero for
         all records; here each record has an offset of its own.
 
-        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
-
-        Parameters
-        ----------
-        plays : int, optional
-            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
-        segments : int, optional
-            Number of segments of S, of equal length.
-        slope_floor : float, optional
-            Least weight of threshold 0 and least slope of S, as a fraction of the mean ones; 0 would have no inverse.
+        Parameters are those of every baseline, see `AbstractBaseline`, and `segments`: number of segments of S, of
+        equal length. `slope_floor` is that of the weight of threshold 0 and of the slopes of S.
         """
         count(plays, "plays")
         count(segments, "segments")
         fraction(slope_floor, "slope_floor")
 
         def fit_model(training: Training) -> tuple[ModifiedPrandtlIshlinskii, float]:
-            problem = _AlternatingFit(
-                PlayRows.from_training(training, even_thresholds(training, plays)), segments, slope_floor
-            )
+            thresholds, low = training.thresholds(plays), training.limits[0]
+            problem = _AlternatingFit(PlayRows.from_training(training, thresholds), segments, slope_floor)
             weights, values, residual = problem.solve()
-            low, thresholds = training.limits[0], problem.thresholds
-            bank = PlayBank(thresholds, [()] * plays, list(weights[:, None]), low - float(weights @ (low + thresholds)))
-            return cls(
-                bank, problem.places, values, bank.state_after_descent(low), training.delay, training.sentences
-            ), residual
+            offset = low - float(weights @ (low + thresholds))
+            bank = PlayBank(thresholds, [EMPTY] * plays, weights[:, None], offset)
+            return cls(bank, problem.places, values, bank.state_after_descent(low), training.delay), residual
 
         return fit_with_delay(records, delay, fit_model, drift=drift)
+
+
+class _Unknowns(NamedTuple):
+    """Weights (N,), slopes of S (M,) and shifts of the epochs in which a play stands still."""
+
+    weights: Array
+    slopes: Array
+    shifts: Array
 
 
 class _AlternatingFit:
     """The fit of weights and slopes; x runs from the lowest to the highest voltage on the major loop."""
 
     def __init__(self, rows: PlayRows, segments: int, floor: float) -> None:
-        training, thresholds = rows.training, rows.thresholds
-        low, high = training.limits
-        self.thresholds = thresholds
-        self.spacing = (high - low) / segments
-        self.places: Array = np.asarray(low + self.spacing * np.arange(segments + 1), dtype=np.float64)
-        self._training, self._low, self._reach = training, low, high - low - 2 * thresholds
-        self._z = (rows.plays - low - thresholds) * rows.known
-        self._floors = np.full(thresholds.size + segments, floor * training.slope)
-        self._floors[0], self._floors[1 : thresholds.size] = floor, 0.0
+        self._training, thresholds = rows.training, rows.thresholds
+        low, high = self._training.limits
+        self._low, self._reach, self._spacing = low, high - low - 2 * thresholds, (high - low) / segments
+        self.places: Array = np.asarray(low + self._spacing * np.arange(segments + 1), dtype=np.float64)
+        moved = rows.plays - low - thresholds
         # A play that stands still adds a constant to x: each epoch with such a play gets an unknown.
-        still = (rows.plays - low - thresholds) * ~rows.known
-        open_ = (training.offsets.T @ np.any(~rows.known, axis=1)) > 0
-        self._stretches, self._still = training.offsets[:, open_], still
+        self._z, self._still = moved * rows.known, moved * ~rows.known
+        self._stretches = self._training.offsets[:, self._training.offsets.T @ np.any(~rows.known, axis=1) > 0]
+        self._floors = np.full(thresholds.size + segments, floor * self._training.slope)
+        self._floors[0], self._floors[1 : thresholds.size] = floor, 0.0
 
     def solve(self) -> tuple[Array, Array, float]:
         """Return the weights (N,), S at the places (M + 1,) [m], and the RMS residual [m]."""
-        weights = fit_nonnegative(
-            self._z, self._training.nuisances, self._training.displacement, self._scaled_floors()
-        ).weights
-        weights, slopes = self._normal(weights, np.ones(self.places.size - 1))
-        shifts = self._first_shifts(weights)
-        best = self._cost(weights, slopes, shifts)
+        training = self._training
+        floors = np.zeros(self._z.shape[1])
+        floors[0] = self._floors[0] * self._floors[-1]
+        weights = fit_nonnegative(self._z, training.nuisances, training.displacement, floors).weights
+        share_of = self._stretches / np.maximum(self._stretches.sum(axis=0), 1)
+        gauge = self._gauge(weights)
+        slopes = np.ones(self.places.size - 1) / gauge
+        at = _Unknowns(weights * gauge, slopes, np.asarray(share_of.T @ (self._still @ (weights * gauge))))
+        best = rms(self._residual(at)[0])
         for _ in range(_PASSES):
-            aim = self._gauss_newton_step(weights, slopes, shifts)
+            aim = self._gauss_newton_step(at)
             for part in 0.5 ** np.arange(6):
-                trial = [old + part * (new - old) for old, new in zip((weights, slopes, shifts), aim, strict=True)]
-                cost = self._cost(*trial)
+                trial = _Unknowns(*(old + part * (new - old) for old, new in zip(at, aim, strict=True)))
+                cost = rms(self._residual(trial)[0])
                 if cost < best:
                     break
             else:
                 break
-            settled = cost > (1 - _SETTLED) * best
-            (weights, slopes), shifts, best = self._normal(trial[0], trial[1]), trial[2] * self._gauge(trial[0]), cost
+            settled, best = cost > (1 - _SETTLED) * best, cost
+            gauge = self._gauge(trial.weights)
+            at = _Unknowns(trial.weights * gauge, trial.slopes / gauge, trial.shifts * gauge)
             if settled:
                 break
-        values = ramps(self.places, self.places[1:-1]) @ slopes
-        return weights, values + self._residual(weights, slopes, shifts)[1][self._training.reference], best
-
-    def _scaled_floors(self) -> Array:
-        floors = np.zeros(self._z.shape[1])
-        floors[0] = self._floors[0] * self._floors[-1]
-        return floors
-
-    def _first_shifts(self, weights: Array) -> Array:
-        share_of = self._stretches / np.maximum(self._stretches.sum(axis=0), 1)
-        return np.asarray(share_of.T @ (self._still @ weights))
+        values = ramps(self.places, self.places[1:-1]) @ at.slopes
+        return at.weights, values + self._residual(at)[1][training.reference], best
 
     def _gauge(self, weights: Array) -> float:
         """Return the factor that scales x to the range of the voltage on the major loop."""
         return float(self._reach[0] / (weights @ self._reach))
 
-    def _normal(self, weights: Array, slopes: Array) -> tuple[Array, Array]:
-        gauge = self._gauge(weights)
-        return weights * gauge, slopes / gauge
+    def _map(self, at: _Unknowns) -> tuple[Array, Array]:
+        """Return x (n,) and the columns (n, M) of the slopes: S (n,) is their product with the slopes."""
+        x = self._low + self._z @ at.weights + self._stretches @ at.shifts
+        return x, ramps(x, self.places[1:-1])
 
-    def _map(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
-        """Return the columns (n, M) of the slopes, S (n,) and S' (n,)."""
-        x = self._low + self._z @ weights + self._stretches @ shifts
-        columns = ramps(x, self.places[1:-1])
-        j = np.clip(((x - self._low) / self.spacing).astype(int), 0, slopes.size - 1)
-        return columns, columns @ slopes, slopes[j]
-
-    def _residual(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array]:
+    def _residual(self, at: _Unknowns) -> tuple[Array, Array]:
         """Return the residual (n,) [m], and the coefficients of the nuisances."""
-        rest = self._training.displacement - self._map(weights, slopes, shifts)[1]
+        rest = self._training.displacement - self._map(at)[1] @ at.slopes
         nuisances = np.asarray(np.linalg.lstsq(self._training.nuisances, rest, rcond=None)[0], dtype=np.float64)
         return rest - self._training.nuisances @ nuisances, nuisances
 
-    def _cost(self, weights: Array, slopes: Array, shifts: Array) -> float:
-        return rms(self._residual(weights, slopes, shifts)[0])
-
-    def _gauss_newton_step(self, weights: Array, slopes: Array, shifts: Array) -> tuple[Array, Array, Array]:
-        """Return the weights, slopes and shifts that are best for S linearised at the present ones."""
-        columns, mapped, slope = self._map(weights, slopes, shifts)
+    def _gauss_newton_step(self, at: _Unknowns) -> _Unknowns:
+        """Return the unknowns that are best for S linearised at the present ones."""
+        x, columns = self._map(at)
+        slope = at.slopes[np.clip(((x - self._low) / self._spacing).astype(int), 0, at.slopes.size - 1)]
         of_weights, of_shifts = self._z * slope[:, None], self._stretches * slope[:, None]
-        target = self._training.displacement - mapped + of_weights @ weights + columns @ slopes + of_shifts @ shifts
+        target = self._training.displacement + of_weights @ at.weights + of_shifts @ at.shifts
         nuisance = np.concatenate([self._training.nuisances, of_shifts], axis=1)
         # In units of their mean, slopes are as large as weights.
-        units = np.concatenate([np.ones(weights.size), np.full(slopes.size, slopes.mean())])
+        units = np.concatenate([np.ones(at.weights.size), np.full(at.slopes.size, at.slopes.mean())])
         both = np.concatenate([of_weights, columns], axis=1)
         solution = fit_nonnegative(both * units, nuisance, target, self._floors / units).weights * units
         rest = np.linalg.lstsq(nuisance, target - both @ solution, rcond=None)[0]
-        return solution[: weights.size], solution[weights.size :], rest[self._training.nuisances.shape[1] :]
-
-
-# Low-passes fitted to anything but creep do harm elsewhere: their cross-validation error must be this much smaller.
-_WORTH = 0.8
+        weights, slopes = np.split(solution, [at.weights.size])
+        return _Unknowns(weights, slopes, rest[self._training.nuisances.shape[1] :])
 
 
 @final
@@ -303,34 +272,25 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     ) -> GeneralizedPrandtlIshlinskii:
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
 
-        `records`, `delay`, `drift`, which low-passes replace, and errors are those of every baseline, see
-        `AbstractBaseline`.
+        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that just
+        after a reversal. Low-passes replace the drift.
 
-        Parameters
-        ----------
-        plays : int, optional
-            Number of plays; their thresholds divide half of the voltage's range into equal parts, from 0.
-        segments : int, optional
-            Segments of each curve, over the range of its play.
-        lowpasses : (K,) array_like, optional
-            Time constants [s]; an empty one leaves creep out. Default: two per decade from two samples to a third of
-            the longest record if they lower the cross-validation error much, else none.
-        slope_floor : float, optional
-            Least slope just after a reversal, as a fraction of the mean slope; 0 would have no inverse.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring slopes; it determines those that the records leave open.
+        `segments`: of each curve, over the range of its play. `lowpasses` (K,): time constants [s]; an empty one leaves
+        creep out; default: two per decade from two samples to a third of the longest record if they lower the
+        cross-validation error much, else none. `smoothing`: weight of the squared differences of neighbouring slopes;
+        it determines those that the records leave open.
         """
         count(plays, "plays")
         count(segments, "segments")
         fraction(slope_floor, "slope_floor")
-        given = None if lowpasses is None else _checked_times(lowpasses)
+        given = None if lowpasses is None else vector(lowpasses, "lowpasses", error=IdentifyError)
+        if given is not None and np.any(given <= 0):
+            raise IdentifyError(f"lowpasses: got {given}, need time constants above 0, in seconds")
 
         def fit_model(training: Training) -> tuple[GeneralizedPrandtlIshlinskii, float]:
-            choices = [_default_times(training), np.zeros(0)] if given is None else [given]
-            designs = [
-                _Design.from_training(training, plays, segments, times, slope_floor, smoothing) for times in choices
-            ]
-            if len(designs) > 1 and designs[0].held_out_error() > _WORTH * designs[1].held_out_error():
+            choices = [_default_times(training), EMPTY] if given is None else [given]
+            designs = [_Design.of(training, plays, segments, times, slope_floor, smoothing) for times in choices]
+            if len(designs) > 1 and designs[0].held_out_error() > _GAIN * designs[1].held_out_error():
                 del designs[0]
             bank, residual = designs[0].fit()
             return cls._from_bank(bank, training), residual
@@ -351,27 +311,39 @@ class _Design:
     smoothing: float
 
     @classmethod
-    def from_training(
-        cls, training: Training, plays: int, segments: int, times: Array, floor: float, smoothing: float
-    ) -> _Design:
+    def of(cls, training: Training, plays: int, segments: int, times: Array, floor: float, smoothing: float) -> _Design:
         prepared = with_unknown_start(training, times) if times.size else training
-        rows = PlayRows.from_training(prepared, even_thresholds(training, plays), times)
-        low, high = training.limits
-        knots = [np.linspace(low + r, high - r, segments + 1)[1:-1] for r in rows.thresholds]
-        floors = np.zeros(plays * segments + times.size)
+        rows = PlayRows.from_training(prepared, training.thresholds(plays))
+        knots = rows.knots(segments)
+        columns = np.hstack([rows.ramps(knots), rows.training.sampled(lambda piece: low_pass(piece, times))])
+        floors = np.zeros(columns.shape[1])
         floors[:segments] = floor * training.slope
         rough = np.pad(differences([segments] * plays), ((0, 0), (0, times.size)))
-        return cls(rows, knots, times, rows.ramps(knots), floors, rough, smoothing)
+        return cls(rows, knots, times, columns, floors, rough, smoothing)
 
     def held_out_error(self) -> float:
-        return cross_validation_error(self.rows.training, self.columns, self.floors, self.rough, self.smoothing)
+        """Return the RMS error [m] of predicting each quarter of the epochs from a fit to the rest, constants free."""
+        training = self.rows.training
+        blocks = np.zeros(len(training), dtype=np.intp)
+        for offset in training.offsets.T:
+            stretch = np.flatnonzero(offset)
+            blocks[stretch] = np.arange(stretch.size) * _QUARTERS // max(stretch.size, 1)
+        squares, y, nuisances = 0.0, training.displacement, training.nuisances
+        for block in range(_QUARTERS):
+            kept, held_out = blocks != block, blocks == block
+            own = self.columns[kept], nuisances[kept], y[kept]
+            weights = fit_nonnegative(*own, self.floors, self.rough, self.smoothing).weights
+            rest, offsets = y[held_out] - self.columns[held_out] @ weights, training.offsets[held_out]
+            residual = rest - offsets @ np.linalg.lstsq(offsets, rest, rcond=None)[0]
+            squares += float(residual @ residual)
+        return float(np.sqrt(squares / len(training)))
 
     def fit(self) -> tuple[PlayBank, float]:
         weights, nuisances, residual = self.rows.fit(self.columns, self.floors, self.rough, self.smoothing)
         thresholds, offset = self.rows.thresholds, float(nuisances[self.rows.training.reference])
-        count = self.columns.shape[1] - self.times.size
-        slopes = weights[:count].reshape(thresholds.size, -1)
-        return PlayBank(thresholds, self.knots, list(slopes), offset, self.times, weights[count:]), residual
+        slopes, shares = np.split(weights, [weights.size - self.times.size])
+        bank = PlayBank(thresholds, self.knots, slopes.reshape(thresholds.size, -1), offset, self.times, shares)
+        return bank, residual
 
 
 def _default_times(training: Training) -> Array:
@@ -381,11 +353,35 @@ def _default_times(training: Training) -> Array:
     return np.geomspace(shortest, longest, max(2, round(2 * np.log10(longest / shortest)) + 1))
 
 
-def _checked_times(lowpasses: ArrayLike) -> Array:
-    times = vector(lowpasses, "lowpasses", error=IdentifyError)
-    if np.any(times <= 0):
-        raise IdentifyError(f"lowpasses: got {times}, need time constants above 0, in seconds")
-    return times
+def low_pass(piece: Record, times: Array) -> Array:
+    """Return low-passes (n, K) of a voltage (n,) [V]: linear between samples, at rest at its first value before it."""
+    v = piece.voltage
+    ratio = np.diff(piece.time)[:, None] / times
+    kept, taken = np.exp(-ratio), 1 + np.expm1(-ratio) / ratio
+    pushed = v[:-1, None] * (1 - kept) + np.diff(v)[:, None] * taken
+    out = np.empty((v.size, times.size))
+    out[0] = v[0]
+    for t in range(v.size - 1 if times.size else 0):
+        out[t + 1] = kept[t] * out[t] + pushed[t]
+    return out
+
+
+def with_unknown_start(training: Training, times: Array) -> Training:
+    """Return a copy for a model with low-passes of these times (K,) [s], which replace the drifts.
+
+    Their outputs before the first sample are not known: their decay in each piece is a nuisance.
+    """
+    constants = training.offsets / np.linalg.norm(training.offsets, axis=0)
+
+    def decays(piece: Record) -> Array:
+        since = np.exp(-(piece.time[:, None] - piece.time[0]) / times)
+        return np.hstack([since if other is piece else np.zeros_like(since) for other in training.pieces])
+
+    found = training.sampled(decays)
+    # Slow decays look like constants: keep only what is new, on an orthogonal basis.
+    basis, sizes, _ = np.linalg.svd(found - constants @ (constants.T @ found), full_matrices=False)
+    new = basis[:, sizes > _NEW * sizes.max(initial=0.0)] * np.sqrt(len(training))
+    return replace(training, nuisances=np.hstack([training.offsets, new]))
 
 
 @final
@@ -418,39 +414,50 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
-        `records`, `delay`, `drift` and errors are those of every baseline, see `AbstractBaseline`.
+        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that of the
+        kernels with p1 = p2.
 
-        Parameters
-        ----------
-        levels : int, optional
-            Parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels.
-        slope_floor : float, optional
-            Least slope of the kernels with p1 = p2, as a fraction of the mean slope; 0 would have no inverse.
-        smoothing : float, optional
-            Weight of the squared differences of neighbouring weights; it determines those that the records leave open.
+        `levels`: parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels. `smoothing`: weight of
+        the squared differences of neighbouring weights; it determines those that the records leave open.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")
 
         def fit_model(training: Training) -> tuple[KrasnoselskiiPokrovskii, float]:
-            rows = PlayRows.from_training(training, even_thresholds(training, levels))
-            knots = _knots(*training.limits, levels)
+            rows = PlayRows.from_training(training, training.thresholds(levels))
+            low, high = training.limits
+            # Of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2.
+            spacing = (high - low) / levels
+            knots = [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
             # Every segment between knots is a kernel; the parts below the first and beyond the last are not.
             kernels = [[False, *[True] * (levels - i), False] for i in range(levels)]
             columns = rows.ramps(knots)[:, np.concatenate(kernels)]
             floors = np.zeros(columns.shape[1])
             floors[:levels] = slope_floor * training.slope
-            rough = differences(range(levels, 0, -1), beside=((0, 1), (1, 0), (1, -1)))
+            rough = differences(range(levels, 0, -1), ((0, 1), (1, 0), (1, -1)))
             weights, nuisances, residual = rows.fit(columns, floors, rough, smoothing)
-            parts = np.split(weights, np.cumsum(np.arange(levels, 1, -1)))
-            slopes = [parts[0][[0, *range(levels), -1]], *(np.pad(part, 1) for part in parts[1:])]
+            first, *others = np.split(weights, np.cumsum(np.arange(levels, 1, -1)))
+            slopes = [first[[0, *range(levels), -1]], *(np.pad(part, 1) for part in others)]
             bank = PlayBank(rows.thresholds, knots, slopes, float(nuisances[training.reference]))
             return cls._from_bank(bank, training), residual
 
         return fit_with_delay(records, delay, fit_model, drift=drift)
 
 
-def _knots(low: float, high: float, levels: int) -> list[Array]:
-    """Return the knots of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2."""
-    spacing = (high - low) / levels
-    return [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
+def differences(shape: Sequence[int], steps: Sequence[tuple[int, int]] = ((0, 1), (1, 0))) -> Array:
+    """Return rows (m, p) that subtract neighbours in a table whose row i has shape[i] places; row 0 is left out.
+
+    `steps`: (rows, places) from a place to its neighbours.
+    """
+    first = np.cumsum([0, *shape])
+    pairs = [
+        (first[i] + j, first[i + di] + j + dj)
+        for i in range(1, len(shape))
+        for j in range(shape[i])
+        for di, dj in steps
+        if i + di < len(shape) and 0 <= j + dj < shape[i + di]
+    ]
+    rows = np.zeros((len(pairs), int(first[-1])))
+    for row, (a, b) in zip(rows, pairs, strict=True):
+        row[[a, b]] = 1.0, -1.0
+    return rows

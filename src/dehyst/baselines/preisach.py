@@ -1,4 +1,4 @@
-"""First-order reversal curves in records, and the Everett function that they determine."""
+"""Preisach's model by its Everett function, from records of any shape or from first-order reversal curves."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst import _validation
+import dehyst._rivals as rivals
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
-from dehyst._validation import keep, number
-from dehyst.baselines import _native
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.baselines.training import Training, fit_with_delay
+from dehyst._validation import count, fraction, keep, number
+from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
 from dehyst.identification.solvers.program import solve
 from dehyst.records import Record
 from dehyst.records.signals import rms
 
+_MOST_ROWS = 8000
+_MOST_CELLS = 80
 # Part of the range within which an end of it counts as reached, and within which two curves count as one.
 _NEAR = 0.01
 # A curve driven more than this many times as fast as the slowest of the same turn does not count.
@@ -28,10 +28,199 @@ _SLOW = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Curve:
-    """One curve: the voltage at which it turned off the major loop, and E along it; voltages increase.
+class PreisachState:
+    """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
 
-    `rate` is the mean rate of its voltage [V/s].
+    `turns` (k, 2): voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and
+    so on in turn. With an odd number of them the branch rises.
+    """
+
+    voltage: float
+    displacement: float
+    turns: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Preisach(AbstractBaseline):
+    """Preisach's model by its Everett function on a square grid of voltages.
+
+    Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
+    linear, which makes them reversible. Then y is piecewise linear along every branch, and the inverse exact. Beyond
+    the grid no relay switches and y continues with its mean slope.
+
+    `limits`: lowest and highest voltage of the plane [V]. `everett` (n + 1, n + 1): E [m] at (alpha, beta) of node (i,
+    j), i > j; the rest is ignored. E is strictly greater for a triangle than for any triangle inside it: y has to
+    follow v. `bottom`: displacement with every relay down [m]. Raise `ModelError` if the table is no square, or does
+    not increase away from the diagonal.
+    """
+
+    limits: tuple[float, float]
+    everett: Array
+    bottom: float = 0.0
+    delay: float = 0.0
+    state: PreisachState = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        table = np.array(self.everett, dtype=np.float64)
+        if table.ndim != 2 or table.shape[0] != table.shape[1] or len(table) < 2 or not np.isfinite(table).all():
+            raise ModelError(f"everett: got an array of shape {table.shape}, need a square of two or more finite nodes")
+        table = np.tril(table, -1)
+        low, high = (number(end, "limits") for end in self.limits)
+        keep(self, limits=(low, high))
+        if low >= high:
+            raise ModelError(argument="limits", got=self.limits, need="two voltages, the lower one first")
+        below = np.tri(len(table) - 1, dtype=bool)
+        if np.any(np.diff(table, axis=0)[:, :-1][below] <= 0) or np.any(np.diff(table, axis=1)[1:][below] >= 0):
+            raise ModelError(
+                "everett: does not increase away from the diagonal everywhere, so that the displacement would fall "
+                "while the voltage rises; need a density that is nowhere negative and a reversible share"
+            )
+        keep(self, everett=table, bottom=number(self.bottom, "bottom"))
+        # Every relay down, at the lowest voltage.
+        keep(self, state=PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients: one for each cell, and a constant."""
+        n = len(self.everett) - 1
+        return n * (n + 1) // 2 + 1
+
+    @cached_property
+    def _numbers(self) -> Array:
+        low, high = self.limits
+        mean = float(self.everett[-1, 0]) / (high - low)
+        return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
+
+    def _run(
+        self, drive: Array, state: PreisachState, time: ArrayLike | None, *, inverse: bool
+    ) -> tuple[Array, PreisachState]:
+        if not _nested(state, *self.limits):
+            raise ModelError(
+                "state: got turns that are not nested, need a PreisachState that a motion of this model returned"
+            )
+        turns, cells = np.ascontiguousarray(state.turns).ravel(), len(self.everett) - 1
+        out, turns, v, y = rivals.preisach(
+            self._numbers, self.everett.ravel(), cells, turns, state.voltage, state.displacement, drive, inverse
+        )
+        return out, PreisachState(v, y, turns.reshape(-1, 2))
+
+    @classmethod
+    def fit(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        cells: int = 40,
+        smoothing: float = 1e-5,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+    ) -> Preisach:
+        """Fit the density by non-negative least squares, from records of any shape.
+
+        Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
+        penalty on the density's second differences fills it. Parameters are those of every baseline, see
+        `AbstractBaseline`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
+        the penalty, 0 for none. The relays on the diagonal provide the least slope.
+        """
+        n = count(cells, "cells", 2, _MOST_CELLS)
+        fraction(smoothing, "smoothing", 0.0)
+        fraction(slope_floor, "slope_floor", 1e-6)
+
+        def fit_model(training: Training) -> tuple[Preisach, float]:
+            few = training.subsample(_MOST_ROWS)
+            table, constants, residual = _densities(few, n, smoothing, slope_floor * few.stroke / n)
+            return cls(few.limits, table, float(constants[few.reference]), few.delay), residual
+
+        return fit_with_delay(records, delay, fit_model)
+
+    @classmethod
+    def from_reversal_curves(
+        cls,
+        records: Record | Sequence[Record],
+        *,
+        cells: int = 40,
+        slope_floor: float = 0.1,
+        delay: float | None = None,
+    ) -> Preisach:
+        """Read the Everett function off first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
+
+        A branch that falls from a top reached from the lowest voltage gives E(top, beta) down to where it turns; one
+        that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
+        interpolated without overshoot, then made to increase away from the diagonal.
+
+        `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are as in `fit`; `IdentifyError` is raised
+        also if there are fewer than three curves.
+        """
+        n = count(cells, "cells", 2, _MOST_CELLS)
+        fraction(slope_floor, "slope_floor", 1e-6)
+
+        def fit_model(training: Training) -> tuple[Preisach, float]:
+            table = _everett_table(training, n, slope_floor * training.stroke / n)
+            model = cls(training.limits, table, 0.0, training.delay)
+            made = training.sampled(lambda piece: model.simulate(piece.voltage).displacement)
+            bottom, residual = training.fit_constant(training.displacement - made)
+            return replace(model, bottom=bottom), residual
+
+        return fit_with_delay(records, delay, fit_model)
+
+
+def _nested(start: PreisachState, low: float, high: float) -> bool:
+    """Return whether the reversals begin with the lowest voltage, their minima rise and their maxima fall."""
+    if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
+        return False
+    at = start.turns[:, 0]
+    last = min(max(start.voltage, low), high)
+    order = np.concatenate([at[::2], [last], at[1::2][::-1]])
+    return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
+
+
+def _densities(training: Training, n: int, smoothing: float, least: float) -> tuple[Array, Array, float]:
+    """Return Everett's table, the nuisances' coefficients and the RMS residual; diagonal cells hold `least` [m]."""
+    columns, cells = _columns(training, n), np.tril_indices(n)
+    floor = (least * np.eye(n))[cells]
+    rough = _second_differences(n) * np.sqrt(smoothing * len(training)) * n
+    solution = solve(
+        np.vstack([training.nuisances, np.zeros((len(rough), training.nuisances.shape[1]))]),
+        np.vstack([columns, rough]),
+        np.concatenate([training.displacement - columns @ floor, -rough @ floor]),
+        norm="l2",
+    )
+    density, table = np.zeros((n, n)), np.zeros((n + 1, n + 1))
+    density[cells] = solution.nonnegative + floor
+    table[1:, :-1] = np.cumsum(np.cumsum(density, axis=0)[:, ::-1], axis=1)[:, ::-1]
+    return table, solution.free, rms(solution.residual[: len(training)])
+
+
+def _columns(training: Training, n: int) -> Array:
+    """Return the part of each cell that is up at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
+    low, high = training.limits
+    parts = []
+    for piece, rows in zip(training.pieces, training.kept, strict=True):
+        nodes = rivals.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
+        # A node's triangle holds every cell with alpha below and beta above it.
+        held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
+        parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
+    return np.concatenate(parts)
+
+
+def _second_differences(n: int) -> Array:
+    """Return second differences (rows, cells) of the densities along both sides of the plane and the diagonal."""
+    place = np.full((n, n), -1)
+    place[np.tril_indices(n)] = np.arange(n * (n + 1) // 2)
+    lines = [place[i + 1 :, i] for i in range(n)] + [place[i, :i] for i in range(n)] + [np.diagonal(place)]
+    triples = [(a, b, c) for line in lines for a, b, c in zip(line, line[1:], line[2:], strict=False)]
+    rough = np.zeros((len(triples), n * (n + 1) // 2))
+    index: NDArray[np.intp] = np.array(triples, dtype=np.intp).reshape(-1, 3)
+    for column, weight in zip(index.T, (1.0, -2.0, 1.0), strict=True):
+        rough[np.arange(len(triples)), column] = weight
+    return rough
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """A first-order reversal curve: the voltage at which it turned off the major loop, and E along it.
+
+    Voltages increase; `rate` is their mean rate [V/s].
     """
 
     turn: float
@@ -45,28 +234,32 @@ class _Curve:
         return np.where(reached, np.interp(nodes, self.voltage, self.everett), np.nan)
 
 
-def everett_table(training: Training, n: int, least: float) -> Array:
+def _everett_table(training: Training, n: int, least: float) -> Array:
     """Read E [m] at the nodes (n + 1, n + 1), and make it increase by at least `least` [m] from node to node.
 
     Raise `IdentifyError` if there are fewer than three curves of one kind.
     """
     low, high = training.limits
-    falling: list[_Curve] = []
-    rising: list[_Curve] = []
+    found: dict[bool, list[_Curve]] = {True: [], False: []}
     for piece, rows in zip(training.pieces, training.kept, strict=True):
         for falls, curve in _curves(piece, int(rows[0]) if rows.size else len(piece), low, high):
-            (falling if falls else rising).append(curve)
-    kinds = [_merged(curves, _NEAR * (high - low)) for curves in (falling, rising)]
-    enough = [len(curves) > 2 for curves in kinds]
-    if not any(enough):
-        raise IdentifyError(
-            f"got {len(kinds[0])} falling and {len(kinds[1])} rising first-order reversal curves, need at least three "
-            "of one kind. Record descending tops or reversal curves (dehyst excite), or use non-negative least "
-            "squares, which takes records of any shape"
-        )
+            found[falls].append(curve)
+    falling, rising = (_merged(curves, _NEAR * (high - low)) for curves in found.values())
     nodes = np.linspace(low, high, n + 1)
-    tables = [_table(curves, nodes, falls=i == 0) for i, curves in enumerate(kinds) if enough[i]]
-    return _growing(np.mean(tables, axis=0), least)
+    tables = [_table(curves, nodes, falls=curves is falling) for curves in (falling, rising) if len(curves) > 2]
+    if not tables:
+        raise IdentifyError(
+            f"got {len(falling)} falling and {len(rising)} rising first-order reversal curves, need at least three of "
+            "one kind. Record descending tops or reversal curves (dehyst excite), or use non-negative least squares, "
+            "which takes records of any shape"
+        )
+    table = np.asarray(np.mean(tables, axis=0))
+    # Raise every node above the nodes within its triangle.
+    for i in range(1, n + 1):
+        for j in range(i - 1, -1, -1):
+            inner = max(table[i - 1, j] if i - 1 > j else 0.0, table[i, j + 1] if j + 1 < i else 0.0)
+            table[i, j] = max(table[i, j], inner + least)
+    return table
 
 
 def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tuple[bool, _Curve]]:
@@ -128,249 +321,7 @@ def _table(curves: list[_Curve], nodes: Array, *, falls: bool) -> Array:
         if places.size < 2:
             continue
         order = np.argsort(places)
-        curve = PchipInterpolator(places[order], values[order])
         others = slice(j + 1, n + 1) if falls else slice(0, j)
         within = np.clip(nodes[others], places.min(), places.max())
-        if falls:
-            table[others, j] = curve(within)
-        else:
-            table[j, others] = curve(within)
+        table[(others, j) if falls else (j, others)] = PchipInterpolator(places[order], values[order])(within)
     return table
-
-
-def _growing(table: Array, least: float) -> Array:
-    """Raise every node to at least `least` above the nodes within its triangle."""
-    for i in range(1, len(table)):
-        for j in range(i - 1, -1, -1):
-            inner = max(table[i - 1, j] if i - 1 > j else 0.0, table[i, j + 1] if j + 1 < i else 0.0)
-            table[i, j] = max(table[i, j], inner + least)
-    return table
-
-
-_MOST_ROWS = 8000
-_MOST_CELLS = 80
-
-
-@dataclass(frozen=True, eq=False)
-class PreisachState:
-    """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
-
-    `turns` (k, 2): voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and
-    so on in turn. With an odd number of them the branch rises.
-    """
-
-    voltage: float
-    displacement: float
-    turns: Array
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Preisach(AbstractBaseline):
-    """Preisach's model by its Everett function on a square grid of voltages.
-
-    Between nodes E is bilinear, which is a constant density in each square cell; in the triangles on the diagonal it is
-    linear, which makes them reversible. Then y is piecewise linear along every branch, and the inverse exact. Beyond
-    the grid no relay switches and y continues with its mean slope.
-
-    Parameters
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage of the plane [V].
-    everett : (n + 1, n + 1) array_like
-        E [m] at (alpha, beta) of node (i, j), i > j; the rest is ignored. E is strictly greater for a triangle than for
-        any triangle inside it: y has to follow v.
-    bottom : float
-        Displacement with every relay down [m].
-    remarks : tuple of str, optional
-
-    Raises
-    ------
-    ModelError
-        If the table is no square, or does not increase away from the diagonal.
-    """
-
-    limits: tuple[float, float]
-    everett: Array
-    bottom: float = 0.0
-    delay: float = 0.0
-    remarks: tuple[str, ...] = ()
-    state: PreisachState = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        table = np.array(self.everett, dtype=np.float64)
-        if table.ndim != 2 or table.shape[0] != table.shape[1] or len(table) < 2 or not np.isfinite(table).all():
-            raise ModelError(f"everett: got an array of shape {table.shape}, need a square of two or more finite nodes")
-        table = np.tril(table, -1)
-        low, high = (number(end, "limits") for end in self.limits)
-        keep(self, limits=(low, high))
-        if low >= high:
-            raise ModelError(argument="limits", got=self.limits, need="two voltages, the lower one first")
-        n = len(table)
-        rises = np.diff(table, axis=0)[np.tril_indices(n - 1)]
-        falls = -np.diff(table, axis=1)[np.tril_indices(n - 1, 0, n - 1)[0] + 1, np.tril_indices(n - 1, 0, n - 1)[1]]
-        if np.any(rises <= 0) or np.any(falls <= 0):
-            raise ModelError(
-                "everett: does not increase away from the diagonal everywhere, so that the displacement would fall "
-                "while the voltage rises; need a density that is nowhere negative and a reversible share"
-            )
-        keep(self, everett=table, bottom=number(self.bottom, "bottom"))
-        # Every relay down, at the lowest voltage.
-        keep(self, state=PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients: one for each cell, and a constant."""
-        n = len(self.everett) - 1
-        return n * (n + 1) // 2 + 1
-
-    @cached_property
-    def _numbers(self) -> Array:
-        low, high = self.limits
-        mean = float(self.everett[-1, 0]) / (high - low)
-        return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
-
-    def _run(
-        self, drive: Array, state: PreisachState, time: ArrayLike | None, *, inverse: bool
-    ) -> tuple[Array, PreisachState]:
-        if not isinstance(state, PreisachState) or not _nested(state, *self.limits):
-            raise ModelError(
-                f"state: got {type(state).__name__}, need a PreisachState that a motion of this model returned"
-            )
-        out, turns, v, y = _native.preisach(
-            self._numbers,
-            self.everett.ravel(),
-            len(self.everett) - 1,
-            np.ascontiguousarray(state.turns).ravel(),
-            state.voltage,
-            state.displacement,
-            drive,
-            inverse,
-        )
-        return out, PreisachState(v, y, turns.reshape(-1, 2))
-
-    @classmethod
-    def fit(
-        cls,
-        records: Record | Sequence[Record],
-        *,
-        cells: int = 40,
-        smoothing: float = 1e-5,
-        slope_floor: float = 0.1,
-        delay: float | None = None,
-    ) -> Preisach:
-        """Fit the density by non-negative least squares, from records of any shape.
-
-        Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
-        penalty on the density's second differences fills it. `records`, `delay` and errors are those of every baseline,
-        see `AbstractBaseline`.
-
-        Parameters
-        ----------
-        cells : int, optional
-            Cells n of a side of the plane; n (n + 1) / 2 densities.
-        smoothing : float, optional
-            Weight of the penalty; 0 for none.
-        slope_floor : float, optional
-            Least slope dy/dv as a fraction of the mean slope; the relays on the diagonal provide it.
-        """
-        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
-        _validation.fraction(smoothing, "smoothing", 0.0)
-        _validation.fraction(slope_floor, "slope_floor", 1e-6)
-
-        def fit_model(training: Training) -> tuple[Preisach, float]:
-            few = training.subsample(_MOST_ROWS)
-            table, constants, residual = _densities(few, n, smoothing, slope_floor * few.stroke / n)
-            return cls(few.limits, table, float(constants[few.reference]), few.delay), residual
-
-        return fit_with_delay(records, delay, fit_model)
-
-    @classmethod
-    def from_reversal_curves(
-        cls,
-        records: Record | Sequence[Record],
-        *,
-        cells: int = 40,
-        slope_floor: float = 0.1,
-        delay: float | None = None,
-    ) -> Preisach:
-        """Read the Everett function off first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
-
-        A branch that falls from a top reached from the lowest voltage gives E(top, beta) down to where it turns; one
-        that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
-        interpolated without overshoot, then made to increase away from the diagonal.
-
-        `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are as in `fit`; `IdentifyError` is raised
-        also if there are fewer than three curves.
-        """
-        n = _validation.count(cells, "cells", 2, _MOST_CELLS)
-        _validation.fraction(slope_floor, "slope_floor", 1e-6)
-
-        def fit_model(training: Training) -> tuple[Preisach, float]:
-            table = everett_table(training, n, slope_floor * training.stroke / n)
-            model = cls(training.limits, table, 0.0, training.delay)
-            rest = training.displacement - training.map_voltages(lambda v: model.simulate(v).displacement)
-            bottom, residual = training.fit_constant(rest)
-            return replace(model, bottom=bottom), residual
-
-        return fit_with_delay(records, delay, fit_model)
-
-
-def _nested(start: PreisachState, low: float, high: float) -> bool:
-    """Return whether the reversals begin with the lowest voltage, their minima rise and their maxima fall."""
-    if start.turns.ndim != 2 or not np.isfinite(start.turns).all() or not len(start.turns):
-        return False
-    at = start.turns[:, 0]
-    last = min(max(start.voltage, low), high)
-    order = np.concatenate([at[::2], [last], at[1::2][::-1]])
-    return bool(at[0] == low and at.max() <= high and np.all(np.diff(order) >= 0))
-
-
-def _columns(training: Training, n: int) -> Array:
-    """Return the part of each cell that is up at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
-    low, high = training.limits
-    parts = []
-    for piece, rows in zip(training.pieces, training.kept, strict=True):
-        nodes = _native.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
-        # A node's triangle holds every cell with alpha below and beta above it.
-        held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
-        parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
-    return np.concatenate(parts)
-
-
-def _densities(training: Training, n: int, smoothing: float, least: float) -> tuple[Array, Array, float]:
-    """Return Everett's table, the nuisances' coefficients and the RMS residual; diagonal cells hold `least` [m]."""
-    columns = _columns(training, n)
-    floor = (least * np.eye(n))[np.tril_indices(n)]
-    rough = _second_differences(n) * np.sqrt(smoothing * len(training)) * n
-    solution = solve(
-        np.vstack([training.nuisances, np.zeros((len(rough), training.nuisances.shape[1]))]),
-        np.vstack([columns, rough]),
-        np.concatenate([training.displacement - columns @ floor, -rough @ floor]),
-        norm="l2",
-    )
-    density = np.zeros((n, n))
-    density[np.tril_indices(n)] = solution.nonnegative + floor
-    return _everett_of(density), solution.free, rms(solution.residual[: len(training)])
-
-
-def _everett_of(density: Array) -> Array:
-    """Return Everett's table (n + 1, n + 1) of the cells' densities (n, n)."""
-    n = len(density)
-    table = np.zeros((n + 1, n + 1))
-    table[1:, :-1] = np.cumsum(np.cumsum(density, axis=0)[:, ::-1], axis=1)[:, ::-1]
-    return table
-
-
-def _second_differences(n: int) -> Array:
-    """Return second differences (rows, cells) of the densities along both sides of the plane and the diagonal."""
-    place = np.full((n, n), -1)
-    place[np.tril_indices(n)] = np.arange(n * (n + 1) // 2)
-    lines = [place[i + 1 :, i] for i in range(n)] + [place[i, :i] for i in range(n)] + [np.diagonal(place)]
-    triples = [(a, b, c) for line in lines for a, b, c in zip(line, line[1:], line[2:], strict=False)]
-    rough = np.zeros((len(triples), n * (n + 1) // 2))
-    index: NDArray[np.intp] = np.array(triples, dtype=np.intp).reshape(-1, 3)
-    each = np.arange(len(triples))
-    for column, weight in zip(index.T, (1.0, -2.0, 1.0), strict=True):
-        rough[each, column] = weight
-    return rough

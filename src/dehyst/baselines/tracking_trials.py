@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.model import AbstractModel, simulated
@@ -51,25 +50,32 @@ class TrackingTrial:
     fast: float
     hold: float
 
+    @property
+    def _rate(self) -> float:
+        return _SAMPLES_A_FAST_CYCLE * self.fast
+
+    def _drive(self, frequency: float) -> Sampling:
+        return Sampling(frequency=frequency, sample_rate=self._rate)
+
     def records(self) -> tuple[Record, ...]:
         """Return training records, in one run: descending tops at both rates and a staircase with steps back."""
-        return self._run(
-            0,
-            lambda highest: [
-                descending_tops(highest, drive=self._drive(self.slow)),
-                descending_tops(highest, drive=self._drive(self.fast)),
-                staircase(highest, steps=10, hold=self.hold, back=True, drive=self._drive(self.slow)),
-            ],
-        )
+        truth, slow, fast = self.truth(0), self._drive(self.slow), self._drive(self.fast)
+        tops = [descending_tops(truth.highest, drive=drive) for drive in (slow, fast)]
+        stairs = staircase(truth.highest, steps=10, hold=self.hold, back=True, drive=slow)
+        return self._played(truth, f"{self.name}-0", *tops, stairs)
 
     def held_out(self) -> tuple[Record, ...]:
         """Return records to be predicted: a major loop and loops of other heights, at the slow rate."""
-        return self._run(
-            1,
-            lambda highest: [
-                raised_cosine([highest, 0.75 * highest, 0.45 * highest], cycles=2, drive=self._drive(self.slow))
-            ],
-        )
+        truth = self.truth(1)
+        peaks = [truth.highest, 0.75 * truth.highest, 0.45 * truth.highest]
+        return self._played(truth, f"{self.name}-1", raised_cosine(peaks, cycles=2, drive=self._drive(self.slow)))
+
+    def _played(self, truth: VirtualActuator, name: str, *excitations: Excitation) -> tuple[Record, ...]:
+        records = []
+        for letter, one in zip("abc", excitations, strict=False):
+            y = truth.play(one.voltage, time=one.time)
+            records.append(Record(one.time, one.voltage, y, f"{name}{letter}"))
+        return tuple(records)
 
     def track(self, model: AbstractModel, seed: int = 7) -> TrackingErrors:
         """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
@@ -81,15 +87,16 @@ class TrackingTrial:
         truth = self.truth(1000 + seed)
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
         wanted = truth.stroke * self.path(seed)
+        first_leg = int(np.argmax(np.diff(wanted) < 0))
         time = np.arange(homing.size + wanted.size) / self._rate
-        voltage = self._sent(model, homing, wanted, time)
+        voltage = self._sent(model, homing, wanted, time, first_leg)
         reached = truth.play(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
-        error = (wanted - reached)[_first_leg(wanted) :]
+        error = (wanted - reached)[first_leg:]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         figures = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
         return TrackingErrors(*figures, percent(beyond, truth.highest))
 
-    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array) -> Array:
+    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array, first_leg: int) -> Array:
         """Return the voltage for the path after homing; both are compensated in one piece to avoid a jump."""
         from scipy.interpolate import CubicSpline
 
@@ -98,8 +105,7 @@ class TrackingTrial:
         delay = float(getattr(model, "delay", 0.0))
         ahead = np.asarray(CubicSpline(when, wanted)(np.minimum(when + delay, when[-1])))
         # Begin at the model's own displacement after homing.
-        n = _first_leg(wanted)
-        ahead[:n] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(n) / n))
+        ahead[:first_leg] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(first_leg) / first_leg))
         path, start = np.concatenate([homed, ahead]), beginning(model, homing)
         return model.compensate(path, state=start, **timed(model, time)).voltage[homing.size :]
 
@@ -121,30 +127,10 @@ class TrackingTrial:
             legs.append(a + (b - a) * _smooth(np.arange(1, n + 1) / n))
         return np.concatenate(legs)
 
-    @property
-    def _rate(self) -> float:
-        return _SAMPLES_A_FAST_CYCLE * self.fast
-
-    def _drive(self, frequency: float) -> Sampling:
-        return Sampling(frequency=frequency, sample_rate=self._rate)
-
-    def _run(self, seed: int, kinds: Callable[[float], list[Excitation]]) -> tuple[Record, ...]:
-        truth = self.truth(seed)
-        records = []
-        for i, excitation in enumerate(kinds(truth.highest)):
-            y = truth.play(excitation.voltage, time=excitation.time)
-            records.append(Record(excitation.time, excitation.voltage, y, f"{self.name}-{seed}{'abc'[i]}"))
-        return tuple(records)
-
 
 def _smooth(u: Array) -> Array:
     """Return a curve from 0 to 1 with no velocity or acceleration at either end."""
     return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
-
-
-def _first_leg(path: Array) -> int:
-    """Return the number of samples before the first turn."""
-    return int(np.argmax(np.diff(path) < 0))
 
 
 TRIALS: Mapping[str, TrackingTrial] = {
@@ -153,10 +139,3 @@ TRIALS: Mapping[str, TrackingTrial] = {
     "preisach": TrackingTrial("preisach", lambda seed: PreisachActuator(seed=seed), 0.01, 0.05, 20.0),
     "boucwen": TrackingTrial("boucwen", lambda seed: BoucWenActuator(seed=seed), 6.0, 60.0, 0.05),
 }
-
-
-def trial(name: str) -> TrackingTrial:
-    """Return the trial of that name; raise `ModelError` if there is none."""
-    if name not in TRIALS:
-        raise ModelError(f"no virtual actuator '{name}'; try {', '.join(TRIALS)}")
-    return TRIALS[name]

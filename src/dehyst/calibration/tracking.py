@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.control import Compensator, StageCompensator, VoltageLimits
-from dehyst.model import Actuator, Stage, StageTrace
+from dehyst.model import Actuator, Motion, Stage
 from dehyst.model.stage import apply
 from dehyst.model.states import beginning
 from dehyst.records import Record
@@ -126,14 +126,15 @@ class PathPlanner:
         )
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
         if isinstance(model, Stage):
-            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=homed.states)
-            command = several.trajectory(ahead, time=time)
-            pairs = zip(model.axes, command.remarks, strict=True)
-            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own)
-            return self._run("compensated", wanted, command.voltage, place, remarks)
+            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=homed.state)
+            commands = several.trajectory(ahead, time=time)
+            pairs = zip(model.axes, commands, strict=True)
+            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
+            voltage = np.column_stack([one.voltage for one in commands])
+            return self._run("compensated", wanted, voltage, place, remarks)
         one = Compensator(model, bounds[0], rates[0])
         present = float(self.homing.voltage[-1])
-        followed = one.trajectory(ahead[:, 0], time=time, state=homed.states[0], present=present)
+        followed = one.trajectory(ahead[:, 0], time=time, state=homed.state[0], present=present)
         return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
 
     @property
@@ -141,7 +142,7 @@ class PathPlanner:
         """Samples between two turning points of each axis."""
         return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
 
-    def _homed(self, stage: Stage, before: Sequence[Record]) -> tuple[StageTrace, Array]:
+    def _homed(self, stage: Stage, before: Sequence[Record]) -> tuple[Motion, Array]:
         """Return the motion of the next homing, and the zeros (axes,) [m] of the sensors by the last record."""
         time, voltage, displacement = _joined(before)
         starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
@@ -150,9 +151,9 @@ class PathPlanner:
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
-        return stage.simulate(rows, time=homing.time, states=played.states, extrapolate=True), datum
+        return stage.simulate(rows, time=homing.time, states=played.state, extrapolate=True), datum
 
-    def _place(self, stage: Stage, homed: StageTrace, datum: Array) -> _Place:
+    def _place(self, stage: Stage, homed: Motion, datum: Array) -> _Place:
         if self.ends is not None:
             low, high = self.ends
             return _Place(*(np.array([value]) for value in (low, high - low, low, high - low)))

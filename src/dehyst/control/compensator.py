@@ -14,9 +14,9 @@ from dehyst._errors import ModelError
 from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
-from dehyst._validation import interval, number, vector
+from dehyst._validation import interval, keep, number, vector
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
-from dehyst.control.loop import Preview, Snapshot, key_of, make_loop, reached_if_clamped, resume
+from dehyst.control.loop import ReadOnly, Snapshot, key_of, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import Actuator, State
 from dehyst.model.checks import ANYWAY
@@ -26,8 +26,11 @@ from dehyst.model.states import state_within_limits
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
 
+# Of the largest change: a smaller one is not clamped.
+_NEARLY = 1 - 1e-9
 
-class Compensator:
+
+class Compensator(ReadOnly):
     """Inverse control within limits (Eqs. 11-12), the hysteresis cancelled.
 
     In a loop, `step` takes the displacement wanted now and returns the voltage to send. A voltage beyond the limits is
@@ -64,10 +67,12 @@ class Compensator:
 
     Attributes
     ----------
-    actuator, slew_rate, period, preview, units
-        As given.
-    limits : (float, float)
-        [V].
+    actuator, limits, slew_rate, period, preview, units
+        As given; limits are a pair of floats.
+    bounds : VoltageLimits
+        Limits and slew rate.
+    initial_state : State
+        As given at the construction or the last reset, before it was moved within the limits.
 
     Raises
     ------
@@ -75,6 +80,19 @@ class Compensator:
         If there are no limits, or they are not an interval, a number is not positive, the state does not fit the
         actuator, a period is missing or too long for a resonance, or the unit is no length.
     """
+
+    actuator: Actuator
+    limits: tuple[float, float]
+    slew_rate: float | None
+    period: float | None
+    preview: bool
+    units: str
+    bounds: VoltageLimits
+    initial_state: State
+    _start: State
+    _warns: bool
+    _per_metre: float
+    _scaled: bool
 
     def __init__(
         self,
@@ -90,66 +108,33 @@ class Compensator:
     ) -> None:
         if not isinstance(actuator, Actuator):
             raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
-        low_high = actuator.limits if limits is None else limits
-        if low_high is None:
-            raise ModelError(
-                "no voltage limits: the actuator has none and none were given",
-                hint="give limits (low, high)",
-                change=("limits",),
-            )
-        self._actuator, self._preview, self._warns = actuator, bool(preview), bool(warns)
-        self._units, self._per_metre = units, per_metre(units)
-        self._scaled = self._per_metre != 1
-        self._limits = VoltageLimits(*interval(low_high), slew_rate)
-        self._period = None if period is None else _positive(period)
+        bounds = VoltageLimits(*allowed_limits(actuator, limits), slew_rate)
+        seconds = None if period is None else number(period, "period")
+        if seconds is not None and seconds <= 0:
+            raise ModelError(argument="period", got=period, need="a positive number of seconds")
         if preview and period is None:
             raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
-        self._given = actuator.state if state is None else state
-        self._start = state_within_limits(actuator, self._given, self.limits)
+        keep(self, actuator=actuator, period=seconds, preview=bool(preview), units=units, bounds=bounds)
+        keep(self, limits=(bounds.low, bounds.high), slew_rate=bounds.slew_rate)
+        keep(self, _warns=bool(warns), _per_metre=per_metre(units), _scaled=per_metre(units) != 1)
+        self.reset(actuator.state if state is None else state)
 
     def __repr__(self) -> str:
         slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
         period = "" if self.period is None else f", every {self.period:g} s"
         return (
-            f"<Compensator of {self.actuator.name!r}, {self._limits.words}{slew}{period}, now at {self.voltage:.6g} V, "
+            f"<Compensator of {self.actuator.name!r}, {self.bounds.words}{slew}{period}, now at {self.voltage:.6g} V, "
             f"{self.clamps.limited} limited, {self.clamps.slewed} slewed>"
         )
 
     def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
         """Return how to copy and unpickle the compensator, with its memory."""
-        how = self._preview, self._units, self._warns
-        options = self._actuator, self.limits, self.slew_rate, self._period, self._given, *how
-        return _rebuilt, (options, self.snapshot() if self._running else None)
+        return _rebuilt, (self._options(), self.snapshot() if self._running else None)
 
-    @property
-    def actuator(self) -> Actuator:
-        """The model of the actuator."""
-        return self._actuator
-
-    @property
-    def period(self) -> float | None:
-        """Seconds between steps."""
-        return self._period
-
-    @property
-    def preview(self) -> bool:
-        """Whether delay and inertia are compensated."""
-        return self._preview
-
-    @property
-    def units(self) -> str:
-        """Unit of the displacements."""
-        return self._units
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lowest and highest voltage [V]."""
-        return self._limits.low, self._limits.high
-
-    @property
-    def slew_rate(self) -> float | None:
-        """Largest abs(dv/dt) [V/s]."""
-        return self._limits.slew_rate
+    def _options(self) -> dict[str, Any]:
+        names = ("actuator", "limits", "slew_rate", "period", "preview", "units")
+        options = {name: getattr(self, name) for name in names}
+        return options | {"state": self.initial_state, "warns": self._warns}
 
     def step(self, displacement: float) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
@@ -165,7 +150,7 @@ class Compensator:
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
         try:
-            return self._offers.step(displacement)
+            return self._loop.step(self._metres(displacement) if self._scaled else displacement)
         except TypeError:
             return self._loop.step(self._metres(displacement))
         except CoreError as error:
@@ -174,7 +159,7 @@ class Compensator:
     def offer(self, displacement: float) -> float:
         """Return the voltage [V] for a `displacement` [m, or `units`], not committed. Raises and warns as `step`."""
         try:
-            return self._offers.offer(displacement)
+            return self._loop.offer(self._metres(displacement) if self._scaled else displacement)
         except TypeError:
             return self._loop.offer(self._metres(displacement))
         except CoreError as error:
@@ -187,10 +172,16 @@ class Compensator:
 
         `displacement`: [m, or `units`].
         """
-        voltage = self.offer(displacement)
-        reached = reached_if_clamped(self._loop, self._limits, self._period, voltage)
-        # What was tried has taken the offer back.
-        return (voltage, None) if reached is None else (self.offer(displacement), reached * self._per_metre)
+        voltage, loop, (low, high) = self.offer(displacement), self._loop, self.limits
+        change = self.bounds.largest_step(self.period) if self.period else np.inf
+        if low < voltage < high and abs(voltage - loop.sent()) < _NEARLY * change:
+            return voltage, None
+        before = memory_of(loop)
+        loop.commit(voltage)
+        clamped, reached = loop.counts()[:2] != before[2][:2], float(loop.state()[0])
+        set_memory(loop, *before)
+        # The trial commit discarded the pending offer; repeat it.
+        return self.offer(displacement), reached * self._per_metre if clamped else None
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.
@@ -202,7 +193,7 @@ class Compensator:
             self._loop.commit(number(voltage, "voltage"))
         except CoreError as error:
             raise ModelError(
-                f"got {voltage:g} V, which has nothing to do with the limits {self._limits.words}",
+                f"got {voltage:g} V, which has nothing to do with the limits {self.bounds.words}",
                 argument="voltage",
                 hint="need the voltage that was really sent, in volts",
             ) from error
@@ -212,14 +203,12 @@ class Compensator:
         self._loop.commit(self._loop.sent())
 
     def run(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (n,) [V] of n steps, the same bits as by `step`, and commit them.
-
-        `displacement` (n,) [m, or `units`].
+        """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
         Raises
         ------
         ModelError
-            If a value is not finite: the memory is unchanged.
+            If a displacement is not finite: the memory is unchanged.
 
         Warns
         -----
@@ -233,7 +222,7 @@ class Compensator:
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                warn_of_run(self.actuator, self._limits, Clamps(limited, slewed), wanted)
+                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted)
         except (ClampWarning, ModelError):
             self.restore(before)
             raise
@@ -285,26 +274,38 @@ class Compensator:
         sentence = "" if extrapolate else self._straying(wanted, load)
         if sentence:
             raise ModelError(f"{sentence}; {ANYWAY}")
+        if present is not None:
+            now = self.bounds.within(present, "present")
+        else:
+            now = self.voltage if state is None else self.held(state)
+        if state is None:
+            state = self.state if self._running else self.initial_state
         command = follow(
             self.actuator,
-            self._limits,
+            self.bounds,
             wanted,
             time=time,
             period=self.period,
             load=load,
             velocity=None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
             acceleration=None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
-            start=state if state is not None else self.state if self._running else self._given,
-            present=self._present(state) if present is None else self._limits.within(present, "present"),
+            start=state,
+            present=now,
         )
         if not self._scaled:
             return command
         hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
         return replace(command, warnings=(*command.warnings, *hint)).in_units(self.units)
 
-    def strays(self, displacement: Array, load: ArrayLike | None = None) -> str:
+    def strays(self, displacement: ArrayLike, load: ArrayLike | None = None) -> str:
         """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
         return self._straying(self.in_metres(displacement), load)
+
+    def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
+        sentence = stray_sentence(self.actuator, self.bounds, displacement, load)
+        if not sentence or not self._scaled:
+            return sentence
+        return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
     def in_metres(self, values: ArrayLike, what: str = "displacement", per: str = "") -> Array:
         """Return the `values` (n,) of a path in `units`, or a quantity with a unit of its own, in metres.
@@ -312,13 +313,20 @@ class Compensator:
         `what` names them in errors; `per`: "/s" of a velocity, "/s**2" of an acceleration. Raise `ModelError` if
         a value is not finite, or has a unit that cannot be converted.
         """
-        plain = vector(values, what, f"{self._units}{per}")
+        plain = vector(values, what, f"{self.units}{per}")
         return plain / self._per_metre if self._scaled else plain
+
+    def _metres(self, displacement: object) -> float:
+        return number(displacement, "displacement", self.units) / self._per_metre
 
     @property
     def voltage(self) -> float:
         """The last voltage sent [V]; before any step the one that holds the actuator in its state."""
-        return self._loop.sent() if self._running else self._limits.nearest(self.actuator.voltage(self._start))
+        return self._loop.sent() if self._running else self.held(self._start)
+
+    def held(self, state: State) -> float:
+        """Return the voltage [V] within the limits that holds the actuator in a `state`, or comes nearest."""
+        return self.bounds.nearest(self.actuator.voltage(state))
 
     @property
     def state(self) -> State:
@@ -331,14 +339,9 @@ class Compensator:
         return Clamps(*self._loop.counts()[:2]) if self._running else Clamps(0, 0)
 
     @property
-    def asked_start(self) -> State:
-        """The state given at construction or at the last reset, before it was moved within the limits."""
-        return self._given
-
-    @property
     def samples_ahead(self) -> int:
         """Number of samples before its time at which `step` needs a displacement; 0 without `preview`."""
-        return self._lookahead.ahead
+        return self._preview[1]
 
     @cached_property
     def reach(self) -> tuple[float, float]:
@@ -352,9 +355,12 @@ class Compensator:
         Raise `ModelError` if it does not fit the actuator.
         """
         if state is not None:
-            self._start, self._given = state_within_limits(self.actuator, state, self.limits), state
+            keep(self, _start=state_within_limits(self.actuator, state, self.limits), initial_state=state)
         self.__dict__.pop("_loop", None)
-        self.__dict__.pop("_offers", None)
+
+    def clone(self, units: str | None = None) -> Compensator:
+        """Return another compensator like this one, as it was when made or last reset, perhaps with other `units`."""
+        return Compensator(**self._options() | ({} if units is None else {"units": units}))
 
     def snapshot(self) -> Snapshot:
         """Return the loop's whole memory, to be saved; `restore` continues from it bit for bit."""
@@ -365,7 +371,10 @@ class Compensator:
 
         Raise `ModelError` if it is of another actuator, period or preview, or damaged: the loop is as before then.
         """
-        resume(self._loop, self.actuator, self._limits, self._key, snapshot)
+        if not isinstance(snapshot, Snapshot):
+            got = type(snapshot).__name__
+            raise ModelError(argument="snapshot", got=got, need="a Snapshot", hint="Snapshot.load reads a file")
+        snapshot.resume(self._loop, self.actuator, self.bounds, self._key)
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """Return a python-control block: displacement wanted [m] in, voltage [V] out, from the present memory on.
@@ -383,23 +392,9 @@ class Compensator:
         control.NonlinearIOSystem
             In discrete time, of `period`; without one, of an unspecified period.
         """
-        loop, now = self._new_loop(), self.snapshot()
-        loop.begin(*self.actuator.model.core_state(now.state))
-        loop.go_on(now.rest, *now.counts)
-        return compensator_block(loop, labels(self.actuator.model, self._lookahead.taps.size), self.period, name)
-
-    def afresh(self, units: str | None = None) -> Compensator:
-        """Return another compensator like this one, as it was when made or last reset, perhaps with other `units`."""
-        return Compensator(
-            self.actuator,
-            self.limits,
-            self.slew_rate,
-            period=self.period,
-            state=self._given,
-            preview=self.preview,
-            units=self.units if units is None else units,
-            warns=self._warns,
-        )
+        loop = self._new_loop()
+        set_memory(loop, *memory_of(self._loop))
+        return compensator_block(loop, labels(self.actuator.model, self._preview[0].size), self.period, name)
 
     def tables(self) -> dict[str, Array]:
         """Return all numbers that a step reads, as computed by the core; names as in `core/dehyst.h`."""
@@ -435,19 +430,6 @@ class Compensator:
         """Return the state of the construction or the last reset, in the core's numbers."""
         return self.actuator.model.core_state(self._start)
 
-    def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
-        sentence = stray_sentence(self.actuator, self._limits, displacement, load)
-        if not sentence or not self._scaled:
-            return sentence
-        return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
-
-    def _metres(self, displacement: object) -> float:
-        return number(displacement, "displacement", self._units) / self._per_metre
-
-    def _present(self, state: State | None) -> float:
-        """Return the voltage [V] before a path that begins in a state, by default the present one."""
-        return self.voltage if state is None else self._limits.nearest(self.actuator.voltage(state))
-
     @property
     def _running(self) -> bool:
         return "_loop" in self.__dict__
@@ -457,44 +439,33 @@ class Compensator:
         return key_of(self.actuator, self.period, self.preview)
 
     @cached_property
-    def _lookahead(self) -> Preview:
-        return Preview.of(self.actuator, self.period) if self.preview and self.period else Preview.none()
+    def _preview(self) -> tuple[Array, int]:
+        """Taps of the preview filter, and the samples that it looks ahead."""
+        return preview_filter(self.actuator, self.period) if self.preview and self.period else (np.ones(1), 0)
 
     @cached_property
     def _loop(self) -> Loop:
         """The loop in C, made when it is first needed: a trajectory needs none."""
         return self._new_loop()
 
-    @cached_property
-    def _offers(self) -> Loop | _LoopInUnits:
-        """The loop as it takes displacements: in metres the one in C itself, which costs nothing."""
-        return _LoopInUnits(self._loop, self._metres) if self._scaled else self._loop
-
     def _new_loop(self) -> Loop:
-        taps, start = self._lookahead.taps, self.start()
-        return make_loop(self.actuator, self._limits, self.period, taps, start, warns=self._warns)
+        return make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
 
 
-class _LoopInUnits:
-    """A loop that takes displacements in another unit than metres; `metres` converts one."""
-
-    def __init__(self, loop: Loop, metres: Callable[[object], float]) -> None:
-        self._loop, self._metres = loop, metres
-
-    def step(self, displacement: float) -> float:
-        """Step as the loop does."""
-        return self._loop.step(self._metres(displacement))
-
-    def offer(self, displacement: float) -> float:
-        """Offer as the loop does."""
-        return self._loop.offer(self._metres(displacement))
+def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
+    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none, or they are no interval."""
+    chosen = actuator.limits if limits is None else limits
+    if chosen is None:
+        raise ModelError(
+            "no voltage limits: the actuator has none and none were given",
+            hint="give limits (low, high)",
+            change=("limits",),
+        )
+    return interval(chosen)
 
 
-def _rebuilt(options: tuple[Any, ...], memory: Snapshot | None) -> Compensator:
-    actuator, limits, slew_rate, period, state, preview, units, warns = options
-    compensator = Compensator(
-        actuator, limits, slew_rate, period=period, state=state, preview=preview, units=units, warns=warns
-    )
+def _rebuilt(options: dict[str, Any], memory: Snapshot | None) -> Compensator:
+    compensator = Compensator(**options)
     if memory is not None:
         compensator.restore(memory)
     return compensator
@@ -504,10 +475,3 @@ def _refusal(displacement: float) -> ModelError:
     return ModelError(
         argument="displacement", got=repr(displacement), need="a finite number of metres that the model can follow"
     )
-
-
-def _positive(period: float) -> float:
-    seconds = number(period, "period")
-    if seconds <= 0:
-        raise ModelError(argument="period", got=period, need="a positive number of seconds")
-    return seconds

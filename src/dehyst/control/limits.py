@@ -171,14 +171,24 @@ class Clamps(NamedTuple):
 
 
 def warn_of_sample(
-    actuator: Actuator, limits: VoltageLimits, slewed: bool, displacement: float, voltage: float
+    actuator: Actuator,
+    limits: VoltageLimits,
+    slewed: bool,
+    displacement: float,
+    voltage: float,
+    *,
+    axis: str = "",
+    target: float | None = None,
 ) -> None:
-    """Warn the caller of `Compensator.step` or `offer` that the voltage [V] of a displacement [m] is clamped."""
+    """Warn the caller of a step or an offer that the voltage [V] of a displacement [m] is clamped.
+
+    Of several axes: that of an `axis`, for which its actuator alone would move to a `target` [m].
+    """
+    head = f"axis {axis}: " if axis else ""
     reason = "the slew rate allows no more" if slewed else "that is a limit"
-    reason += _after_stop(stray_sentence(actuator, limits, np.array([displacement])))
-    warnings.warn(
-        f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}", ClampWarning, _caller()
-    )
+    reason += _after_stop(stray_sentence(actuator, limits, np.array([displacement if target is None else target])))
+    words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
+    warnings.warn(words, ClampWarning, _caller())
 
 
 def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,27 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
-from dehyst._validation import interval, vector
+from dehyst._validation import interval, keep, vector
 from dehyst.control.compensator import Compensator
-from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence
-from dehyst.control.loop import Snapshot
+from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
+from dehyst.control.loop import ReadOnly, Snapshot
 from dehyst.control.trajectory import Command
-from dehyst.model import Actuator, Stage, StageTrace, State
-from dehyst.model.stage import Limits, SlewRates, apply, dot, reachable
+from dehyst.model import Stage, State
+from dehyst.model.stage import apply, dot, reachable
+from dehyst.model.states import state_after_loops
 
 # Passes over the path in which clamped axes correct the free ones.
 _PASSES = 12
 # Of the stroke: changes that are rounding.
 _SETTLED = 1e-12
-# Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
-NEAR = 0.01
-# After so many loops every element repeats; and so many of the longest times of creep are a rest.
-_LOOPS, _REST = 30, 1e9
 
 
-class StageCompensator:
+class StageCompensator(ReadOnly):
     """Inverse control of a stage: ``w = coupling^-1 y``, then a `Compensator` for each axis.
 
     A clamped axis does not falsify the others. If the voltage of axis k is clamped, the displacement w_k that its
@@ -52,95 +47,82 @@ class StageCompensator:
     states : sequence of State, optional
         State of each actuator; default: its own, or if the limits do not reach it, that after major loops between them.
 
+    Attributes
+    ----------
+    stage, period, limits, slew_rate
+        As given, the last two as tuples with an entry an axis.
+    compensators : tuple of Compensator
+        Of each actuator.
+    clamped : tuple of bool
+        Which axes were clamped in the last step or offer.
+
     Raises
     ------
     ModelError
         As `Compensator`, the axis named, or if a list has another length than there are axes.
     """
 
+    stage: Stage
+    compensators: tuple[Compensator, ...]
+    period: float | None
+    limits: tuple[tuple[float, float], ...]
+    slew_rate: tuple[float | None, ...]
+    clamped: tuple[bool, ...]
+
     def __init__(
         self,
         stage: Stage,
         *,
         period: float | None = None,
-        limits: Limits = None,
-        slew_rate: SlewRates = None,
+        limits: Sequence[tuple[float, float] | None] | None = None,
+        slew_rate: Sequence[float | None] | None = None,
         states: Sequence[State | None] | None = None,
     ) -> None:
         if not isinstance(stage, Stage):
             raise ModelError(f"stage: got {type(stage).__name__}, need a Stage")
-        self._stage = stage
-        count = len(stage.actuators)
-        parts = zip(
-            stage.actuators,
-            stage.axes,
-            _each(limits, count, "limits"),
-            _each(slew_rate, count, "slew_rate"),
-            _each(states, count, "states"),
-            strict=True,
-        )
-        self._axes = tuple(
-            _axis_compensator(actuator, axis, bounds, slew, period, state)
-            for actuator, axis, bounds, slew, state in parts
-        )
-        self._table: list[list[float]] = stage.decoupling.tolist()
-        self._clamped = (False,) * count
+        given = {"limits": limits, "slew_rate": slew_rate, "states": states}
+        columns = [for_each(values, len(stage.axes), what) for what, values in given.items()]
+        made = []
+        for axis, actuator, bounds, slew, start in zip(stage.axes, stage.actuators, *columns, strict=True):
+            allowed, state = actuator.limits if bounds is None else bounds, start
+            try:
+                if start is None and allowed is not None:
+                    state = state_after_loops(actuator, actuator.state, interval(allowed))
+                # The stage warns, of the displacement that is wanted of the axis.
+                made.append(Compensator(actuator, bounds, slew, period=period, state=state, warns=False))
+            except ModelError as error:
+                raise ModelError(f"axis {axis}: {error}") from error
+        keep(self, stage=stage, compensators=tuple(made), period=made[0].period)
+        keep(self, limits=tuple(one.limits for one in made), slew_rate=tuple(one.slew_rate for one in made))
+        keep(self, clamped=(False,) * len(made), _table=stage.decoupling.tolist())
+
+    _table: list[list[float]]
 
     def __repr__(self) -> str:
         counts = ", ".join(
-            f"{name}: {sum(one.clamps)} clamped" for name, one in zip(self.stage.axes, self._axes, strict=True)
+            f"{name}: {sum(clamps)} clamped" for name, clamps in zip(self.stage.axes, self.clamps, strict=True)
         )
         return f"<StageCompensator of '{self.stage.name}', {counts}>"
 
     @property
-    def stage(self) -> Stage:
-        """The model of the stage."""
-        return self._stage
-
-    @property
-    def compensators(self) -> tuple[Compensator, ...]:
-        """The compensator of each actuator."""
-        return self._axes
-
-    @property
-    def period(self) -> float | None:
-        """Seconds between steps."""
-        return self._axes[0].period
-
-    @property
-    def limits(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest voltage [V] of each axis."""
-        return tuple(one.limits for one in self._axes)
-
-    @property
-    def slew_rate(self) -> tuple[float | None, ...]:
-        """Largest abs(dv/dt) [V/s] of each axis."""
-        return tuple(one.slew_rate for one in self._axes)
-
-    @property
     def voltage(self) -> Array:
         """The last voltages sent (axes,) [V]."""
-        return np.array([one.voltage for one in self._axes])
+        return np.array([one.voltage for one in self.compensators])
 
     @property
     def states(self) -> tuple[State, ...]:
         """State of each actuator after all voltages sent."""
-        return tuple(one.state for one in self._axes)
+        return tuple(one.state for one in self.compensators)
 
     @property
     def clamps(self) -> tuple[Clamps, ...]:
         """Numbers of samples clamped so far, of each axis."""
-        return tuple(one.clamps for one in self._axes)
-
-    @property
-    def clamped(self) -> tuple[bool, ...]:
-        """Which axes were clamped in the last step or offer."""
-        return self._clamped
+        return tuple(one.clamps for one in self.compensators)
 
     @property
     def displacement(self) -> Array:
         """Displacement (axes,) [m] of the model after all voltages sent; without the delay of a mass."""
-        moved = np.array([[one.state.displacement for one in self._axes]])
+        moved = np.array([[state.displacement for state in self.states]])
         return np.asarray(apply(self.stage.coupling, moved)[0])
 
     def step(self, displacement: ArrayLike) -> Array:
@@ -150,7 +132,7 @@ class StageCompensator:
         `Compensator.step`, with the axis and the displacement that is wanted of it.
         """
         voltage = self._offered(displacement)
-        for one, value in zip(self._axes, voltage, strict=True):
+        for one, value in zip(self.compensators, voltage, strict=True):
             one.commit(value)
         return np.array(voltage)
 
@@ -160,13 +142,8 @@ class StageCompensator:
         Raises and warns as `step`; after an error the memory is unchanged.
         """
         wanted = self.stage.columns(displacement, "displacement", "m")
-        voltage = np.empty_like(wanted)
         with self._unchanged_by_errors():
-            for k, row in enumerate(wanted):
-                voltage[k] = self._offered(row)
-                for one, value in zip(self._axes, voltage[k].tolist(), strict=True):
-                    one.commit(value)
-        return voltage
+            return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
     def offer(self, displacement: ArrayLike) -> Array:
         """Return the voltages (axes,) [V] for a `displacement` (axes,) [m], not committed.
@@ -182,7 +159,7 @@ class StageCompensator:
         open_axes = [*range(len(wanted))]
         while open_axes:
             for j in open_axes:
-                voltage[j], reached = self._axes[j].offer_and_reach(targets[j])
+                voltage[j], reached = self.compensators[j].offer_and_reach(targets[j])
                 if reached is not None:
                     known[j] = reached
             before, open_axes = open_axes, [j for j in open_axes if j not in known]
@@ -190,26 +167,14 @@ class StageCompensator:
                 break
             corrected = reachable(self._table, wanted, known)
             targets = [dot(row, corrected) for row in self._table]
-        self._clamped = tuple(j in known for j in range(len(wanted)))
+        keep(self, clamped=tuple(j in known for j in range(len(wanted))))
         for j in known:
-            self._warn(j, wanted[j], voltage[j], alone[j])
+            one, name = self.compensators[j], self.stage.axes[j]
+            slewed = one.limits[0] < voltage[j] < one.limits[1]
+            # Once of each kind.
+            if not (one.clamps.slewed if slewed else one.clamps.limited):
+                warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], axis=name, target=alone[j])
         return voltage
-
-    def _warn(self, j: int, wanted: float, voltage: float, target: float) -> None:
-        """Warn the caller of `step` or `offer` that the voltage of axis `j` is clamped, once of each kind."""
-        one = self._axes[j]
-        limits = VoltageLimits(*one.limits, one.slew_rate)
-        slewed = limits.low < voltage < limits.high
-        if one.clamps.slewed if slewed else one.clamps.limited:
-            return
-        reason = "the slew rate allows no more" if slewed else "that is a limit"
-        stray = stray_sentence(one.actuator, limits, np.array([target]))
-        warnings.warn(
-            f"CLAMPED: axis {self.stage.axes[j]}: {wanted * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
-            + (f". {stray}" if stray else ""),
-            ClampWarning,
-            4,
-        )
 
     def commit(self, voltage: ArrayLike) -> None:
         """Commit `voltage` (axes,) [V] as sent: the one on offer, or another to which a converter has rounded it.
@@ -218,47 +183,43 @@ class StageCompensator:
         """
         values = self._values(voltage, "voltage")
         with self._unchanged_by_errors():
-            for one, value in zip(self._axes, values, strict=True):
+            for one, value in zip(self.compensators, values, strict=True):
                 one.commit(value)
 
     def hold(self) -> None:
         """Commit a period in which nothing was sent."""
-        for one in self._axes:
+        for one in self.compensators:
             one.hold()
 
-    def afresh(self) -> StageCompensator:
+    def clone(self) -> StageCompensator:
         """Return another compensator like this one, as it was when made or last reset."""
-        return StageCompensator(
-            self.stage,
-            period=self.period,
-            limits=self.limits,
-            slew_rate=self.slew_rate,
-            states=[one.asked_start for one in self._axes],
-        )
+        options: dict[str, Any] = {name: getattr(self, name) for name in ("period", "limits", "slew_rate")}
+        return StageCompensator(self.stage, **options, states=[one.initial_state for one in self.compensators])
 
     def reset(self, states: Sequence[State | None] | None = None) -> None:
         """Start again in `states`, by default those of the construction; counts restart at 0.
 
         Raise `ModelError` if one does not fit: the memory is unchanged.
         """
-        given = _each(states, len(self._axes), "states")
+        given = for_each(states, len(self.compensators), "states")
         with self._unchanged_by_errors():
-            for one, state in zip(self._axes, given, strict=True):
+            for one, state in zip(self.compensators, given, strict=True):
                 one.reset(state)
 
     def snapshot(self) -> tuple[Snapshot, ...]:
         """Return the whole memory, a snapshot an axis."""
-        return tuple(one.snapshot() for one in self._axes)
+        return tuple(one.snapshot() for one in self.compensators)
 
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
         """Continue from `snapshots`, one an axis.
 
         Raise `ModelError` as `Compensator.restore`, or if it is another number: the memory is unchanged.
         """
-        if len(snapshots) != len(self._axes):
-            raise ModelError(f"snapshots: got {len(snapshots)}, need {len(self._axes)}, one an axis")
+        count = len(self.compensators)
+        if len(snapshots) != count:
+            raise ModelError(f"snapshots: got {len(snapshots)}, need {count}, one an axis")
         with self._unchanged_by_errors():
-            for one, snapshot in zip(self._axes, snapshots, strict=True):
+            for one, snapshot in zip(self.compensators, snapshots, strict=True):
                 one.restore(snapshot)
 
     @contextmanager
@@ -268,7 +229,7 @@ class StageCompensator:
         try:
             yield
         except (ModelError, ClampWarning):
-            for one, snapshot in zip(self._axes, before, strict=True):
+            for one, snapshot in zip(self.compensators, before, strict=True):
                 one.restore(snapshot)
             raise
 
@@ -279,7 +240,7 @@ class StageCompensator:
         time: ArrayLike | None = None,
         present: ArrayLike | None = None,
         extrapolate: bool = False,
-    ) -> StageTrace:
+    ) -> tuple[Command, ...]:
         """Compute the voltages of a whole path, known ahead; the loop's memory is unchanged.
 
         Each voltage is clamped, the free axes are corrected, and the states follow the voltages that are really sent.
@@ -295,6 +256,12 @@ class StageCompensator:
         extrapolate : bool, optional
             As in `Compensator.trajectory`.
 
+        Returns
+        -------
+        tuple of Command
+            One an axis: its displacement is that of the axis, with all coupling, `state` that of its actuator, and
+            `followed` whether all axes follow.
+
         Raises
         ------
         ModelError
@@ -303,31 +270,35 @@ class StageCompensator:
         wanted = self.stage.columns(displacement, "displacement", "m")
         if not len(wanted):
             raise ModelError(argument="displacement", got="no samples", need="one at least")
-        count = len(self._axes)
-        before = [None] * count if present is None else self._values(present, "present")
-        commands: list[Command] = []
+        axes = range(len(self.compensators))
+        before = [None] * len(axes) if present is None else self._values(present, "present")
 
-        def command(j: int) -> Command:
-            # After the first pass the targets are in the neighbourhood of those that were checked.
-            stray = extrapolate or len(commands) == count
+        def command(j: int, target: Array, stray: bool) -> Command:
             try:
-                return self._axes[j].trajectory(targets[:, j], time=time, present=before[j], extrapolate=stray)
+                return self.compensators[j].trajectory(target, time=time, present=before[j], extrapolate=stray)
             except ModelError as error:
                 raise ModelError(f"axis {self.stage.axes[j]}: {error}") from error
 
         targets = apply(self.stage.decoupling, wanted)
-        commands.extend(command(j) for j in range(count))
+        commands = [command(j, targets[:, j], extrapolate) for j in axes]
         clamped = np.column_stack([one.clamped for one in commands])
         settled = _SETTLED * max(float(np.ptp(wanted)), np.finfo(np.float64).tiny)
-        for _ in range(_PASSES if clamped.any() and count > 1 else 0):
+        for _ in range(_PASSES if clamped.any() and len(axes) > 1 else 0):
             reached = np.column_stack([one.displacement for one in commands])
             corrected = self._corrected(targets, wanted, reached, clamped)
             if np.abs(corrected - targets).max() <= settled:
                 break
             changed, targets = (corrected != targets).any(axis=0), corrected
-            commands = [command(j) if changed[j] else commands[j] for j in range(count)]
+            # These targets are in the neighbourhood of those that were checked.
+            commands = [command(j, targets[:, j], True) if changed[j] else commands[j] for j in axes]
             clamped |= np.column_stack([one.clamped for one in commands])
-        return self._trace(wanted, commands)
+        exact = all(one.followed for one in commands)
+        moved = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
+        reached = wanted if exact else moved
+        missed = np.abs(wanted - reached).max(axis=0, initial=0.0)
+        return tuple(
+            replace(commands[j], displacement=reached[:, j], missed=float(missed[j]), followed=exact) for j in axes
+        )
 
     def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
         """Return targets with which the axes that are free reach what is wanted of them."""
@@ -340,71 +311,22 @@ class StageCompensator:
                     corrected[i, j] = dot(row, moved)
         return corrected
 
-    def _trace(self, wanted: Array, commands: Sequence[Command]) -> StageTrace:
-        reached = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
-        exact = all(one.followed for one in commands)
-        return StageTrace(
-            voltage=np.column_stack([one.voltage for one in commands]),
-            displacement=wanted if exact else reached,
-            states=tuple(one.state for one in commands),
-            clamped=np.column_stack([one.clamped for one in commands]),
-            missed=np.zeros(len(commands)) if exact else np.abs(wanted - reached).max(axis=0, initial=0.0),
-            remarks=tuple(one.warnings for one in commands),
-            followed=exact,
-        )
-
     def _values(self, values: ArrayLike, what: str) -> list[float]:
-        numbers = vector(values, what)
-        if numbers.size != len(self._axes):
-            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{len(self._axes)}, one an axis")
+        numbers, count = vector(values, what), len(self.compensators)
+        if numbers.size != count:
+            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one an axis")
         return list(numbers.tolist())
 
 
-def _each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
+def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:
+    """Return the compensator of each axis."""
+    return (compensator,) if isinstance(compensator, Compensator) else compensator.compensators
+
+
+def for_each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
+    """Return what is given for each axis, None for all by default; raise `ModelError` if it is another number."""
     if values is None:
         return [None] * count
     if isinstance(values, int | float | str) or len(values) != count:
         raise ModelError(argument=what, got=repr(values), need=f"{count} entries, one for each axis")
     return values
-
-
-def _axis_compensator(
-    actuator: Actuator,
-    axis: str,
-    bounds: tuple[float, float] | None,
-    slew_rate: float | None,
-    period: float | None,
-    state: State | None,
-) -> Compensator:
-    allowed = actuator.limits if bounds is None else bounds
-    try:
-        if state is None and allowed is not None:
-            state = start_within(actuator, actuator.state, interval(allowed))
-        # The stage warns, of the displacement that is wanted of the axis.
-        return Compensator(actuator, bounds, slew_rate, period=period, state=state, warns=False)
-    except ModelError as error:
-        raise ModelError(f"axis {axis}: {error}") from error
-
-
-def start_within(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
-    """Return a state, or if its voltage lies outside the limits [V], the state after major loops between them.
-
-    The loops end at the limit next to the state. Of a state beyond the limits, the elements have slid farther than any
-    voltage between them makes them slide: no play within the limits leads to it.
-    """
-    low, high = limits
-    held, near = actuator.voltage(state), NEAR * (high - low)
-    if low - near <= held <= high + near:
-        return state
-    return looped(actuator, limits, rising=held > high)
-
-
-def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
-    """Return the state after slow major loops between limits [V], at the upper one if `rising`, creep at rest."""
-    slow = actuator.quasistatic()
-    voltage = np.tile(limits if rising else limits[::-1], _LOOPS)
-    rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
-    time = np.arange(voltage.size) * rest if slow.needs_time else None
-    reached = slow.simulate(voltage, time=time, extrapolate=True).state
-    # The state of a slow motion has none of a mass.
-    return actuator.model.complete_state(replace(reached, motion=EMPTY))

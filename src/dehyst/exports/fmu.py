@@ -96,7 +96,7 @@ def export_fmu(
     demand_alike(path)
     if kind == "actuator":
         # The same actuator in the same state, for any voltage.
-        state = compensator.asked_start
+        state = compensator.initial_state
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
     description = Description.of(compensator, version, kind)
     sources = _sources(compensator, version)

@@ -89,7 +89,7 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
     """
 
     def new() -> Loop:
-        return compensator.afresh("m") if isinstance(compensator, Compensator) else compensator.afresh()
+        return compensator.clone("m") if isinstance(compensator, Compensator) else compensator.clone()
 
     loop, body = new(), new()
     axes = axes_of(loop)

@@ -11,8 +11,8 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control import Compensator
-from dehyst.control.stage_compensator import NEAR, looped
 from dehyst.model import Actuator, State
+from dehyst.model.states import NEAR, looped
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
@@ -51,8 +51,8 @@ class ExportedStart(NamedTuple):
     @classmethod
     def of(cls, compensator: Compensator) -> ExportedStart:
         """Return the start of a loop like this one, as it was made or last reset."""
-        loop, actuator = compensator.afresh(), compensator.actuator
-        state, (low, high), asked = loop.state, loop.limits, loop.asked_start
+        loop, actuator = compensator.clone(), compensator.actuator
+        state, (low, high), asked = loop.state, loop.limits, loop.initial_state
         place = float(state.motion[0]) if state.motion.size else state.displacement
         # A little beyond the limits, the requested state has the same way.
         near = abs(actuator.voltage(asked) - loop.voltage) <= NEAR * (high - low)

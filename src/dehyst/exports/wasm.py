@@ -72,7 +72,7 @@ def wasm_module(compensator: Compensator) -> bytes:
 def _about(compensator: Compensator) -> dict[str, object]:
     """Return what the wrapper says about the model."""
     actuator, start = compensator.actuator, ExportedStart.of(compensator)
-    metres = compensator.afresh("m")
+    metres = compensator.clone("m")
     return {
         "format": "dehyst-wasm",
         "version": __version__,

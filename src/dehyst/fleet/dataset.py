@@ -7,6 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,22 +111,15 @@ class Dataset:
 def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
     """Return the index of a Parquet file, a Zarr store or a folder of files.
 
-    Parameters
-    ----------
-    path : path
-        A Parquet file: each row group is one record. A Zarr store: each group with arrays is one. A folder: each file
-        that `dehyst.read` opens is one, and each row group of its Parquet files.
-    by : sequence of str
-        Names of the keys. In Parquet they are columns, constant within a row group; in Zarr attributes of the group or
-        the parts of its path; in a folder the sub-folders and the file's name, or parts of the name between "_".
-        Default: one key, "record".
+    `path`: a Parquet file, each row group of which is one record; a Zarr store, each group with arrays; a folder, each
+    file that `dehyst.read` opens, and each row group of its Parquet files.
 
-    Raises
-    ------
-    FileFormatError
-        No such dataset, no record in it, or keys that it does not have.
-    MissingExtraError
-        If pyarrow or zarr is not installed.
+    `by`: names of the keys. In Parquet they are columns, constant within a row group; in Zarr attributes of the group
+    or the parts of its path; in a folder the sub-folders and the file's name, or parts of the name between "_".
+    Default: one key, "record".
+
+    Raise `FileFormatError` if there is no such dataset, no record in it, or it does not have the keys;
+    `MissingExtraError` if pyarrow or zarr is not installed.
     """
     target, wanted = named(path).absolute(), tuple(by)
     if len(set(wanted)) < len(wanted) or not all(wanted):
@@ -139,19 +133,14 @@ def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
         found = list(places)
     if not found:
         raise FileFormatError(f"{path}: holds no record; need Parquet row groups, Zarr groups or files of records")
-    tasks = tuple(
-        Task(k, {name: text_of(value) for name, value in keys.items()}, place, _within(target, place))
-        for k, (keys, place) in enumerate(found)
-    )
+    tasks = []
+    for k, (keys, place) in enumerate(found):
+        file = Path(place.path)
+        relative = text_of(file.name if file == target else file.relative_to(target).as_posix())
+        within = f"{relative}[{text_of(place.part)}]" if place.part else relative
+        tasks.append(Task(k, {name: text_of(value) for name, value in keys.items()}, place, within))
     text = json.dumps([target.name, kind, wanted])
-    return Dataset(target, wanted or (RECORD,), tasks, hashlib.sha256(text.encode()).hexdigest())
-
-
-def _within(target: Path, place: Place) -> str:
-    """Return a place within a dataset, as text."""
-    path = Path(place.path)
-    relative = text_of(path.name if path == target else path.relative_to(target).as_posix())
-    return f"{relative}[{text_of(place.part)}]" if place.part else relative
+    return Dataset(target, wanted or (RECORD,), tuple(tasks), hashlib.sha256(text.encode()).hexdigest())
 
 
 def text_of(value: Any) -> Any:
@@ -193,7 +182,7 @@ def _row_groups(path: Path, by: tuple[str, ...]) -> _Found:
 
 
 def _constant(file: Any, group: int, name: str, column: int) -> Any:
-    """Return the one value of a key column in a row group."""
+    """Return the one value of a key column in a row group, as a JSON value."""
     statistics = file.metadata.row_group(group).column(column).statistics
     if statistics is not None and statistics.has_min_max and not statistics.null_count:
         values = {statistics.min, statistics.max}
@@ -205,11 +194,10 @@ def _constant(file: Any, group: int, name: str, column: int) -> Any:
             f"row group {group}: column '{name}' has the values {shown}, need one; write each record as a row group of "
             "its own"
         )
-    return _plain_key(values.pop())
+    return _json_value(values.pop())
 
 
-def _plain_key(value: Any) -> Any:
-    """Return a key as a JSON value: text, number or truth."""
+def _json_value(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.decode(errors="surrogateescape")
     return value if isinstance(value, str | int | float | bool) else str(value)
@@ -235,18 +223,15 @@ def _files(folder: Path, by: tuple[str, ...]) -> _Found:
         hidden = any(part.startswith(".") for part in relative.parts)
         if hidden or path.suffix.lower() not in LOADERS or path.is_dir():
             continue
-        if path.suffix.lower() == ".parquet" and by and _has_columns(path, by):
+        columns: set[str] = set()
+        if path.suffix.lower() == ".parquet" and by:
+            with suppress(OSError, ValueError):
+                columns = set(arrow().parquet.read_schema(path).names)
+        if by and columns.issuperset(by):
             yield from _row_groups(path, by)
             continue
         parts = (*relative.parent.parts, relative.stem)
         yield _keys_of(parts, by, relative.with_suffix("").as_posix(), {}), Place("file", str(path))
-
-
-def _has_columns(path: Path, names: tuple[str, ...]) -> bool:
-    try:
-        return set(names) <= set(arrow().parquet.read_schema(path).names)
-    except (OSError, ValueError):
-        return False
 
 
 def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -255,7 +240,7 @@ def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes
         return {RECORD: whole}
     pairs = dict(part.split("=", 1) for part in parts if "=" in part) | dict(attributes)
     if all(name in pairs for name in by):
-        return {name: _plain_key(pairs[name]) for name in by}
+        return {name: _json_value(pairs[name]) for name in by}
     pieces = parts if len(parts) == len(by) else (*parts[:-1], *parts[-1].split("_")) if parts else ()
     if len(pieces) != len(by):
         raise FileFormatError(
@@ -281,7 +266,13 @@ class Reader:
         path = Path(place.path)
         with reading_errors(path, place.kind):
             if place.kind == "file":
-                _demand_file(path)
+                # What cannot be read to its end, or at all.
+                if path.is_symlink() and not path.exists():
+                    raise FileFormatError(f"{path}: is a link to nowhere ({path.readlink()}); mend or remove it")
+                if path.exists() and not path.is_file():
+                    raise FileFormatError(
+                        f"{path}: is no file of records (a pipe or a device); remove it from the dataset"
+                    )
                 return replace(read(place.path, **self._columns), name=task.name)
             columns = self._row_group(place) if place.kind == "parquet" else self._group(place)
             names = {name: value for name, value in self._columns.items() if name in Choice._fields}
@@ -321,14 +312,6 @@ class Reader:
         if not columns:
             raise FileFormatError(f"{place.path}[{place.part}]: holds no array of numbers")
         return columns
-
-
-def _demand_file(path: Path) -> None:
-    """Refuse what cannot be read to its end, as a pipe, or at all."""
-    if path.is_symlink() and not path.exists():
-        raise FileFormatError(f"{path}: is a link to nowhere ({path.readlink()}); mend or remove it")
-    if path.exists() and not path.is_file():
-        raise FileFormatError(f"{path}: is no file of records (a pipe or a device); remove it from the dataset")
 
 
 def sha256_of(record: Record) -> str:

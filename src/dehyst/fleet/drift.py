@@ -33,26 +33,15 @@ _DIGITS = re.compile(r"([0-9]+)")
 
 @dataclass(frozen=True, eq=False)
 class Ageing:
-    """One serial over its sessions.
+    """One serial over its `sessions` with a model, the oldest first.
 
-    Attributes
-    ----------
-    serial : str or number
-    sessions : tuple
-        Those with a model, the oldest first.
-    costs : (n - 1,) array
-        Largest difference [% of the stroke] between the oldest model and each later one, on the same path.
-    signed : (n - 1,) array
-        Change of the stroke of that path [%].
-    chart : ControlChart
-        Averages (EWMA) and cumulative sums (CUSUM) of the costs in excess of what is usual in the fleet.
-    goal : float
-        [% of the stroke].
-    usual : float
-        Largest cost [% of the stroke] that is still usual in the fleet: three deviations above the median.
-    own : float
-        What the oldest and the last model are expected to miss, together [% of the stroke]: two models of one actuator
-        may differ by so much.
+    `costs` (n - 1,): largest difference [% of the stroke] between the oldest model and each later one, on the same
+    path. `signed` (n - 1,): change of the stroke of that path [%]. `chart`: averages (EWMA) and cumulative sums (CUSUM)
+    of the costs in excess of what is usual in the fleet.
+
+    `goal` [% of the stroke]. `usual`: largest cost [% of the stroke] that is still usual in the fleet, three deviations
+    above the median. `own`: what the oldest and the last model are expected to miss, together [% of the stroke]: two
+    models of one actuator may differ by so much.
     """
 
     serial: Any
@@ -154,21 +143,12 @@ class Drifts:
 def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts:
     """Compare the models of each serial over its sessions.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    by, over : str
-        Columns: what is one actuator, and what orders its sessions: numbers by value, else text in natural order. Of
-        several models with the same two values, the last one of the table is that of the session.
-    goal : float
-        Cost [% of the stroke] above which a serial is to be recalibrated.
+    `by`, `over`: columns, what is one actuator, and what orders its sessions: numbers by value, else text in natural
+    order. Of several models with the same two values, the last one of the table is that of the session. `goal`: cost [%
+    of the stroke] above which a serial is to be recalibrated.
 
-    Raises
-    ------
-    FileFormatError
-        If the table has no rows or no such columns, or no serial has two sessions with a model.
-    IdentifyError
-        If `by` and `over` are the same, or the goal is no finite number above 0.
+    Raise `FileFormatError` if the table has no rows or no such columns, or no serial has two sessions with a model;
+    `IdentifyError` if `by` and `over` are the same, or the goal is no finite number above 0.
     """
     if not (isfinite(goal) and goal > 0):
         raise IdentifyError(argument="goal", got=f"{goal:g} %", need=f"a finite number above 0, as {GOAL:g}")

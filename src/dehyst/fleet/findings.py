@@ -43,6 +43,11 @@ class ScoredQuantity(NamedTuple):
     least: float = 0.0
     relative: bool = False
 
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name} ({self.unit})"
+
     def values(self, rows: Sequence[Mapping[str, Any]]) -> Array:
         """Return the values (n,) of rows; NaN for rows without one."""
         values = np.array([np.nan if row[self.column] is None else float(row[self.column]) for row in rows])
@@ -101,19 +106,11 @@ class Outlier:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What a table shows.
+    """What the table of a `fleet` shows.
 
-    Attributes
-    ----------
-    fleet : Fleet
-    outliers : tuple of Outlier
-        The farthest first; a record may be there several times.
-    refused : tuple of (reason, names)
-        Records without a model, the most frequent reason first.
-    inaccurate : tuple of str
-        Records whose model misses them.
-    duplicates : tuple of tuple of str
-        Names of records with the same samples.
+    `outliers`: the farthest first; a record may be there several times. `refused`: reasons and names of records without
+    a model, the most frequent reason first. `inaccurate`: records whose model misses them. `duplicates`: names of
+    records with the same samples.
     """
 
     fleet: Fleet
@@ -142,8 +139,8 @@ class Findings:
         """Return a text to read."""
         counts = ", ".join(f"{count} {outcome}" for outcome, count in self.counts.items())
         table = [
-            f"{f'{quantity.name} ({quantity.unit})':32}" + "".join(f"{x:>10.4g}" for x in np.quantile(x, _QUANTILES))
-            for quantity, x in self.distributions().items()
+            f"{quantity.title:32}" + "".join(f"{x:>10.4g}" for x in np.quantile(values, _QUANTILES))
+            for quantity, values in self.distributions().items()
         ]
         head = [f"{'':32}" + "".join(f"{f'{100 * q:g} %':>10}" for q in _QUANTILES)] if table else []
         words: dict[str, list[str]] = defaultdict(list)

@@ -11,19 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.fleet.drift import Drifts
 from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
-from dehyst.report.html import (
-    Axis,
-    Chart,
-    Charts,
-    Row,
-    Series,
-    bullets,
-    document,
-    escape,
-    number,
-    reproduction,
-    table,
-)
+from dehyst.report import html
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
@@ -49,22 +37,22 @@ def write_fleet_page(
         for reason, names in findings.refused
     ]
     parts = [
-        f"<h1>Fleet of {total}</h1>\n<p>{escape(f'{fleet.path.name}: {counts}.')}</p>",
+        f"<h1>Fleet of {total}</h1>\n<p>{html.escape(f'{fleet.path.name}: {counts}.')}</p>",
         "" if drifts is None else _recalibrate(drifts),
         _listed(findings),
         _section("Without a model", "", ("records", "reason", "which"), refused, 3) if refused else "",
-        bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
+        html.bullets("Same samples", [html.escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
         _distributions(findings),
         _map(findings),
-        reproduction(command),
+        html.reproduction(command),
     ]
-    write_atomically(path, document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
+    write_atomically(path, html.document(f"Fleet of {total}: {fleet.path.stem}", [part for part in parts if part]))
 
 
-def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[Row], texts: int) -> str:
+def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[html.Row], texts: int) -> str:
     """Return a heading, a sentence, and the first rows of a table whose first columns are `texts`."""
-    parts = [f"<h2>{title}</h2>", f"<p>{escape(words)}</p>" if words else ""]
-    parts += [table(head, rows[:_MOST], texts)] if rows else []
+    parts = [f"<h2>{title}</h2>", f"<p>{html.escape(words)}</p>" if words else ""]
+    parts += [html.table(head, rows[:_MOST], texts)] if rows else []
     return "\n".join(part for part in parts if part)
 
 
@@ -76,10 +64,10 @@ def _recalibrate(drifts: Drifts) -> str:
         f"{drifts.ends[1]}: keeping the oldest model costs more than {drifts.goal:g} % of the stroke, or the cost is "
         f"out of its limits. It usually costs {drifts.usual:.2g} %."
     )
-    rows = [
-        (*map(str, (one.serial, one.sessions[0], one.sessions[-1])), number(one.costs[-1]), f"{one.signed[-1]:+.2g}")
-        for one in due
-    ]
+    rows = []
+    for one in due:
+        first, *_, last = map(str, one.sessions)
+        rows.append((str(one.serial), first, last, html.number(one.costs[-1]), f"{one.signed[-1]:+.2g}"))
     head = ("actuator", "since", "at", "cost, % of the stroke", "change of the stroke, %")
     return _section("To recalibrate", words, head, rows, 3)
 
@@ -88,13 +76,7 @@ def _listed(findings: Findings) -> str:
     if not findings.listed:
         return ""
     rows = [
-        (
-            one.record,
-            f"{one.quantity.name} ({one.quantity.unit})",
-            number(one.value),
-            number(one.median),
-            number(one.score, 2),
-        )
+        (one.record, one.quantity.title, html.number(one.value), html.number(one.median), html.number(one.score, 2))
         for one in findings.outliers
     ]
     rows += [(name, MISSED, "", "", "") for name in findings.inaccurate]
@@ -103,17 +85,17 @@ def _listed(findings: Findings) -> str:
     return _section("To look at", words, ("record", "quantity", "value", "fleet's median", "z"), rows, 2) + more
 
 
-def _distributions(findings: Findings) -> Charts | str:
+def _distributions(findings: Findings) -> html.Charts | str:
     charts = []
     for quantity, values in findings.distributions().items():
         if values.size > 1:
-            series = Series("records", *_histogram(values), "measured")
-            axes = Axis(quantity.name, quantity.unit), Axis("records", "")
-            charts.append(Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
+            series = html.Series("records", *_histogram(values), "measured")
+            axes = html.Axis(quantity.name, quantity.unit), html.Axis("records", "")
+            charts.append(html.Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
     if not charts:
         return ""
     caption = "Records over each quantity; of many records the outermost 0.2 % on either side are in the tables only."
-    return Charts("Distributions", caption, tuple(charts))
+    return html.Charts("Distributions", caption, tuple(charts))
 
 
 def _histogram(values: Array) -> tuple[Array, Array]:
@@ -125,7 +107,7 @@ def _histogram(values: Array) -> tuple[Array, Array]:
     return x, np.concatenate([[0.0], np.repeat(counts.astype(np.float64), 2), [0.0]])
 
 
-def _map(findings: Findings) -> Charts | str:
+def _map(findings: Findings) -> html.Charts | str:
     """Return width and error over the stroke, one dot a record."""
     rows = modelled(findings.fleet)
     if len(rows) < 2:
@@ -140,9 +122,9 @@ def _map(findings: Findings) -> Charts | str:
         y, title = quantity.values(rows), f"{quantity.name} over stroke"
         seen = tuple(name for name in names if name in listed)
         series = (
-            Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
-            Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
+            html.Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
+            html.Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
         )
-        axes = Axis("stroke", "um"), Axis(quantity.name, quantity.unit)
-        charts.append(Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
-    return Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))
+        axes = html.Axis("stroke", "um"), html.Axis(quantity.name, quantity.unit)
+        charts.append(html.Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
+    return html.Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))

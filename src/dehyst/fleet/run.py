@@ -20,7 +20,7 @@ from dehyst.fleet.dataset import STAMP, Dataset, Reader, Task, code_of, digest_o
 from dehyst.fleet.engine import run_tasks
 from dehyst.fleet.prior import shape_of
 from dehyst.fleet.table import COLUMNS, MODEL, PLACE, Fleet, Shards, load, write_table
-from dehyst.fleet.task import FleetOptions, lost_row
+from dehyst.fleet.task import FleetOptions, bare_row
 
 # Seconds between two calls of the progress.
 _OFTEN = 0.2
@@ -44,34 +44,25 @@ def identify_fleet(
 
     Parameters
     ----------
-    dataset : path
-        See `open_dataset`.
+    dataset, by
+        As in `open_dataset`.
     output : path
         The table, .parquet. While it is made, one file a record is kept in a folder beside it, of its name with
         ".parts".
-    by : sequence of str
-        Names of the keys.
     options : FleetOptions, optional
     prior : path, optional
         The table of an identified fleet: records with few or noisy data may take its shape.
-    jobs : int, optional
-        Number of processes of this machine; default: that of the processors.
-    dask : str, optional
-        Address of a Dask scheduler, as "tcp://host:8786", whose workers are taken instead.
+    jobs, dask : int, str, optional
+        Number of processes of this machine, by default that of the processors; or the address of a Dask scheduler, as
+        "tcp://host:8786", whose workers are taken instead.
     time_limit : float, optional
         Seconds a record may take; its worker is then ended and replaced.
     resume : bool
         Go on with a run that did not end, or complete its table: only records that are new or whose samples have
         changed are computed. Rows of records that are gone go.
-    progress : callable, optional
-        Is called with a line of words some times a second.
-    remark : callable, optional
-        Is called with a sentence if records share their keys, or are gone or have changed since the run that is
-        resumed.
-
-    Returns
-    -------
-    Fleet
+    progress, remark : callable, optional
+        Called with a line of words some times a second, and with a sentence if records share their keys, or are gone
+        or have changed since the run that is resumed.
 
     Raises
     ------
@@ -80,10 +71,8 @@ def identify_fleet(
         given; shards or table to resume are of another dataset, other options or another version.
     IdentifyError
         An option is impossible.
-    MissingExtraError
-        A library of the extra `fleet` is not installed.
-    RigError
-        The scheduler is lost.
+    MissingExtraError, RigError
+        A library of the extra `fleet` is not installed; the scheduler is lost.
     """
     target, report = Path(output).absolute(), progress or (lambda _: None)
     _check(dataset, target, jobs, dask, time_limit)
@@ -268,7 +257,7 @@ def _write(output: Path, dataset: Dataset, shards: Shards, options: Mapping[str,
     def rows() -> Iterator[Mapping[str, Any]]:
         nonlocal lost
         for task in dataset.tasks:
-            row = shards.read(task) or lost_row(task, "shard", "its shard is missing or damaged")
+            row = shards.read(task) or bare_row(task, "lost", "shard", "its shard is missing or damaged")
             lost += row["outcome"] == "lost"
             yield row
 

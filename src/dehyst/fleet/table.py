@@ -47,15 +47,8 @@ MARK, _AT_A_TIME = b"dehyst-fleet", 1000
 class Fleet:
     """The table of a fleet.
 
-    Attributes
-    ----------
-    path : Path
-    by : tuple of str
-        Names of the keys.
-    rows : tuple of mapping
-        Columns by name, keys among them, without the models.
-    about : mapping
-        Program, options and digest of the run.
+    `by`: names of the keys. `rows`: columns by name, keys among them, without the models. `about`: program, options and
+    digest of the run.
     """
 
     path: Path
@@ -154,7 +147,7 @@ def write_table(
 ) -> None:
     """Write rows, as shards hold them, to a table: completely or not at all.
 
-    `keys`: values of all rows by name. `folder`: that of the draft, which the next run removes if this one is killed.
+    `keys`: values of all rows by name. `folder`: of the draft, which the next run removes if this one is killed.
     """
     library, remaining, draft = arrow(), iter(rows), io.draft_of(folder / path.name)
     kinds = {name: _kind_of_key(values) for name, values in keys.items()}

@@ -36,31 +36,13 @@ _DEAD = 0.5
 
 @dataclass(frozen=True)
 class FleetOptions:
-    """How every record is identified.
+    """How every record is identified; raise `IdentifyError` if an option is impossible.
 
-    Parameters
-    ----------
-    structure : str
-        "maxwell_slip": slip elements and a spring. "auto": parts selected by cross-validation, as `dehyst.identify`.
-    elements : int, optional
-        Number of slip elements of "maxwell_slip".
-    norm : str
-    drift : bool
-    delay : float, optional
-        Lag of the displacement [s]; default: estimated from each record.
-    time, voltage, displacement, voltage_scale, displacement_scale : str, optional
-        Columns, as in `dehyst.read`.
-    sample_rate : float, optional
-        [Hz], for records without a time.
-    decimal : str, optional
-        "," or ".": the decimal sign of text files, as in `dehyst.read`.
-    prior : mapping, optional
-        A shape of an identified fleet, see `dehyst.fleet.prior`.
+    `structure`: "maxwell_slip", slip elements and a spring, or "auto", parts selected by cross-validation. `elements`:
+    number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`.
 
-    Raises
-    ------
-    IdentifyError
-        If an option is impossible.
+    `time`, `voltage`, `displacement`, `voltage_scale`, `displacement_scale`, `sample_rate` [Hz] and `decimal`: as in
+    `dehyst.read`. `prior`: a shape of an identified fleet, see `dehyst.fleet.prior`.
     """
 
     structure: Literal["maxwell_slip", "auto"] = "maxwell_slip"
@@ -134,7 +116,7 @@ class TaskRunner:
 
     def lose(self, task: Task, detail: str, reason: str) -> dict[str, Any]:
         """Write the row of a record whose worker died or took too long; return its outcome."""
-        self._shards.write(task, lost_row(task, detail, reason))
+        self._shards.write(task, bare_row(task, "lost", detail, reason))
         return {"outcome": "lost"}
 
     @contextmanager
@@ -160,20 +142,16 @@ class TaskRunner:
             timer.cancel()
 
 
-def lost_row(task: Task, detail: str, reason: str) -> dict[str, Any]:
-    """Return the row of a record whose worker died or took too long."""
-    return {**_begun(task), "outcome": "lost", "detail": detail, "reason": reason}
-
-
-def _begun(task: Task) -> dict[str, Any]:
-    """Return what a row holds before the record is read."""
-    return {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
+def bare_row(task: Task, outcome: str = "", detail: str = "", reason: str = "") -> dict[str, Any]:
+    """Return the row of a record without numbers, as of one whose worker died."""
+    known = {"keys": dict(task.keys), "version": __version__, PLACE: task.within}
+    return {**known, "outcome": outcome, "detail": detail, "reason": reason}
 
 
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
     """Return the row of a record, as JSON values; only a missing library or too little memory for anything raises."""
     began, wall = time.process_time(), time.perf_counter()
-    row = _begun(task)
+    row = bare_row(task)
     try:
         row |= _identified(reader.record(task), options, row)
     except MissingExtraError:

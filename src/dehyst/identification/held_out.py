@@ -13,7 +13,7 @@ whose held-out errors are about equal.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
-from dehyst.identification.regression.fold_sums import FoldSums, blocks, first_weights, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import FoldSums, blocks, equally_weighted, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
@@ -38,6 +38,12 @@ _SOON = 0.5
 # The structure with which drift and creep compete, and the branches of creep.
 _STEADY = Structure(elements=20, grades=3, transformer=10, smooth=True)
 _BRANCHES = 4
+# Fewer rows of a size say nothing. Number of different sizes; a cycle of at least this part of the largest is as large.
+_FEWEST, _SIZES, _LARGEST = 20, 20, 0.9
+# Most structures that are compared.
+_COMPARED = 4
+# Random turning points of the path, and its samples from one to the next.
+_TURNS, _LEG = 40, 24
 
 
 class Dropped(NamedTuple):
@@ -48,15 +54,19 @@ class Dropped(NamedTuple):
     within: float
 
 
-def extrapolation_error(frame: TrainingData, structure: Structure) -> float:
-    """Return the error [m] of parts of the time that were not trained on, less a straight line in each record."""
-    parts = _Parts(frame, frame.regression(structure, _ROWS))
-    return _typical([_detrended(*one)[where] for one, where in parts.residuals()])
+def block_error(frame: TrainingData, regression: Regression, *, detrended: bool = False) -> float:
+    """Return the error [m] of parts of the time that were not trained on; `detrended`: less a line in each record.
 
-
-def block_error(frame: TrainingData, regression: Regression) -> float:
-    """Return the error [m] of parts of the time that were not trained on."""
-    return _typical([residual[where] for (_, residual), where in _Parts(frame, regression.thinned(_ROWS)).residuals()])
+    The median RMS error of the parts: one with the only loops of their size says little of the others.
+    """
+    errors = []
+    for time, residual, held_out in _residuals(frame, regression.thinned(_ROWS)):
+        off, line = time - time.mean(), 0.0
+        if detrended:
+            line = residual.mean() + off * float(off @ residual) / max(float(off @ off), 1e-300)
+        if held_out.any():
+            errors.append(rms((residual - line)[held_out]))
+    return float(np.median(errors)) if errors else 0.0
 
 
 def drift_and_creep(frame: TrainingData) -> tuple[bool, bool]:
@@ -82,47 +92,34 @@ def followed_at_once(frame: TrainingData, structure: Structure) -> float:
     return followed if followed > RULES.creep_at_once else 0.0
 
 
-def _typical(parts: list[Array]) -> float:
-    """Return the median RMS error: a part with the only loops of their size says little of the others."""
-    return float(np.median([rms(part) for part in parts if part.size])) if any(map(np.size, parts)) else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """Sixths of the time of all records, two of them held out at a time.
+def _residuals(frame: TrainingData, regression: Regression) -> Iterator[tuple[Array, Array, Mask]]:
+    """Yield time and residual of a record under a model that lacks two sixths of the time, and which those samples are.
 
     Samples beyond the displacements of the rest do not count: there nothing is known.
     """
 
-    frame: TrainingData
-    regression: Regression
-
-    def _part(self, q: int, time: Array) -> NDArray[np.intp]:
-        """Return the part in which each time of a record lies."""
-        first, last = self.frame.training[q].record.time[[0, -1]]
+    def part_of(q: int, time: Array) -> NDArray[np.intp]:
+        first, last = frame.training[q].record.time[[0, -1]]
         return np.asarray(np.clip((_PARTS * (time - first) / (last - first)).astype(np.intp), 0, _PARTS - 1))
 
-    def residuals(self) -> Iterator[tuple[tuple[Array, Array], Mask]]:
-        """Yield time and residual of a record under a model that lacks a group, and which samples were held out."""
-        rows = self.regression.rows
-        part = np.zeros(len(rows), dtype=np.intp)
-        for q in range(len(self.frame.training)):
-            part[rows.record == q] = self._part(q, rows.time[rows.record == q])
-        weights = first_weights(self.regression)
-        for k in range(_PARTS // 2):
-            group = k, k + _PARTS // 2
-            out = np.isin(part, group)
-            fitted = FoldSums(self.regression, weights, folds=2, given=out.astype(np.intp)).without(1)
-            if fitted is None:
-                continue
-            actuator = self.frame.actuator_of(self.regression, fitted)
-            known = self.regression.axis[~out]
-            for q, item in enumerate(self.frame.training):
-                datum, drifting = float(self.regression.datum[q]), q in self.regression.drifting
-                compared = compare(actuator, item, self.frame.stroke, datum=datum, drifting=drifting)
-                time, measured, simulated = _played(actuator, compared)
-                inside = (measured >= known.min()) & (measured <= known.max())
-                yield (time, measured - simulated), np.isin(self._part(q, time), group) & inside
+    rows = regression.rows
+    part = np.zeros(len(rows), dtype=np.intp)
+    for q in range(len(frame.training)):
+        part[rows.record == q] = part_of(q, rows.time[rows.record == q])
+    weights = equally_weighted(regression).inverse_slopes
+    for k in range(_PARTS // 2):
+        group = k, k + _PARTS // 2
+        out = np.isin(part, group)
+        fitted = FoldSums(regression, weights, folds=2, given=out.astype(np.intp)).without(1)
+        if fitted is None:
+            continue
+        actuator, known = frame.actuator_of(regression, fitted), regression.axis[~out]
+        for q, item in enumerate(frame.training):
+            datum, drifting = float(regression.datum[q]), q in regression.drifting
+            compared = compare(actuator, item, frame.stroke, datum=datum, drifting=drifting)
+            time, measured, simulated = _played(actuator, compared)
+            inside = (measured >= known.min()) & (measured <= known.max())
+            yield time, measured - simulated, np.isin(part_of(q, time), group) & inside
 
 
 def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Array, Array]:
@@ -131,17 +128,9 @@ def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Arra
     if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, compared.measured)):
         _, trace = errors_of(actuator, compared, "training")
         return trace.time, trace.measured, trace.simulated
-    time, _, measured, simulated, _ = (
-        np.concatenate(column)
-        for column in zip(*(counted_of(one[2], compared.record.record) for one in last), strict=True)
-    )
+    columns = zip(*(counted_of(played, compared.record.record) for _, _, played in last), strict=True)
+    time, _, measured, simulated, _ = map(np.concatenate, columns)
     return time, measured, simulated
-
-
-def _detrended(time: Array, residual: Array) -> Array:
-    """Return a residual less its straight line in time."""
-    off = time - time.mean()
-    return np.asarray(residual - residual.mean() - off * float(off @ residual) / max(float(off @ off), 1e-300))
 
 
 def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, report: Progress) -> Dropped | None:
@@ -151,30 +140,24 @@ def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, 
     words at each step.
     """
     simpler = []
-    if frame.inertia.mass:
+    if frame.lagging.dynamics is not None:
         simpler.append(("inertia", still, structure))
     if structure.creep:
         simpler.append(("creep", replace(frame, creepless=True), replace(structure, creep=0)))
     if not simpler:
         return None
+
+    def error(one: TrainingData, own: Structure) -> float:
+        return block_error(one, one.regression(own, _ROWS), detrended=True)
+
     report("predicting time that was not trained on")
-    within = extrapolation_error(frame, structure)
+    within = error(frame, structure)
     for part, other, fewer in simpler:
         report(f"predicting time that was not trained on, without {part}")
-        without = extrapolation_error(other, fewer)
+        without = error(other, fewer)
         if without <= RULES.prediction_loss * within:
             return Dropped(part, without, within)
     return None
-
-
-# Fewer rows say nothing.
-_FEWEST = 20
-# Number of different sizes; a cycle of at least this part of the largest one is as large.
-_SIZES, _LARGEST = 20, 0.9
-# Most structures that are compared.
-_COMPARED = 4
-# Random turning points of the path, and its samples from one to the next.
-_TURNS, _LEG = 40, 24
 
 
 def size_error(regression: Regression) -> float:
@@ -190,7 +173,7 @@ def size_error(regression: Regression) -> float:
     smaller = np.unique(step[step < _LARGEST * _SIZES])
     third = 3 * np.searchsorted(smaller, step) // max(smaller.size, 1)
     fold = np.minimum(third, 2)[np.unique(cycle, return_inverse=True)[1]]
-    sums = FoldSums(few, first_weights(few), folds=3, given=fold)
+    sums = FoldSums(few, equally_weighted(few).inverse_slopes, folds=3, given=fold)
     errors = [sums.errors_of(k) for k in (0, 1) if smaller.size and np.count_nonzero(fold == k) >= _FEWEST]
     return max((rms(left) for left in errors if left is not None), default=0.0)
 
@@ -200,35 +183,26 @@ def disagreement(
 ) -> float:
     """Return the median RMS distance [m] on a random path from other structures that explain the records about as well.
 
-    `voltages`: lowest and highest voltage of the path [V]. `trials`: all that were tried; 0 if no other one explains
-    the records as well.
+    The path has random turning points after two full loops. `voltages`: its lowest and highest voltage [V]. `trials`:
+    all that were tried; 0 if no other one explains the records as well.
     """
-    voltage, known = _random_path(*voltages)
+    low, high = voltages
+    turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _TURNS)])
+    voltage = np.concatenate([np.linspace(a, b, _LEG, endpoint=False) for a, b in pairwise(turns)])
     time = np.arange(voltage.size) * frame.times[0]
 
     def played(one: Actuator) -> Array:
-        return one.simulate(voltage, time=time if one.needs_time else None, extrapolate=True).displacement[known:]
+        path = one.simulate(voltage, time=time if one.needs_time else None, extrapolate=True).displacement
+        return path[4 * _LEG :]
 
+    alike = [trial for trial in trials if bool(trial.structure.creep) == (actuator.creep is not None)]
+    least = min((trial.held_out for trial in alike), default=0.0)
+    near = {trial.structure for trial in alike if trial.held_out <= RULES.about_as_good * least}
     mine, distances = played(actuator), []
-    for structure in _others(trials, creeps=actuator.creep is not None):
+    for structure in sorted(near, key=lambda one: (one.parameters, repr(one)))[:_COMPARED]:
         regression = frame.regression(structure, _ROWS)
         found = least_squares_of_sums(regression)
         if found.solved.optimal:
             distances.append(float(np.std(played(frame.actuator_of(regression, found)) - mine)))
     distances = [one for one in distances if one < RULES.failed_fit * frame.stroke]
     return float(np.median(distances)) if distances else 0.0
-
-
-def _others(trials: Sequence[StructureTrial], creeps: bool) -> list[Structure]:
-    """Return the structures whose held-out errors are about the least, the simplest first."""
-    counted = [trial for trial in trials if bool(trial.structure.creep) == creeps]
-    least = min((trial.held_out for trial in counted), default=0.0)
-    near = {trial.structure for trial in counted if trial.held_out <= RULES.about_as_good * least}
-    return sorted(near, key=lambda structure: (structure.parameters, repr(structure)))[:_COMPARED]
-
-
-def _random_path(low: float, high: float) -> tuple[Array, int]:
-    """Return voltages between random turning points, after two full loops, and how many samples these have."""
-    turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _TURNS)])
-    legs = [np.linspace(a, b, _LEG, endpoint=False) for a, b in pairwise(turns)]
-    return np.concatenate(legs), 4 * _LEG

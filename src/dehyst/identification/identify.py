@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst.identification import paper_methods
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.identifiability import identifiability, probe_identifiability
+from dehyst.identification.diagnostics.identifiability import identifiability, probes
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, unsupported
 from dehyst.identification.preprocessing.denoising import left_of
@@ -208,109 +209,108 @@ def _identify_structure(
     run.report("estimating delay and datums")
     data = run.data(run.delay)
     if structure == "maxwell_slip":
-        return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
+        return _maxwell_slip(run, data)
     plain = run.with_datums(run.regression(run.thresholds(), data))
     run.publish_first_model(plain)
-    frame = replace(data, inertia=run.lagging, datum=plain.datum, denoised=True)
+    frame = replace(data, lagging=run.lagging, datum=plain.datum, denoised=True)
     if isinstance(structure, str):
         # Without loops within loops nothing that distinguishes structures can be held out.
-        missing = messages.of_turns(probe_identifiability(run.on_axis(plain.datum), plain.rows, run.span), run.drive)
+        missing = messages.of_turns(identifiability(run.on_axis(plain.datum), probes(run.span)), run.drive)
         if missing:
             run.remarks += missing
-            return _completed(run, _MaxwellSlipProgram(run, data), refine=False)
-        frame, structure = _chosen(run, _with_checked_drift(run, frame))
-        if structure.is_maxwell_slip and not (frame.inertia.mass or frame.inertia.lag) and not refine:
+            return _maxwell_slip(run, data)
+        if frame.drifting:
+            untried = True, False
+            predicts, creep_too = run.deadline.attempt(lambda: drift_and_creep(frame), untried, "the trial of creep")
+            if not predicts:
+                frame = replace(frame, can_drift=())
+            elif creep_too:
+                run.remarks.append(messages.DRIFT_OR_CREEP.format(hold=messages.hold(run.drive)))
+        frame, structure = _chosen(run, frame)
+        moves = frame.lagging.dynamics is not None or frame.lagging.lag
+        if structure.is_maxwell_slip and not moves and not refine:
             rho = None if structure.spacing == 1 else structure.grid(run.span, frame.voltages, frame.times).breakaway
             elements = structure.elements if rho is None else None
             run.settings = replace(run.settings, elements=elements, breakaway=rho, knots=structure.knots)
-            return _completed(run, _MaxwellSlipProgram(run, run.data(run.delay)), refine=False)
-    return _completed(run, _StructureProgram(run, frame, structure), refine)
+            return _maxwell_slip(run, run.data(run.delay))
+    return _structured(run, frame, structure, refine)
 
 
-class _StructureProgram:
-    """The convex program of a structure, on means of samples."""
+def _structured(run: IdentificationRun, frame: TrainingData, structure: Structure, refine: bool) -> Fit:
+    """Solve the convex program of a structure, on means of samples."""
+    run.structure = structure
 
-    def __init__(self, run: IdentificationRun, frame: TrainingData, structure: Structure) -> None:
-        self._run, self._frame, self._structure = run, frame, structure
-        run.structure = structure
-
-    @property
-    def may_be_longer(self) -> bool:
-        """Whether thresholds beyond half the stroke are tried."""
-        return self._structure.reach == 1 and self._frame.grows()
-
-    def solve(self, reach: float = 1.0) -> StructuredFit:
-        """Solve it with thresholds up to so many half strokes."""
-        frame, wanted = self._frame, replace(self._structure, reach=max(reach, self._structure.reach))
-        self._run.report(f"solving the program for {wanted.words}")
-        return self._run.solve_with_fallback(
+    def solve(reach: float = 1.0) -> StructuredFit:
+        wanted = replace(structure, reach=max(reach, structure.reach))
+        run.report(f"solving the program for {wanted.words}")
+        return run.solve_with_fallback(
             lambda norm: StructuredFit.solve(frame, wanted, norm), lambda: StructuredFit.solve_quickly(frame, wanted)
         )
 
-    def judge(self, made: StructuredFit, actuator: Actuator) -> Outcome:
-        """Return the outcome."""
-        return Outcome.WIDER if actuator.wide else Outcome.IDENTIFIED
+    def judge(made: StructuredFit) -> Outcome:
+        return Outcome.WIDER if made.actuator.wide else Outcome.IDENTIFIED
+
+    return _completed(run, solve, judge, longer=structure.reach == 1 and frame.grows(), refine=refine)
 
 
-class _MaxwellSlipProgram:
-    """The convex program of Maxwell-slip: every sample as it is, any grid, no regularisation."""
+def _maxwell_slip(run: IdentificationRun, data: TrainingData) -> Fit:
+    """Solve the convex program of Maxwell-slip: every sample as it is, any grid, no regularisation."""
+    rho, given = run.thresholds(), run.settings.breakaway is not None
+    noise = left_of(max(item.noise for item in run.training), run.stroke)
+    if not given and rho[0] < RULES.first_element_noise * noise:
+        first, least = float(rho[0]), RULES.first_element_noise
+        run.remarks.append(messages.NOISE.format(first=first * 1e6, ratio=first / noise, least=least))
 
-    def __init__(self, run: IdentificationRun, data: TrainingData) -> None:
-        self._run, self._data, self._rho = run, data, run.thresholds()
-        if run.settings.breakaway is None:
-            noise = left_of(max(item.noise for item in run.training), run.stroke)
-            run.remarks += messages.of_noise(float(self._rho[0]), noise)
-
-    @property
-    def may_be_longer(self) -> bool:
-        """Whether thresholds beyond half the stroke are tried."""
-        return self._run.settings.breakaway is None and self._data.grows()
-
-    def solve(self, reach: float = 1.0) -> StructuredFit:
-        """Solve it with thresholds up to so many half strokes."""
-        run, rho = self._run, reach * self._rho
-        regression = run.with_drifts(run.with_datums(run.regression(rho, self._data)))
+    def solve(reach: float = 1.0) -> StructuredFit:
+        regression = run.with_drifts(run.with_datums(run.regression(reach * rho, data)))
         run.report(f"solving the {run.settings.norm} program for {len(regression)} samples")
         run.publish_first_model(regression)
         found = run.solve_with_fallback(regression.fit_weighted, lambda: least_squares_of_sums(regression))
-        structure = Structure(elements=rho.size, knots=regression.knots.size, smoothing=0.0, reach=reach)
-        frame = replace(self._data, datum=regression.datum)
+        structure = Structure(elements=rho.size, knots=regression.grid.knots.size, smoothing=0.0, reach=reach)
+        frame = replace(data, datum=regression.datum)
         return StructuredFit(frame, structure, run.settings.norm, regression, found)
 
-    def judge(self, made: StructuredFit, actuator: Actuator) -> Outcome:
-        """Return the outcome; remark on directions of the stiffnesses that the records leave open."""
-        directions = identifiability(self._run.on_axis(made.regression.datum), made.regression)
+    def judge(made: StructuredFit) -> Outcome:
+        directions = identifiability(run.on_axis(made.regression.datum), made.regression.grid)
         outcome, remarks = messages.of_plain(directions, made.regression, made.found)
-        self._run.remarks += remarks
+        run.remarks += remarks
         return outcome
 
+    return _completed(run, solve, judge, longer=not given and data.grows(), refine=False)
 
-def _completed(run: IdentificationRun, program: _StructureProgram | _MaxwellSlipProgram, refine: bool) -> Fit:
-    """Solve a program, tune and refine what is not convex, and judge the actuator."""
-    made = program.solve()
+
+def _completed(
+    run: IdentificationRun,
+    solve: Callable[..., StructuredFit],
+    judge: Callable[[StructuredFit], Outcome],
+    *,
+    longer: bool,
+    refine: bool,
+) -> Fit:
+    """Solve a program, tune and refine what is not convex, and judge the actuator.
+
+    `solve`: longest threshold in half strokes -> solution. `longer`: whether thresholds beyond 1 are tried.
+    """
+    made = solve()
     solution = made.found.solved
     if not solution.optimal:
         return run.failed(solution.status)
-    if program.may_be_longer:
-        solved = made
-        made = run.deadline.attempt(lambda: _longer(run, program, solved), solved, "the trial of longer elements")
-    if made.frame.inertia.mass:
-        found = made
-        made = run.deadline.attempt(lambda: found.tune_dynamics(run.report), found, "the tuning of the resonance")
+    if longer:
+        made = run.deadline.attempt(partial(_longer, run, solve, made), made, "the trial of longer elements")
+    if made.frame.lagging.dynamics is not None:
+        made = run.deadline.attempt(partial(made.tune_dynamics, run.report), made, "the tuning of the resonance")
     refined = _refined(run, made) if refine else made.actuator
     run.delay = refined.delay + refined.lag
     actuator = run.named(refined)
     run.report("simulating every record")
-    outcome, solution = program.judge(made, actuator), made.found.solved
+    outcome, solution = judge(made), made.found.solved
     run.estimate_heldout_errors(made.frame, made.regression, refined)
     return run.finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
 
-def _longer(
-    run: IdentificationRun, program: _StructureProgram | _MaxwellSlipProgram, made: StructuredFit
-) -> StructuredFit:
+def _longer(run: IdentificationRun, solve: Callable[..., StructuredFit], made: StructuredFit) -> StructuredFit:
     """Return the fit with thresholds beyond half the stroke, if it simulates the records better."""
-    longer = program.solve(RULES.longer_reach)
+    longer = solve(RULES.longer_reach)
     if not longer.found.solved.optimal:
         return made
     before, after = (run.whole_error(one.actuator, one.regression) for one in (made, longer))
@@ -326,12 +326,11 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
     """Return the records with inertia if they have it, and the structure that they support."""
     run.report("looking for inertia")
     frame = run.deadline.attempt(lambda: still.with_inertia(run.deadline), still, "the search for inertia")
-    structure, run.trials, remarks = frame.chosen(Structure(), run.report, deadline=run.deadline)
-    run.remarks += remarks
-    if (followed := followed_at_once(frame, structure)) and not frame.inertia.mass:
-        run.remarks.append(messages.of_false_creep(followed))
+    structure, run.trials = run.search(frame, Structure())
+    if (followed := followed_at_once(frame, structure)) and frame.lagging.dynamics is None:
+        run.remarks.append(messages.FALSE_CREEP.format(percent=100 * followed))
         found = run.lagging if run.settings.delay is not None else run.lag_of(replace(run.data(0.0), creepless=True))
-        still = frame = replace(still, creepless=True, inertia=found)
+        still = frame = replace(still, creepless=True, lagging=found)
         structure = _chosen_again(run, frame, replace(structure, creep=0), ("creep",), "creep") or Structure()
     fixed: tuple[str, ...] = ()
     while dropped := _unsupported(run, frame, still, structure):
@@ -346,23 +345,12 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
     return frame, structure
 
 
-def _with_checked_drift(run: IdentificationRun, frame: TrainingData) -> TrainingData:
-    """Return the records without a drift that does not predict; remark where creep would do as well."""
-    if not frame.drifting:
-        return frame
-    predicts, creep_too = run.deadline.attempt(lambda: drift_and_creep(frame), (True, False), "the trial of creep")
-    if not predicts:
-        return replace(frame, can_drift=())
-    run.remarks += [messages.of_drift_or_creep(run.drive)] if creep_too else []
-    return frame
-
-
 def _chosen_again(
     run: IdentificationRun, frame: TrainingData, start: Structure, fixed: tuple[str, ...], part: str
 ) -> Structure | None:
     """Return the structure that the records support without a part, from a structure nearby; None without time."""
     again = run.deadline.attempt(
-        lambda: frame.chosen(start, run.report, fixed, run.deadline), None, f"the search for a structure without {part}"
+        lambda: run.search(frame, start, fixed), None, f"the search for a structure without {part}"
     )
     if again is None:
         return None
@@ -375,7 +363,7 @@ def _unsupported(
     run: IdentificationRun, frame: TrainingData, still: TrainingData, structure: Structure
 ) -> Dropped | None:
     """Return a part that does not predict; without time Maxwell-slip elements stand in for the other parts."""
-    if not (frame.inertia.mass or structure.creep):
+    if frame.lagging.dynamics is None and not structure.creep:
         return None
     judged = run.deadline.attempt(
         lambda: (unsupported(frame, still, structure, run.report),),

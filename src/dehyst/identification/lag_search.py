@@ -8,18 +8,17 @@ by simulating time that was not trained on.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from dehyst._types import Array
 from dehyst.identification.held_out import block_error
-from dehyst.identification.regression.fold_sums import TrainingErrors
+from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.regression.nuisances import searched_delay
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
-from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.identification.training_data import Lagging, TrainingData
 
 _ROWS = 1500
 # Elements that bend to any loop, and branches that are slower than this part of a cycle: what relaxes faster is lag.
@@ -31,86 +30,78 @@ _SIMULATED = (0.05, 0.1, 0.2, 0.35, 0.6)
 _POINTS, _SHARES = 7, (0.0, 0.5, 1.0)
 
 
-def find_lag(frame: TrainingData, longest: float, cycle: float) -> SensedDynamics:
+def find_lag(frame: TrainingData, longest: float, cycle: float) -> Lagging:
     """Return delay and lag of the records; both 0 unless they predict time that was not trained on.
 
     `frame`: without delay and lag. `longest`: largest delay looked for [s]; a displacement that leads has another
     cause. `cycle`: least duration of a cycle [s].
     """
-    search, step = _LagSearch(frame, cycle), frame.times[0]
-    total = searched_delay(search.residual, longest, step, search.voltage, frame.stroke, _POINTS)
+    search, step, grows = _LagSearch(frame, cycle), frame.times[0], frame.grows()
+    total = search.delay(longest)
     # Where ranges grow the residual does not show a lag. Held-out errors scatter from delay to delay: all that were
     # compared must be better than none.
-    errors = (search.held_out,) if frame.grows() else (search.residual, search.held_out)
+    errors = (search.held_out,) if grows else (search.residual, search.held_out)
 
     def helps(place: float) -> bool:
         return all(error(place) < RULES.delay_gain * error(0.0) for error in errors)
 
-    if not (frame.grows() or helps(total)):
-        return SensedDynamics(0.0, 0.0, 0.0)
+    if not (grows or helps(total)):
+        return Lagging()
     if not frame.creepless:
         # Slow creep can leave a delay open: of those that are alike beside it, the one that explains most without it.
-        alone = _LagSearch(replace(frame, creepless=True), cycle)
-        other = searched_delay(alone.residual, longest, step, search.voltage, frame.stroke, _POINTS)
+        other = _LagSearch(replace(frame, creepless=True), cycle).delay(longest)
         if search.residual(other) < RULES.delay_alike * search.residual(total) and search.held_out(
             other
         ) < RULES.delay_as_good * search.held_out(total):
             total = other
-    if frame.grows():
+    if grows:
         least = RULES.hopeless_delay * search.residual(total)
-        places = [share * longest for share in _SIMULATED if search.residual(share * longest) < least]
-        total = search.simulated_best([total, *places])
+        simulated = [share * longest for share in _SIMULATED if search.residual(share * longest) < least]
+        places = sorted({0.0, total, *simulated})
+        total = _vertex(places, [search.held_out(place) for place in places])
     if total < RULES.shortest_lag * step or not helps(total):
-        return SensedDynamics(0.0, 0.0, 0.0)
+        return Lagging()
     share = _vertex(_SHARES, [search.residual(total, share) for share in _SHARES])
     lags = all(error(total, share) < RULES.lag_gain * error(total) for error in errors)
-    return search.split(total, share if lags else 0.0)
+    return _split(total, share if lags else 0.0)
 
 
-@dataclass(eq=False)
+def _split(total: float, share: float) -> Lagging:
+    """Return a lag [s] of which a share is of first order, and the rest a delay."""
+    return Lagging((1 - share) * total, share * total)
+
+
 class _LagSearch:
-    """Errors of the records with a lag [s] of which a share is of first order, and the rest a delay."""
+    """Errors of the records with a lag [s] of which a share is of first order."""
 
-    frame: TrainingData
-    cycle: float
-
-    def __post_init__(self) -> None:
-        frame = self.frame
+    def __init__(self, frame: TrainingData, cycle: float) -> None:
+        self._frame = frame
         structure = replace(_STRUCTURE, creep=0) if frame.creepless else _STRUCTURE
-        self._grid = structure.grid(frame.span, frame.voltages, (_SLOWER * self.cycle / 3, frame.times[1]))
-        self._training_error = TrainingErrors()
-        self._residual: dict[tuple[float, float], float] = {}
-        self._held_out: dict[tuple[float, float], float] = {}
+        self._grid = structure.grid(frame.span, frame.voltages, (_SLOWER * cycle / 3, frame.times[1]))
+        self._training_error = training_errors()
+        self._known: dict[tuple[str, float, float], float] = {}
 
-    @property
-    def voltage(self) -> Array:
-        """Voltages of the samples that count [V]."""
-        return self._regression(self.frame).rows.voltage
-
-    def split(self, total: float, share: float) -> SensedDynamics:
-        """Return a lag [s] in two parts."""
-        return SensedDynamics((1 - share) * total, 0.0, 0.0, share * total)
+    def delay(self, longest: float) -> float:
+        """Return the delay [s] of least residual; 0 unless that is worth it."""
+        frame = self._frame
+        voltage = self._regression(frame).rows.voltage
+        return searched_delay(self.residual, longest, frame.times[0], voltage, frame.stroke, _POINTS)
 
     def residual(self, total: float, share: float = 0.0) -> float:
         """Return the RMS residual of a fit [m]."""
-        if (total, share) not in self._residual:
-            self._residual[total, share] = self._training_error(self._regression(self._late(total, share)))
-        return self._residual[total, share]
+        key = "residual", total, share
+        if key not in self._known:
+            late = replace(self._frame, lagging=_split(total, share))
+            self._known[key] = self._training_error(self._regression(late))
+        return self._known[key]
 
     def held_out(self, total: float, share: float = 0.0) -> float:
         """Return the error [m] of simulated time that was not trained on."""
-        if (total, share) not in self._held_out:
-            late = self._late(total, share)
-            self._held_out[total, share] = block_error(late, self._regression(late))
-        return self._held_out[total, share]
-
-    def simulated_best(self, candidates: list[float]) -> float:
-        """Return the delay [s], from 0 on, between candidates where the error of held-out time is least."""
-        places = sorted({0.0, *candidates})
-        return _vertex(places, [self.held_out(place) for place in places])
-
-    def _late(self, total: float, share: float) -> TrainingData:
-        return replace(self.frame, inertia=self.split(total, share))
+        key = "held out", total, share
+        if key not in self._known:
+            late = replace(self._frame, lagging=_split(total, share))
+            self._known[key] = block_error(late, self._regression(late))
+        return self._known[key]
 
     def _regression(self, frame: TrainingData) -> Regression:
         made = frame.on_grid(self._grid, _ROWS, smoothing=_STRUCTURE.smoothing, drifts=False)

@@ -18,24 +18,24 @@ from dehyst.identification.expectation import HeldOutErrors, expectation, remain
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import block_error, disagreement, size_error
 from dehyst.identification.lag_search import find_lag
-from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import disturbs
 from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import TrainingErrors, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import least_squares_of_sums, training_errors
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Grid, Structure
-from dehyst.identification.structure_selection import StructureTrial
-from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.identification.structure_selection import StructureTrial, select
+from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_hold
 from dehyst.identification.validation import MOST_ROWS, compare, errors_of
 from dehyst.model import Actuator, Identification
 from dehyst.model.identification import Outcome
 from dehyst.records import Record
+from dehyst.records.quality import guesses
 from dehyst.records.signals import recorded_slew_rate, resolution, rms
 from dehyst.waveforms import Sampling
 
@@ -45,8 +45,7 @@ _MOST_KNOTS = 41
 # Least slope of the spring in the search for a lag, as a part of the mean slope.
 _LEAST_FLOOR = 0.01
 # It is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
-_SEARCH_CYCLE = 20_000
-_SEARCH_SAMPLES = 1_000_000
+_SEARCH_CYCLE, _SEARCH_SAMPLES = 20_000, 1_000_000
 # The speed of the stage that all but noise and spikes stay below.
 _FASTEST = 0.99
 # Of the first model.
@@ -55,7 +54,10 @@ _FIRST_ROWS = 4000
 
 @dataclass(eq=False)
 class IdentificationRun:
-    """One identification: its records, and the remarks on them so far."""
+    """One identification: its records, and the remarks on them so far.
+
+    `searched`: the structure that was selected; `structure`: the one that is fitted, None for Maxwell-slip.
+    """
 
     settings: Settings
     training: list[Prepared]
@@ -80,77 +82,36 @@ class IdentificationRun:
         self.widest = int(np.argmax([high - low for low, high in spans]))
         self.span = spans[self.widest]
         self.stroke = self.span[1] - self.span[0]
-
-    def solve_with_fallback(self, solve: Callable[[Norm], _T], quickly: Callable[[], _T]) -> _T:
-        """Solve the final program in the norm that was asked for; by least squares of fewer rows without time."""
-        norm = self.settings.norm
-        found = self.deadline.attempt(
-            lambda: solve(norm), None, f"the {norm} program of all samples (least squares of fewer instead)"
-        )
-        if found is not None:
-            return found
-        self.settings = replace(self.settings, norm="l2")
-        return quickly()
-
-    def publish_first_model(self, regression: Regression) -> None:
-        """Give the caller a first Maxwell-slip actuator, once."""
-        first_model, self.first_model = self.first_model, None
-        if first_model is None:
-            return
-        few = regression.thinned(_FIRST_ROWS)
-        found = least_squares_of_sums(few)
-        if found.solved.optimal:
-            first_model(self.actuator(few, found).with_identification(norm="l2", provisional=True))
-
-    def whole_error(self, actuator: Actuator, regression: Regression) -> float:
-        """RMS error of the training records, simulated whole [m]."""
-        errors, _ = self.simulated(actuator, regression, self.training)
-        return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
-
-    def on_axis(self, datum: Array) -> list[Record]:
-        """All pieces, displacements on the model's axis."""
-        return [
-            replace(piece, displacement=piece.displacement + datum[q])
-            for q, item in enumerate(self.training)
-            for piece in item.pieces
-        ]
-
-    def thresholds(self) -> Array:
-        """Return the breakaway elongations of a Maxwell-slip actuator (N,) [m]: those given, or a uniform grid."""
-        if self.settings.breakaway is not None:
-            return self.settings.breakaway
-        first = self.stroke / (2 * self.settings.count)
-        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
+        ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
+        # Voltages that were used: what glitches show, or what a gap cuts off, was not.
+        self.limits = float(ranges[:, 0].min()), float(ranges[:, 1].max())
 
     @property
     def drive(self) -> Sampling:
         """How to sample a voltage that is to be recorded, like that of the records."""
-        return messages.drive_like(self.limits(), self.training)
+        return messages.drive_like(self.limits, self.training)
 
     @cached_property
     def delay(self) -> float:
         """Seconds by which the displacement lags the voltage in all."""
-        if self.settings.delay is not None:
-            cycle = min(cleaning.cycle_time(item.record) for item in (*self.training, *self.held_out))
-            if abs(self.settings.delay) > 0.25 * cycle:
-                raise IdentifyError(
-                    argument="delay",
-                    got=f"{self.settings.delay:g} s",
-                    need=f"less than a quarter of a cycle of {cycle:.4g} s",
-                )
-            return self.settings.delay
-        return self.lagging.delay + self.lagging.lag
+        given = self.settings.delay
+        if given is None:
+            return self.lagging.delay + self.lagging.lag
+        cycle = min(cycle_time(item.record) for item in (*self.training, *self.held_out))
+        if abs(given) > 0.25 * cycle:
+            raise IdentifyError(
+                argument="delay", got=f"{given:g} s", need=f"less than a quarter of a cycle of {cycle:.4g} s"
+            )
+        return given
 
     @cached_property
-    def lagging(self) -> SensedDynamics:
+    def lagging(self) -> Lagging:
         """Delay and first-order lag of the records, as given or as found."""
-        if self.settings.delay is not None:
-            return SensedDynamics(self.delay, 0.0, 0.0)
-        return self.lag_of(self._data_of(0.0))
+        return self.lag_of(self._data_of(0.0)) if self.settings.delay is None else Lagging(self.delay)
 
-    def lag_of(self, data: TrainingData) -> SensedDynamics:
+    def lag_of(self, data: TrainingData) -> Lagging:
         """Return delay and lag of records without them."""
-        cycle = min(cleaning.cycle_time(item.record) for item in self.training)
+        cycle = min(cycle_time(item.record) for item in self.training)
         # White noise of single samples hides a lag: means show it, even where a class takes every sample as it is.
         most = sum(len(item.record) for item in self.training) / ENOUGH
         means = [item.with_block(most).reduced for item in self.training]
@@ -158,11 +119,6 @@ class IdentificationRun:
         # A floor would round the turning points as a delay does.
         floor = data.floor / self.settings.slope_floor * _LEAST_FLOOR
         return find_lag(replace(data, training=few, floor=floor, denoised=True), RULES.longest_lag * cycle, cycle)
-
-    def maxwell_slip_error(self) -> float:
-        """RMS residual of Maxwell-slip elements in few rows of the training records [m]."""
-        rho = self.stroke / 60 * np.arange(1.0, 31.0)
-        return TrainingErrors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
 
     def can_drift(self) -> list[int]:
         """Return the training records that may drift."""
@@ -181,15 +137,27 @@ class IdentificationRun:
         mean_slope = float(np.ptp(self.training[self.widest].record.voltage)) / self.stroke
         return TrainingData(
             [item.reduced for item in self.training],
-            SensedDynamics(delay, 0.0, 0.0),
+            Lagging(delay),
             self.span,
-            self.limits(),
+            self.limits,
             mean_slope * self.settings.slope_floor,
             np.zeros(len(self.training)),
             self.widest,
             tuple(self.can_drift()),
             denoised=any(disturbs(item.reduced.noise, self.stroke) for item in self.training),
         )
+
+    def maxwell_slip_error(self) -> float:
+        """RMS residual of Maxwell-slip elements in few rows of the training records [m]."""
+        rho = self.stroke / 60 * np.arange(1.0, 31.0)
+        return training_errors()(self.regression(rho, self._data_of(0.0), knots=31).thinned(_FIRST_ROWS))
+
+    def thresholds(self) -> Array:
+        """Return the breakaway elongations of a Maxwell-slip actuator (N,) [m]: those given, or a uniform grid."""
+        if self.settings.breakaway is not None:
+            return self.settings.breakaway
+        first = self.stroke / (2 * self.settings.count)
+        return np.asarray(first * np.arange(1, self.settings.count + 1), dtype=np.float64)
 
     def regression(self, rho: Array, data: TrainingData, knots: int | None = None) -> Regression:
         """Return the regression of Maxwell-slip elements with these thresholds."""
@@ -213,22 +181,58 @@ class IdentificationRun:
         """Return a regression with a drift of each record in which it is significant."""
         return replace(regression, drifting=nuisances.find_drifts(regression, self.can_drift()))
 
-    def actuator(self, regression: Regression, found: Coefficients) -> Actuator:
-        """Return the actuator of coefficients, named."""
-        return self.named(self._data_of(self.delay).actuator_of(regression, found))
+    def on_axis(self, datum: Array) -> list[Record]:
+        """All pieces, displacements on the model's axis."""
+        return [
+            replace(piece, displacement=piece.displacement + datum[q])
+            for q, item in enumerate(self.training)
+            for piece in item.pieces
+        ]
+
+    def publish_first_model(self, regression: Regression) -> None:
+        """Give the caller a first Maxwell-slip actuator, once."""
+        first_model, self.first_model = self.first_model, None
+        if first_model is None:
+            return
+        few = regression.thinned(_FIRST_ROWS)
+        found = least_squares_of_sums(few)
+        if found.solved.optimal:
+            actuator = self.named(self._data_of(self.delay).actuator_of(few, found))
+            first_model(actuator.with_identification(norm="l2", provisional=True))
+
+    def search(
+        self, frame: TrainingData, start: Structure, without: tuple[str, ...] = ()
+    ) -> tuple[Structure, tuple[StructureTrial, ...]]:
+        """Return the structure that the records support, and the trials; fields in `without` do not change."""
+        if not frame.supports_creep() and not without:
+            without = ("creep",)
+            longest, needed = max(map(longest_hold, frame.training), key=lambda one: one[0] - one[1])
+            drive = messages.drive_like(frame.voltages, frame.training)
+            remark = messages.of_creep_not_tried(longest, needed, drive)
+            self.remarks += [] if remark in self.remarks else [remark]
+
+        def build(structure: Structure) -> Regression:
+            return frame.regression(structure, FEW_ROWS)
+
+        return select(build, start, self.report, without=without, stroke=frame.stroke, deadline=self.deadline)
+
+    def solve_with_fallback(self, solve: Callable[[Norm], _T], quickly: Callable[[], _T]) -> _T:
+        """Solve the final program in the norm that was asked for; by least squares of fewer rows without time."""
+        norm = self.settings.norm
+        found = self.deadline.attempt(
+            lambda: solve(norm), None, f"the {norm} program of all samples (least squares of fewer instead)"
+        )
+        if found is not None:
+            return found
+        self.settings = replace(self.settings, norm="l2")
+        return quickly()
 
     def named(self, actuator: Actuator) -> Actuator:
         """Return an actuator with its name and what is recorded of it."""
         return replace(actuator, **self.recorded(), name=self.training[self.widest].record.name)
 
-    def limits(self) -> tuple[float, float]:
-        """Voltages that were used: what glitches show, or what a gap cuts off, was not."""
-        ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
-        return float(ranges[:, 0].min()), float(ranges[:, 1].max())
-
     def recorded(self) -> dict[str, Any]:
         """Return the voltages and their slew rate in what was used, and how it was used, as arguments of `Actuator`."""
-        speed = recorded_slew_rate((piece.time, piece.voltage) for item in self.training for piece in item.pieces)
         settings = self.settings
         known = Identification(
             method=settings.method,
@@ -240,33 +244,29 @@ class IdentificationRun:
             ringing=self.ringing,
             smoothing=None if self.structure is None else self.structure.smoothing,
         )
+        pieces = [(piece.time, piece.voltage) for item in self.training for piece in item.pieces]
         return {
-            "limits": self.limits(),
-            "recorded_slew_rate": speed,
+            "limits": self.limits,
+            "recorded_slew_rate": recorded_slew_rate(pieces),
             "identification": known,
-            "provenance": self.provenance(),
+            "provenance": self.provenance({"elements": settings.count}),
         }
 
-    def provenance(self) -> dict[str, Any]:
-        """Return program, elements and records as JSON values."""
+    def provenance(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return program, options and records as JSON values."""
         return {
             "program": f"dehyst {__version__}",
-            "elements": self.settings.count,
+            **options,
             **({} if self.structure is None else {"structure": self.structure.as_dict()}),
             "records": [item.source() for item in self.training],
             "validation": [item.source() for item in self.held_out],
         }
 
-    def options(self) -> dict[str, Any]:
-        """Return what a `Fit` says of its origin: `provenance` with all settings."""
-        program, *others = self.provenance().items()
-        return dict([program, *self.settings.as_dict().items(), *others])
-
     def failed(self, status: str) -> Fit:
         """Return the result of a program without an optimum."""
-        return Fit(
-            None, Outcome.FAILED, (), tuple(self.repairs), tuple(self.remarks), (), status, float("nan"), self.options()
-        )
+        repairs, remarks = tuple(self.repairs), tuple(self.remarks)
+        options = self.provenance(self.settings.as_dict())
+        return Fit(None, Outcome.FAILED, repairs=repairs, remarks=remarks, status=status, options=options)
 
     def simulated(
         self, actuator: Actuator, regression: Regression, records: Sequence[Prepared]
@@ -285,6 +285,11 @@ class IdentificationRun:
             traces.append(trace)
         return errors, traces
 
+    def whole_error(self, actuator: Actuator, regression: Regression) -> float:
+        """RMS error of the training records, simulated whole [m]."""
+        errors, _ = self.simulated(actuator, regression, self.training)
+        return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
+
     def estimate_heldout_errors(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
         voltages = [item.record.voltage for item in (*self.training, *self.held_out)]
@@ -292,18 +297,15 @@ class IdentificationRun:
         self.held_out_errors = HeldOutErrors(
             block_error(frame, regression),
             size_error(regression),
-            disagreement(frame, actuator, self.limits(), self.trials),
+            disagreement(frame, actuator, self.limits, self.trials),
             max(item.noise for item in frame.training),
         )
 
     def caveats(self, actuator: Actuator) -> tuple[list[str], tuple[float, float] | None]:
         """Return reasons for care, and how far the stage moves (RMS, largest) [m] in a lag of unknown cause."""
-        step = max(resolution(item.record.voltage)[1] for item in self.training)
-        caveats = (
-            [f"the voltage is recorded in steps of {100 * step:.2g} % of its range"]
-            if step > RULES.coarse_voltage
-            else []
-        )
+        caveats, step = [], max(resolution(item.record.voltage)[1] for item in self.training)
+        if step > RULES.coarse_voltage:
+            caveats.append(f"the voltage is recorded in steps of {100 * step:.2g} % of its range")
         lag = actuator.delay + actuator.lag
         if self.settings.sensor_lag is not None or self.settings.delay is not None or not lag:
             return caveats, None
@@ -331,35 +333,35 @@ class IdentificationRun:
         """Simulate all records whole, and judge the actuator."""
         records = (*self.training, *self.held_out)
         errors, traces = self.simulated(actuator, regression, records)
-        missed = max(error.largest for error in errors[: len(self.training)])
+        trained = errors[: len(self.training)]
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
         checked = model_checks(actuator, records, traces, errors, floor=floor, imposed=imposed)
         if max(error.largest_percent for error in errors) > RULES.useless:
             outcome = Outcome.VALIDATION_MISSED
-        if max(error.largest_percent for error in errors if error.role == "training") > RULES.useless:
+        if max(error.largest_percent for error in trained) > RULES.useless:
             outcome = Outcome.INACCURATE
-        self.remarks[:0] = messages.of_guesses(records) + self.deadline.remarks(self.describe_result(actuator))
-        self.remarks += messages.of_rare_voltages(self.training, self.limits(), self.drive)
-        self.remarks += messages.of_held_out(self.held_out, self.limits(), errors)
-        sample = self.training[self.widest].record.sample_time
-        repaired = messages.repaired(
-            errors, self.delay, sample, given=self.settings.delay is not None, low_pass=actuator.lag
-        )
+        guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
+        first = [" ".join(guessed)] if guessed else []
+        self.remarks[:0] = first + self.deadline.remarks(self.describe_result(actuator))
+        self.remarks += messages.of_rare_voltages(self.training, self.limits, self.drive)
+        self.remarks += messages.of_held_out(self.held_out, self.limits, errors)
+        sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
+        repaired = messages.repaired(errors, self.delay, sample, given=given, low_pass=actuator.lag)
         remaining = tuple(remaining_error(trace) for trace in traces)
         noise, (caveats, lagging) = max(item.noise for item in records), self.caveats(actuator)
-        options = {**self.options(), "delay_s": self.delay, "stroke_m": self.stroke}
         expected = expectation(
             outcome, errors, checked, self.held_out_errors, remaining, noise, self.goal, caveats, lagging
         )
         actuator = actuator.with_identification(
             outcome=outcome,
-            largest_error=missed,
+            largest_error=max(error.largest for error in trained),
             goal=self.goal,
             expected_rms=expected.rms,
             expected_largest=expected.largest,
             tested=expected.tested,
         )
+        options = self.provenance(self.settings.as_dict())
         return Fit(
             actuator,
             outcome,
@@ -369,7 +371,7 @@ class IdentificationRun:
             tuple(traces),
             status,
             gap,
-            options,
+            {**options, "delay_s": self.delay, "stroke_m": self.stroke},
             checked,
             self.trials,
             expected,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -135,6 +135,10 @@ class Structure:
         )
 
 
+def _nothing() -> Array:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Thresholds and knots of the parts of an actuator.
@@ -162,41 +166,35 @@ class Grid:
     breakaway: Array
     grades: Array
     knots: Array
-    drive: Array
-    time_constants: Array
-    lengths: Array
-    closings: Array
+    drive: Array = field(default_factory=_nothing)
+    time_constants: Array = field(default_factory=_nothing)
+    lengths: Array = field(default_factory=_nothing)
+    closings: Array = field(default_factory=_nothing)
     graded: bool = False
     sliding: Mask | None = None
 
     @classmethod
     def maxwell_slip(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
         """Return the grid of Maxwell-slip elements and a spring."""
-        none = np.zeros(0)
-        return cls(breakaway, knots[[0, -1]], knots, none, none, none, none, sliding=sliding)
+        return cls(breakaway, knots[[0, -1]], knots, sliding=sliding)
 
     @classmethod
     def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
         """Return the grid of the parts of an actuator."""
-        slip, knots, none = actuator.slip, actuator.spring.displacement, np.zeros(0)
+        slip, knots = actuator.slip, actuator.spring.displacement
         tau, creep, smooth = actuator.transformer, actuator.creep, actuator.smooth
         graded = isinstance(slip, GradedSlip)
         return cls(
             slip.breakaway,
             slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
             knots,
-            none if tau is None else tau.voltage,
-            none if creep is None else creep.time_constants,
-            none if smooth is None else smooth.length,
-            none if smooth is None else smooth.closing,
+            _nothing() if tau is None else tau.voltage,
+            _nothing() if creep is None else creep.time_constants,
+            _nothing() if smooth is None else smooth.length,
+            _nothing() if smooth is None else smooth.closing,
             graded,
             sliding,
         )
-
-    @property
-    def is_maxwell_slip(self) -> bool:
-        """Whether there are Maxwell-slip elements and a spring only."""
-        return self.segments == 1 and not (self.drive.size or self.moved)
 
     @cached_property
     def movable(self) -> Mask:
@@ -237,3 +235,21 @@ class Grid:
     def moved(self) -> int:
         """Number of internal states besides the carts: J + L."""
         return self.time_constants.size + self.lengths.size
+
+    def places(self, strained: int = 0) -> dict[str, slice]:
+        """Return the places of each kind of unknown that is not negative, in the order of the program.
+
+        `strained`: number of records whose creep branches may not be at rest as they begin; each branch has two
+        unknowns there, what is added and what is taken away.
+        """
+        branches = self.time_constants.size
+        sizes = {
+            "elements": int(np.count_nonzero(self.movable)) * self.segments,
+            "spring": self.knots.size - 1,
+            "creep": branches,
+            "smooth": self.lengths.size,
+            "transformer": max(self.drive.size - 2, 0),
+            "starts": 2 * strained * branches,
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        return {kind: slice(end - size, end) for (kind, size), end in zip(sizes.items(), ends, strict=True)}

@@ -5,34 +5,35 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
-from dehyst.identification.regression.fold_sums import FoldSums, Nearby, first_weights
+from dehyst.identification.regression.fold_sums import FoldSums, Nearby, equally_weighted
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Structure
 from dehyst.records.signals import rms
 
+# Cycles are held out in turn, one of so many.
+_FOLDS = 3
 Build = Callable[[Structure], Regression]
-# Parts, tried one by one.
-PARTS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("more elements, dense where loops are small", {"elements": 40, "spacing": 2.0, "knots": 41}),
-    ("a transformer", {"transformer": 20}),
-    ("graded elements", {"grades": 8}),
-    ("creep", {"creep": 9}),
-    ("smooth elements", {"smooth": True}),
+# Fields of a structure, and their values with a part more.
+Change = dict[str, Any]
+# Parts, tried one by one: more elements, dense where loops are small, a transformer, graded elements, creep and smooth
+# elements.
+PARTS: tuple[Change, ...] = (
+    {"elements": 40, "spacing": 2.0, "knots": 41},
+    {"transformer": 20},
+    {"grades": 8},
+    {"creep": 9},
+    {"smooth": True},
 )
 # Changes of the structure with these parts, tried afterwards.
-TUNING: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("finer grades", {"grades": 16}),
-    ("more smoothing", {"smoothing": 1e-2}),
-    ("less smoothing", {"smoothing": 1e-3}),
-)
+TUNING: tuple[Change, ...] = ({"grades": 16}, {"smoothing": 1e-2}, {"smoothing": 1e-3})
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,14 @@ class StructureTrial:
         """Return JSON values."""
         described = "structure words=structure.words parameters=structure.parameters"
         return json_values(self, f"{described} held_out_m=held_out training_m=training seconds")
+
+
+class Tried(NamedTuple):
+    """A trial, and what its successors start from: weights of the rows (n,), and unknowns that are not zero."""
+
+    trial: StructureTrial
+    weights: Array | None = None
+    nearby: Nearby | None = None
 
 
 def select(
@@ -75,8 +84,7 @@ def select(
         The selected structure, and all trials in order: none if the deadline had passed before.
     """
     search = _Search(build, progress, stroke, deadline or Deadline())
-    changes = [change for _, change in PARTS if not set(change) & set(without)]
-    search.later = [change for _, change in TUNING]
+    changes = [change for change in PARTS if not set(change) & set(without)]
     changes = [change for change in changes if replace(start, **change) != start]
     first = search.tried(start, changes)
     if first is None:
@@ -99,39 +107,32 @@ def simplest(trials: Sequence[StructureTrial], *, creep: bool) -> Structure | No
     return min(near, key=lambda structure: structure.parameters, default=None)
 
 
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """A trial, and what its successors start from: weights of the rows (n,), and unknowns that are not zero."""
-
-    trial: StructureTrial
-    weights: Array | None = None
-    nearby: Nearby | None = None
-
-
 @dataclass(eq=False)
 class _Search:
-    """The trials of one selection, until the deadline."""
+    """The trials of one selection, until the deadline: those done, changes that come later, and how many at most."""
 
     build: Build
     progress: Progress
     stroke: float
     deadline: Deadline
     done: list[Tried] = field(default_factory=list)
-    later: list[dict[str, Any]] = field(default_factory=list)
+    later: list[Change] = field(default_factory=lambda: list(TUNING))
     most: int = 0
     stopped: bool = False
 
-    def best_after(self, best: Tried, left: list[dict[str, Any]]) -> Tried:
+    def best_after(self, best: Tried, left: list[Change]) -> Tried:
         """Return the best structure after one change at a time."""
         while left and not self.stopped:
-            candidates: list[Tried] = []
+            candidates, gains = [], []
             for k, change in enumerate(left):
                 tried = self.tried(replace(best.trial.structure, **change), left, k, best)
                 if tried is None:
                     break
+                # The share to which a change must reduce the held-out error.
+                bends = "transformer" in change and best.trial.structure.grades > 1
+                share = RULES.transformer_gain_with_grades if bends else RULES.part_gain
                 candidates.append(tried)
-            worth = [_worth(best.trial.structure, change) for change in left]
-            gains = [tried.trial.held_out / share for tried, share in zip(candidates, worth, strict=False)]
+                gains.append(tried.trial.held_out / share)
             first = int(np.argmin(gains)) if gains else 0
             if not gains or not gains[first] < best.trial.held_out:
                 break
@@ -152,15 +153,14 @@ class _Search:
         return best if kept or straight is None else straight
 
     def tried(
-        self, structure: Structure, left: list[dict[str, Any]], place: int = -1, before: Tried | None = None
+        self, structure: Structure, left: list[Change], place: int = -1, before: Tried | None = None
     ) -> Tried | None:
         """Try a structure, the one at this place of the changes that are left; None if the deadline passes."""
         # The first structure is tried before all changes.
         remaining = _most_trials(left) - max(place, 0) + (place < 0)
         self.most = len(self.done) + remaining + _most_trials(self.later)
-        tried = self.deadline.attempt(
-            lambda: try_structure(self.build, structure, self._report, before), None, self._cut()
-        )
+        cut = f"the search for a structure after {len(self.done)} of up to {self.most} trials"
+        tried = self.deadline.attempt(lambda: try_structure(self.build, structure, self._report, before), None, cut)
         self.stopped = tried is None
         self.done += [] if tried is None else [tried]
         return tried
@@ -170,19 +170,11 @@ class _Search:
         error = f"best held-out error {least:.2g} % of the range; " if np.isfinite(least) else ""
         self.progress(f"trial {len(self.done) + 1} (of up to {self.most}): {words}; {error}{self.deadline.clock}")
 
-    def _cut(self) -> str:
-        return f"the search for a structure after {len(self.done)} of up to {self.most} trials"
 
-
-def _most_trials(left: list[dict[str, Any]]) -> int:
+def _most_trials(left: list[Change]) -> int:
     """Return the most trials that can follow: all of these changes, and those left after any of them is taken."""
     rests = [[change for change in left if not set(taken) & set(change)] for taken in left]
     return len(left) + max(map(_most_trials, rests), default=0)
-
-
-def _worth(structure: Structure, change: dict[str, Any]) -> float:
-    """Return the share to which a change must reduce the held-out error."""
-    return RULES.transformer_gain_with_grades if "transformer" in change and structure.grades > 1 else RULES.part_gain
 
 
 def try_structure(build: Build, structure: Structure, progress: Progress, before: Tried | None = None) -> Tried:
@@ -190,11 +182,10 @@ def try_structure(build: Build, structure: Structure, progress: Progress, before
     progress(structure.words)
     begin = time.perf_counter()
     regression = build(structure)
-    weights = None if before is None else before.weights
-    if before is None or weights is None:
-        sums = FoldSums(regression, first_weights(regression))
+    if before is None or before.weights is None:
+        sums = FoldSums(regression, equally_weighted(regression).inverse_slopes, folds=_FOLDS)
     else:
-        sums = FoldSums(regression, weights, before.nearby)
-    held_out, training = rms(sums.held_out_errors()), sums.training_error()
+        sums = FoldSums(regression, before.weights, before.nearby, _FOLDS)
+    held_out, training = rms(sums.held_out_errors()), sums.training_error
     trial = StructureTrial(structure, held_out, training, time.perf_counter() - begin)
     return Tried(trial, sums.inverse_slopes, sums.handed_on())

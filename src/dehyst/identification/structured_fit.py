@@ -8,7 +8,7 @@ The result is kept only if it is better on held-out cycles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp
@@ -16,21 +16,88 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._types import Array, Progress
+from dehyst._types import Array, Mask, Progress
 from dehyst.identification.preprocessing.denoising import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import Epoch
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import blocks, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import (
+    FoldSums,
+    blocks,
+    equally_weighted,
+    least_squares_of_sums,
+    nearly_least_absolute,
+)
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.program import Norm, solve
 from dehyst.identification.structure import Grid, Structure
-from dehyst.identification.training_data import SensedDynamics, TrainingData
+from dehyst.identification.training_data import Lagging, TrainingData
 from dehyst.identification.validation import compare, without_offset
 from dehyst.model import Actuator, Dynamics, State
 from dehyst.records import Record
 from dehyst.records.signals import rms
+
+# The program and the simulation agree on dynamics after so many rounds.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredFit:
+    """What the records and a structure make.
+
+    `found`: of an actuator only if its solution is optimal.
+    """
+
+    frame: TrainingData
+    structure: Structure
+    norm: Norm
+    regression: Regression
+    found: Coefficients
+
+    @classmethod
+    def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
+        """Solve the program of all rows."""
+        regression = frame.regression(structure)
+        if regression.whole:
+            weights = FoldSums(regression, equally_weighted(regression).inverse_slopes).inverse_slopes
+            found = regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
+        else:
+            found = regression.fit_weighted(norm)
+        return cls(frame, structure, norm, regression, found)
+
+    @classmethod
+    def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
+        """Solve the program by least squares, of the rows that fit in memory."""
+        regression = frame.regression(structure)
+        return cls(frame, structure, "l2", regression, least_squares_of_sums(regression))
+
+    @cached_property
+    def actuator(self) -> Actuator:
+        """Without limits and name."""
+        return self.frame.actuator_of(self.regression, self.found)
+
+    def playback(self) -> SimulationError:
+        """Return the training records, to be simulated."""
+        return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, self.frame.stroke)
+
+    def tune_dynamics(self, report: Progress) -> StructuredFit:
+        """Return the same with the dynamics that simulate the records best, if they do so better."""
+        best, playback = self, self.playback()
+        error = rms(playback.errors(self.actuator))
+        for _ in range(_ROUNDS):
+            report("tuning the resonance in simulation")
+            tuned = tune_resonance(best.actuator, playback)
+            frame = replace(best.frame, lagging=Lagging(tuned.delay, tuned.lag, tuned.dynamics))
+            trial = StructuredFit.solve(frame, self.structure, self.norm)
+            if not trial.found.solved.optimal:
+                return best
+            playback = trial.playback()
+            now = rms(playback.errors(trial.actuator))
+            if now > RULES.resonance_gain * error:
+                return trial if now < error else best
+            best, error = trial, now
+        return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +119,7 @@ class FinalEpoch:
     def piece(self, delay: float, lag: float = 0.0) -> Record:
         """Return its samples with acting voltages, their offset included."""
         if (delay, lag) not in self._cache:
-            _, whole, _ = self.record.delayed(0, delay, lag)[self.number]
+            whole = list(self.record.acting(delay, lag))[self.number]
             self._cache.clear()
             self._cache[delay, lag] = whole.slice(self.epoch.start, self.epoch.stop)
         return self._cache[delay, lag]
@@ -82,24 +149,21 @@ class SimulationError:
     def of(cls, actuator: Actuator, records: Sequence[Prepared], datum: Array, stroke: float) -> SimulationError:
         """Find states and offsets by comparison with an actuator; `datum` [m] of each record."""
         finals = []
-        for record, shift in zip(records, datum, strict=True):
-            comparison = compare(actuator, record, stroke, datum=float(shift))
-            for number, (of_piece, offset) in enumerate(zip(comparison.epochs, comparison.last_offsets(), strict=True)):
-                if of_piece:
-                    state = comparison.state_before(actuator, number, of_piece[-1]).shifted(comparison.datum)
-                    finals.append(FinalEpoch(record, number, of_piece[-1], state, offset, comparison.datum))
+        for record, shift in zip(records, datum.tolist(), strict=True):
+            compared = compare(actuator, record, stroke, datum=shift)
+            for number, (own, offset) in enumerate(zip(compared.epochs, compared.last_offsets(), strict=True)):
+                if own:
+                    state = compared.state_before(actuator, number, own[-1]).shifted(shift)
+                    finals.append(FinalEpoch(record, number, own[-1], state, offset, shift))
         return cls(tuple(finals))
 
     def errors(self, actuator: Actuator) -> Array:
         """Return the error of every sample (n,) [m], mean zero in each epoch."""
         return np.concatenate([epoch.error(actuator) for epoch in self.epochs])
 
-    def voltage(self, delay: float = 0.0) -> Array:
-        """Return the voltage of every sample (n,) [V]."""
-        return np.concatenate([epoch.piece(delay).voltage for epoch in self.epochs])
-
-    def epoch_numbers(self) -> NDArray[np.intp]:
-        """Return the number of the epoch of every sample (n,)."""
+    @cached_property
+    def numbers(self) -> NDArray[np.intp]:
+        """Number of the epoch of every sample (n,)."""
         sizes = [epoch.epoch.stop - epoch.epoch.start for epoch in self.epochs]
         return np.repeat(np.arange(len(sizes)), sizes)
 
@@ -112,25 +176,15 @@ _STEP = 1e-3
 def tune_resonance(actuator: Actuator, simulation: SimulationError) -> Actuator:
     """Return the actuator with the dynamics, delay and lag of least RMS simulation error, by least squares.
 
-    `actuator`: with dynamics. `simulation`: of records in which the actuator rings.
+    `simulation`: of records in which the actuator rings. Without dynamics the actuator is returned as it is.
     """
-    if actuator.dynamics is None:
-        return actuator
-    without = _significant(_best(actuator, simulation, lagging=False), simulation)
-    lagging = _significant(_best(without, simulation, lagging=True), simulation)
+    without = _tuned(actuator, simulation, lagging=False)
+    lagging = _tuned(without, simulation, lagging=True)
     worth = rms(simulation.errors(lagging)) < RULES.amplifier_lag_gain * rms(simulation.errors(without))
     return lagging if worth else without
 
 
-def _significant(actuator: Actuator, simulation: SimulationError) -> Actuator:
-    """Return the actuator without a delay or lag that has no effect in the records."""
-    sample = min((epoch.record.record.sample_time for epoch in simulation.epochs), default=0.0)
-    return replace(
-        actuator, delay=significant_delay(actuator.delay, sample), lag=significant_delay(actuator.lag, sample)
-    )
-
-
-def _best(actuator: Actuator, simulation: SimulationError, *, lagging: bool) -> Actuator:
+def _tuned(actuator: Actuator, simulation: SimulationError, *, lagging: bool) -> Actuator:
     from scipy.optimize import least_squares
 
     start = actuator.dynamics
@@ -157,63 +211,9 @@ def _best(actuator: Actuator, simulation: SimulationError, *, lagging: bool) -> 
     least = 1 - np.array([np.inf, start.damping, actuator.delay / unit, *([_FIRST_LAG] if lagging else [])])
     first = np.maximum(np.ones(least.size), least + 2 * _STEP)
     steps = np.full(first.size, _STEP)
-    return with_numbers(least_squares(error, first, x_scale=0.1, diff_step=steps, bounds=(least, np.inf)).x)
-
-
-# The program and the simulation agree on dynamics after so many rounds.
-_ROUNDS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class StructuredFit:
-    """What the records and a structure make.
-
-    `found`: of an actuator only if its solution is optimal.
-    """
-
-    frame: TrainingData
-    structure: Structure
-    norm: Norm
-    regression: Regression
-    found: Coefficients
-
-    @classmethod
-    def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
-        """Solve the program."""
-        return cls(frame, structure, norm, *frame.fit(structure, norm))
-
-    @classmethod
-    def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
-        """Solve the program by least squares, of the rows that fit in memory."""
-        regression = frame.regression(structure)
-        return cls(frame, structure, "l2", regression, least_squares_of_sums(regression))
-
-    @cached_property
-    def actuator(self) -> Actuator:
-        """Without limits and name."""
-        return self.frame.actuator_of(self.regression, self.found)
-
-    def playback(self) -> SimulationError:
-        """Return the training records, to be simulated."""
-        return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, self.frame.stroke)
-
-    def tune_dynamics(self, report: Callable[[str], None]) -> StructuredFit:
-        """Return the same with the dynamics that simulate the records best, if they do so better."""
-        best, playback = self, self.playback()
-        error = rms(playback.errors(self.actuator))
-        for _ in range(_ROUNDS):
-            report("tuning the resonance in simulation")
-            actuator = tune_resonance(best.actuator, playback)
-            frame = replace(best.frame, inertia=SensedDynamics.of(actuator))
-            trial = StructuredFit.solve(frame, self.structure, self.norm)
-            if not trial.found.solved.optimal:
-                return best
-            playback = trial.playback()
-            now = rms(playback.errors(trial.actuator))
-            if now > RULES.resonance_gain * error:
-                return trial if now < error else best
-            best, error = trial, now
-        return best
+    found = with_numbers(least_squares(error, first, x_scale=0.1, diff_step=steps, bounds=(least, np.inf)).x)
+    sample = min((epoch.record.record.sample_time for epoch in simulation.epochs), default=0.0)
+    return replace(found, delay=significant_delay(found.delay, sample), lag=significant_delay(found.lag, sample))
 
 
 _STEPS = 3
@@ -246,9 +246,9 @@ class Refinement:
 def refine(fit: StructuredFit, progress: Progress) -> Refinement:
     """Refine an actuator by the simulation error on its training records."""
     point = _Iterate.of(fit)
-    errors = point.errors()
-    held_out = blocks(point.simulation.voltage(), point.simulation.epoch_numbers()) % _FOLDS == _FOLDS - 1
-    before = rms(errors[held_out])
+    voltage = np.concatenate([epoch.piece(0.0).voltage for epoch in point.simulation.epochs])
+    held_out = blocks(voltage, point.simulation.numbers) % _FOLDS == _FOLDS - 1
+    before = rms(point.errors()[held_out])
     if not held_out.any() or held_out.all():
         return Refinement(fit.actuator, False, before, before)
     progress("refining in simulation")
@@ -259,19 +259,18 @@ def refine(fit: StructuredFit, progress: Progress) -> Refinement:
     return Refinement(_after_steps(point, np.ones_like(held_out)).actuator, True, before, after)
 
 
-def _after_steps(point: _Iterate, used: NDArray[np.bool_]) -> _Iterate:
+def _after_steps(point: _Iterate, used: Mask) -> _Iterate:
     """Return the point after some steps on the used samples."""
     error = rms(point.errors()[used])
     for _ in range(_STEPS):
         aim, moves = point.aim(used)
         tried = [point.step(aim, moves, part) for part in _PARTS]
-        least = min(tried, key=lambda candidate: rms(candidate.errors()[used]))
-        now = rms(least.errors()[used])
-        if not now < error:
+        errors = [rms(candidate.errors()[used]) for candidate in tried]
+        now, before = min(errors), error
+        if not now < before:
             break
-        worth = now < RULES.refinement_gain * error
-        point, error = least, now
-        if not worth:
+        point, error = tried[errors.index(now)], now
+        if not now < RULES.refinement_gain * before:
             break
     return point
 
@@ -293,7 +292,9 @@ class _Iterate:
     @classmethod
     def of(cls, fit: StructuredFit) -> _Iterate:
         grid = Grid.of_actuator(fit.actuator)
-        regression = replace(fit.regression, grid=grid, strained=(), lasting=None)
+        # The errors of a simulation have no constants of the program's epochs, drifts or starts.
+        none = np.zeros(0, dtype=np.intp)
+        regression = replace(fit.regression, grid=grid, strained=(), drifting=(), lasting=None, ranges=(), epochs=none)
         x = np.concatenate(regression.unknowns(Coefficients.from_actuator(fit.actuator)))
         return cls(fit.actuator, regression, fit.playback(), x, grid.breakaway)
 
@@ -303,21 +304,21 @@ class _Iterate:
         grid = replace(self.regression.grid, breakaway=self.breakaway)
         given, first = self.given, float(self.given.spring.voltage[0])
         return self.regression.at(self.x).to_actuator(
-            grid, first, least=-1.0, dynamics=given.dynamics, lag=given.lag, delay=given.delay
+            grid, first, every_part=True, dynamics=given.dynamics, lag=given.lag, delay=given.delay
         )
 
     def errors(self) -> Array:
         """Return the error of every sample [m]."""
         return self.simulation.errors(self.actuator)
 
-    def aim(self, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def aim(self, used: Mask) -> tuple[Array, Array]:
         """Return the solution of the linearised problem: unknowns (q,), moves of the thresholds' logarithms (N,)."""
         regression, errors = self.regression, self.errors()
         rows = np.flatnonzero(used)
         rows = rows[:: max(1, rows.size // _ROWS)]
         by_x, by_rho = self._slopes(errors, rows)
         noise, movable = rms(errors[rows]), regression.grid.movable
-        constants = np.eye(len(self.simulation.epochs))[self.simulation.epoch_numbers()[rows]]
+        constants = np.eye(len(self.simulation.epochs))[self.simulation.numbers[rows]]
         free = np.hstack([constants, by_rho[:, movable]])
         still = np.hstack([np.zeros((movable.sum(), constants.shape[1])), np.eye(movable.sum())])
         still *= noise * np.sqrt(rows.size) / _MOVING
@@ -358,11 +359,6 @@ class _Iterate:
 
     def _sizes(self) -> Array:
         """Return the size of each unknown (q,), at least a part of the largest of its kind."""
-        kinds = self.regression.unknowns(self.regression.at(self.x))
-        least = 1e-3 * self.regression.mean_slope
-        return np.concatenate(
-            [
-                np.maximum(kind, max(0.1 * kind.max(initial=0.0), least if k < 3 else 1e-3))
-                for k, kind in enumerate(kinds)
-            ]
-        )
+        least = 3 * [1e-3 * self.regression.mean_slope] + [1e-3]
+        kinds = zip(self.regression.unknowns(self.regression.at(self.x)), least, strict=True)
+        return np.concatenate([np.maximum(kind, max(0.1 * kind.max(initial=0.0), low)) for kind, low in kinds])

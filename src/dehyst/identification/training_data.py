@@ -1,4 +1,4 @@
-"""Records to the regression of a structure, and the structure that they support."""
+"""What all structures of one identification share, and the regression of a structure."""
 
 from __future__ import annotations
 
@@ -10,107 +10,78 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.diagnostics import messages
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import left_of, remove_dynamics, remove_jitter, significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import FoldSums, TrainingErrors, first_weights, nearly_least_absolute
+from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.regression.nuisances import worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
-from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Grid, Structure
-from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.model import Actuator, Dynamics
 from dehyst.records import Record
 from dehyst.records.signals import energy_share, resolution, turning_points
 
-# Of the error, in the search for inertia.
-_EVALUATIONS = 90
+# Rows for a trial, and for the final program.
+FEW_ROWS, _MOST_ROWS = 4000, 30_000
+# The speed of a voltage is that over a few samples, which noise hardly changes.
+FEW_STEPS = 3
+# Structures that show how records drift, whether a record began at rest, and whether the stage has inertia.
+_DRIFTING = Structure(elements=20, grades=4)
+_CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
+_SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
+# Masses [samples squared] that are tried before inertia is searched, and evaluations of the error in that search.
+_ROOTS, _EVALUATIONS = (0.7, 1.5, 3.0, 6.0), 90
 
 
 @dataclass(frozen=True)
-class SensedDynamics:
-    """Dynamics between w, the output of the hysteresis, and y: w(t - delay) = y + damping y' + mass y''.
+class Lagging:
+    """How the displacement lags the voltage: `delay` and `lag`, time constant of the amplifier [s], and `dynamics`."""
 
-    `delay`: [s]. `damping`: 2 zeta / omega [s]. `mass`: 1 / omega^2 [s2]. `lag`: time constant of the amplifier [s].
-    """
-
-    delay: float
-    damping: float
-    mass: float
+    delay: float = 0.0
     lag: float = 0.0
-
-    @classmethod
-    def of(cls, actuator: Actuator) -> SensedDynamics:
-        """Return the dynamics of an actuator."""
-        dynamics = actuator.dynamics
-        if dynamics is None:
-            return cls(actuator.delay, 0.0, 0.0, actuator.lag)
-        omega = dynamics.frequency
-        return cls(actuator.delay, 2 * dynamics.damping / omega, 1 / omega**2, actuator.lag)
-
-    @property
-    def dynamics(self) -> Dynamics | None:
-        """The dynamics as a part of an actuator; None without inertia."""
-        if not self.mass:
-            return None
-        omega = 1 / np.sqrt(self.mass)
-        return Dynamics(float(omega), float(0.5 * self.damping * omega))
+    dynamics: Dynamics | None = None
 
 
-def find_dynamics(
-    error: Callable[[SensedDynamics], float], delay: float, sample_time: float, fastest: float
-) -> SensedDynamics:
+def dynamics_of(damping: float, mass: float) -> Dynamics:
+    """Return the dynamics of w(t - delay) = y + damping y' + mass y'', w being the output of the hysteresis.
+
+    `damping`: 2 zeta / omega [s]. `mass`: 1 / omega^2 [s2].
+    """
+    omega = 1 / np.sqrt(mass)
+    return Dynamics(float(omega), float(0.5 * damping * omega))
+
+
+def find_dynamics(error: Callable[[Lagging], float], delay: float, sample_time: float, fastest: float) -> Lagging:
     """Minimise the RMS residual over delay, damping and mass; without mass if the gain is small.
 
-    `error`: dynamics -> RMS residual [m] of a fit of few rows. `delay`: delay without inertia [s]: the start of the
+    `error`: lagging -> RMS residual [m] of a fit of few rows. `delay`: delay without inertia [s]: the start of the
     search. `sample_time`: [s]. `fastest`: least duration of a cycle of the excitation [s].
     """
     from scipy.optimize import minimize
 
-    none = SensedDynamics(delay, 0.0, 0.0)
-    best, cost = none, error(none)
     # Dynamics slower than a tenth of the fastest cycle would show as a resonance in it; dynamics faster than the
     # sampling have no effect.
     scale = max(sample_time, 0.02 * fastest)
 
-    def dynamics_at(x: Array) -> SensedDynamics:
-        delay_, damping, root = np.abs(x) * scale
-        return SensedDynamics(float(delay_), float(damping), float(root**2))
+    def lagging_at(x: Array) -> Lagging:
+        late, damping, root = np.abs(x) * scale
+        mass = float(root**2)
+        return Lagging(float(late), 0.0, dynamics_of(float(damping), mass) if mass else None)
 
-    simplex = np.array(
-        [
-            [delay / scale, 0.1, 0.5],
-            [delay / scale, 0.1, 1.5],
-            [0.5 * delay / scale, 0.3, 1.0],
-            [delay / scale + 0.3, 0.0, 0.8],
-        ]
-    )
+    none = Lagging(delay)
+    cost, start = error(none), delay / scale
+    simplex = np.array([[start, 0.1, 0.5], [start, 0.1, 1.5], [0.5 * start, 0.3, 1.0], [start + 0.3, 0.0, 0.8]])
     options: Any = {"maxfev": _EVALUATIONS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0}
     least: Any = minimize
-    optimum = least(lambda x: error(dynamics_at(x)), simplex[0], method="Nelder-Mead", options=options)
+    optimum = least(lambda x: error(lagging_at(x)), simplex[0], method="Nelder-Mead", options=options)
     if optimum.fun >= RULES.inertia_gain * cost:
-        return best
-    best = dynamics_at(optimum.x)
+        return none
+    best = lagging_at(optimum.x)
     return replace(best, delay=significant_delay(best.delay, sample_time))
-
-
-# Rows for a trial, and for the final program.
-_FEW_ROWS = 4000
-_MOST_ROWS = 30_000
-# The speed of a voltage is that over a few samples, which noise hardly changes.
-FEW_STEPS = 3
-# The structure that shows how records drift.
-_DRIFTING = Structure(elements=20, grades=4)
-# The structure that shows whether a record began at rest.
-_CREEPING = Structure(elements=20, transformer=20, grades=4, creep=9)
-# Masses [samples squared] that are tried before inertia is searched.
-_ROOTS = (0.7, 1.5, 3.0, 6.0)
-_SWINGING = Structure(elements=20, grades=3, transformer=10, smooth=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +91,7 @@ class TrainingData:
     Attributes
     ----------
     training : sequence of Prepared
-    inertia : SensedDynamics
-        Delay, and how the displacement lags behind what hysteresis makes.
+    lagging : Lagging
     span, voltages : (float, float)
         Lowest and highest displacement [m] of the widest loop, and voltage [V] of all records.
     floor : float
@@ -139,7 +109,7 @@ class TrainingData:
     """
 
     training: Sequence[Prepared]
-    inertia: SensedDynamics
+    lagging: Lagging
     span: tuple[float, float]
     voltages: tuple[float, float]
     floor: float
@@ -165,14 +135,6 @@ class TrainingData:
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         return replace(self._rows_of(structure, most), strained=strained, drifting=drifting)
 
-    def fit(self, structure: Structure, norm: Norm) -> tuple[Regression, Coefficients]:
-        """Solve the program of all rows; return the regression of those in memory beside its answer."""
-        regression = self.regression(structure)
-        if not regression.whole:
-            return regression, regression.fit_weighted(norm)
-        weights = FoldSums(regression, first_weights(regression), folds=1).inverse_slopes
-        return regression, regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
-
     def _rows_of(self, structure: Structure, most: int) -> Regression:
         grid = structure.grid(self.span, self.voltages, (self.fastest_creep, self.times[1]))
         # No drift where creep branches are there for that: its curves take room.
@@ -182,92 +144,90 @@ class TrainingData:
     def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Regression:
         """Return the regression of all records on a grid, about `most` rows in memory."""
         source = self._source(grid, drifts)
-        ranges = source.ranges() if grid.reaches_beyond else ()
+        ranges = source.numbered() if grid.reaches_beyond else ()
         return Regression(
             source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges, source=source
         )
 
-    def _source(self, grid: Grid, drifts: bool = True) -> RowSource:
+    def _source(self, grid: Grid, drifts: bool) -> RowSource:
         """Return all rows of all records on a grid."""
-        pieces = [
-            (q, path, self.training[q].drift_curve(path) if drifts else np.broadcast_to(0.0, len(path)))
-            for q, path in self._paths
+        curves = [
+            self.training[q].drift_curve(path) if drifts else np.broadcast_to(0.0, len(path)) for q, path in self._paths
         ]
-        noise = [self.training[q].noise for q, _, _ in pieces]
-        if self.denoised:
-            noise = [left_of(one, self.stroke) for one in noise]
+        pieces = [(q, path, curve) for (q, path), curve in zip(self._paths, curves, strict=True)]
+        # Where a record is loud all are denoised, and nothing of its noise is left.
+        noise = [left_of(self.training[q].noise, self.stroke) for q, _ in self._paths]
         return RowSource.of(pieces, grid, noise, leads=[item.lead for item in self.training])
 
     @cached_property
     def _paths(self) -> list[tuple[int, Record]]:
         """Record number and path that drives the elements of each piece of all records."""
-        delay, lag, stroke = self.inertia.delay, self.inertia.lag, self.stroke
-        paths = [(q, piece) for q, item in enumerate(self.training) for piece in item.acting(delay, lag)]
+        at = self.lagging
+        paths = [(q, path) for q, item in enumerate(self.training) for path in item.acting(at.delay, at.lag)]
         if not self.denoised:
             return paths
-        dynamics = self.inertia.dynamics
         return [
-            (q, remove_jitter(remove_dynamics(path, dynamics), self.training[q].noise, stroke)) for q, path in paths
+            (q, remove_jitter(remove_dynamics(path, at.dynamics), self.training[q].noise, self.stroke))
+            for q, path in paths
         ]
 
     def grows(self) -> bool:
         """Whether most samples of a record come before its range is at its widest."""
-        source = self._source(Grid.maxwell_slip(np.array([self.stroke]), np.array(self.span)))
+        source = self._source(Grid.maxwell_slip(np.array([self.stroke]), np.array(self.span)), drifts=False)
         last = sum(own[-1].stop - own[-1].start for own in source.epochs if own)
-        return last < RULES.growing * sum(len(piece) for _, piece, _ in source.pieces)
+        return last < RULES.growing * sum(len(path) for _, path in self._paths)
 
     def with_inertia(self, deadline: Deadline | None = None) -> TrainingData:
-        """Return the same with the delay, damping and mass that the records ask for, if they do.
+        """Return a copy with estimated delay, damping and inertia, where they are significant.
 
         The search is left when the deadline passes.
         """
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
         if cycle > RULES.slowest_cycle * step:
             return self
+        training_error = training_errors()
 
-        training_error = TrainingErrors()
-
-        def error(inertia: SensedDynamics) -> float:
+        def error(lagging: Lagging) -> float:
             if deadline is not None:
                 deadline.check()
-            return training_error(replace(self, inertia=inertia)._rows_of(_SWINGING, _FEW_ROWS // 2))
+            return training_error(replace(self, lagging=lagging)._rows_of(_SWINGING, FEW_ROWS // 2))
 
-        without = error(self.inertia)
-        masses = [replace(self.inertia, mass=(root * step) ** 2) for root in _ROOTS]
+        without = error(self.lagging)
+        masses = [replace(self.lagging, dynamics=dynamics_of(0.0, (root * step) ** 2)) for root in _ROOTS]
         if min(error(one) for one in masses) > RULES.mass_gain * without:
             return self
-        found = find_dynamics(error, self.inertia.delay, step, cycle)
-        excited = found.dynamics is not None and self._excites(found.dynamics.frequency / (2 * np.pi))
-        return replace(self, inertia=found) if excited else self
-
-    def _excites(self, frequency: float) -> bool:
-        """Whether a voltage has energy where a resonance [Hz] would show: without it noise is what is fitted."""
+        found = find_dynamics(error, self.lagging.delay, step, cycle)
+        if found.dynamics is None:
+            return self
+        # Where no voltage has energy at a resonance, noise is what is fitted.
+        resonance = found.dynamics.frequency / (2 * np.pi)
         pieces = [piece for item in self.training for piece in item.pieces]
-        return max(energy_share(piece.voltage, piece.sample_time, 0.5 * frequency) for piece in pieces) > RULES.excited
+        share = max(energy_share(piece.voltage, piece.sample_time, 0.5 * resonance) for piece in pieces)
+        return replace(self, lagging=found) if share > RULES.excited else self
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:
         """Records that drift, seen from Maxwell-slip elements; none if branches account for creep."""
         if self.supports_creep():
             return ()
-        few, stroke, error = self._rows_of(Structure(), _FEW_ROWS), self.stroke, TrainingErrors()
-        return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, stroke)
+        few, error = self._rows_of(Structure(), FEW_ROWS), training_errors()
+        return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), self.can_drift, self.stroke)
 
     def drifts_steadily(self) -> bool:
         """Whether a drift in proportion to time explains the records better than one by its logarithm."""
         if not self.can_drift:
             return False
         lines = replace(self, training=[replace(item, steady=True) for item in self.training])
-        error, grid = TrainingErrors(), _DRIFTING.grid(self.span, self.voltages, self.times)
+        error, grid = training_errors(), _DRIFTING.grid(self.span, self.voltages, self.times)
         by_logarithm, by_time = (
-            error(replace(one.on_grid(grid, _FEW_ROWS), drifting=self.can_drift)) for one in (self, lines)
+            error(replace(one.on_grid(grid, FEW_ROWS), drifting=self.can_drift)) for one in (self, lines)
         )
         return by_time < RULES.steady_drift_gain * by_logarithm
 
     @cached_property
     def strained(self) -> tuple[int, ...]:
         """Records that creep as if they had not been at rest as they began, where that explains much."""
-        regression, error = self._rows_of(_CREEPING, _FEW_ROWS), TrainingErrors()
+        regression, error = self._rows_of(_CREEPING, FEW_ROWS), training_errors()
         kept: tuple[int, ...] = ()
         cost = error(regression)
         alone = [error(replace(regression, strained=(q,))) for q in range(len(self.training))]
@@ -283,7 +243,7 @@ class TrainingData:
         if self.creepless:
             return False
         return _has_two_speeds(self.training) or any(
-            longest > needed for longest, needed in map(_longest_hold, self.training)
+            longest > needed for longest, needed in map(longest_hold, self.training)
         )
 
     @property
@@ -293,69 +253,34 @@ class TrainingData:
         What follows sooner is a lag. The cycle is one of full height at the greatest speed in the records.
         """
         span, step = self.voltages[1] - self.voltages[0], self.times[0]
-        pieces = [piece for item in self.training for piece in item.pieces]
-        speed = max(map(_fastest, pieces))
+        speed = max(_fastest(piece) for item in self.training for piece in item.pieces)
         return max(step, RULES.slowest_lag * 2 * span / speed / FEW_STEPS) if speed else step
 
     def actuator_of(self, regression: Regression, found: Coefficients) -> Actuator:
         """Return the actuator of coefficients, without limits and name."""
-        rows = regression.rows
+        rows, at = regression.rows, self.lagging
         reference = int(rows.epoch[rows.record == self.widest].max())
         return found.to_actuator(
-            regression.grid,
-            found.offsets[reference],
-            dynamics=self.inertia.dynamics,
-            delay=self.inertia.delay,
-            lag=self.inertia.lag,
+            regression.grid, found.offsets[reference], dynamics=at.dynamics, delay=at.delay, lag=at.lag
         )
-
-    def chosen(
-        self,
-        start: Structure,
-        report: Callable[[str], None],
-        without: tuple[str, ...] = (),
-        deadline: Deadline | None = None,
-    ) -> tuple[Structure, tuple[StructureTrial, ...], list[str]]:
-        """Return the structure that the records support, the trials, and what they do not support.
-
-        Fields in `without` do not change. No trial begins after the deadline.
-        """
-        remarks = []
-        if not self.supports_creep() and not without:
-            without = ("creep",)
-            holds = map(_longest_hold, self.training)
-            drive = messages.drive_like(self.voltages, self.training)
-            remarks.append(messages.of_creep_not_tried(*max(holds, key=lambda one: one[0] - one[1]), drive))
-        best, trials = select(
-            lambda one: self.regression(one, _FEW_ROWS),
-            start,
-            report,
-            without=without,
-            stroke=self.stroke,
-            deadline=deadline,
-        )
-        return best, trials, remarks
 
 
 def _has_two_speeds(records: Sequence[Prepared]) -> bool:
     """Whether legs of the voltage that are alike in height differ in their speed |dv/dt|, not only in duration."""
-    span = max(float(np.ptp(item.record.voltage)) for item in records)
-    legs = [_legs(piece, RULES.least_leg * span) for item in records for piece in item.pieces]
+    least = RULES.least_leg * max(float(np.ptp(item.record.voltage)) for item in records)
+    legs = []
+    for piece in (piece for item in records for piece in item.pieces):
+        turns = turning_points(piece.voltage, 0.2 * least)
+        height, seconds = np.abs(np.diff(piece.voltage[turns])), np.diff(piece.time[turns])
+        high = height > least
+        if piece.counted is not None:
+            # No leg with a step.
+            high &= np.diff(np.cumsum(~piece.counted)[turns]) == 0
+        legs.append((height[high], height[high] / seconds[high]))
     height, speed = (np.concatenate(column) for column in zip(*legs, strict=True))
     alike = height <= RULES.legs_alike * height[:, None]
     alike &= alike.T
     return bool(np.any(alike & (speed > RULES.speed_ratio * speed[:, None])))
-
-
-def _legs(piece: Record, least: float) -> tuple[Array, Array]:
-    """Return height [V] and mean speed [V/s] of the legs between turns, higher than `least` [V]; none with a step."""
-    turns = turning_points(piece.voltage, 0.2 * least)
-    height, seconds = np.abs(np.diff(piece.voltage[turns])), np.diff(piece.time[turns])
-    high = height > least
-    if piece.counted is not None:
-        aside = np.cumsum(~piece.counted)
-        high &= np.diff(aside[turns]) == 0
-    return height[high], height[high] / seconds[high]
 
 
 def _fastest(piece: Record) -> float:
@@ -367,7 +292,7 @@ def _fastest(piece: Record) -> float:
     return float(change.max(initial=0.0)) / (FEW_STEPS * piece.sample_time)
 
 
-def _longest_hold(item: Prepared) -> tuple[float, float]:
+def longest_hold(item: Prepared) -> tuple[float, float]:
     """Return how long the voltage stands still at most, and the least hold that shows creep [s].
 
     That is as long as a leg lasts, or a tenth of the record.
@@ -381,5 +306,5 @@ def _longest_hold(item: Prepared) -> tuple[float, float]:
         return 0.0, needed
     still = np.abs(np.diff(v)) < 1e-3 * RULES.hold_span * np.ptp(v)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    longest = max((b - a for a, b in zip(edges[::2], edges[1::2], strict=True)), default=0)
+    longest = int(np.diff(edges)[::2].max(initial=0))
     return (float(longest * record.sample_time) if longest > 1 else 0.0), needed

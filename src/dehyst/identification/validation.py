@@ -14,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.preprocessing.denoising import derivatives, disturbs, left_of, remove_dynamics, remove_jitter
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Epoch, RowSource
+from dehyst.identification.preprocessing.regressors import Epoch, Piece, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Regression
@@ -77,7 +77,7 @@ class RecordComparison:
     whole: list[tuple[int, Record, Array]]
 
     @property
-    def pieces(self) -> list[tuple[int, Record, Array]]:
+    def pieces(self) -> list[Piece]:
         """Record number, piece and drift curve of each piece of `source`."""
         return self.source.pieces
 
@@ -161,15 +161,14 @@ class RecordComparison:
         The carts are those that explain its voltages best before the displacement alone determines them.
         """
         own, piece = self.epochs[number], self.pieces[number][1]
-        last = own[-1] if own else Epoch(0, 0, len(piece), 0.0, 0.0)
+        last = own[-1] if own else Epoch(0, 0, len(piece), 0.0)
         standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
         places = first + _places(piece.displacement[first:stop])
         y = piece.displacement[places] + self.datum
-        moved = self.source.moved[number]
         rows = [
             block[places[(places >= k) & (places < k + len(block))] - k]
-            for k, block in zip(count(0, _STOPS_AT_A_TIME), moved.blocks(_STOPS_AT_A_TIME))
+            for k, block in zip(count(0, _STOPS_AT_A_TIME), self.source.states(number, _STOPS_AT_A_TIME))
         ]
         states = np.concatenate(rows)
         tau, spring = actuator.transformer, actuator.spring(y)
@@ -180,14 +179,14 @@ class RecordComparison:
         fades, most = internal[2], np.zeros(internal[2].shape[1])
         if actuator.creep is not None:
             force = force - internal[0] @ actuator.creep.stiffness
-            most = float(np.ptp(self.regression.knots)) * actuator.creep.stiffness
+            most = float(np.ptp(self.regression.grid.knots)) * actuator.creep.stiffness
         if actuator.smooth is not None:
             force = force - internal[1] @ actuator.smooth.stiffness
         known = None if standing or not own else self.last_offsets()[number]
         held = force - spring - self.drift * self.pieces[number][2][places]
         counted = None if piece.counted is None else piece.counted[places]
         start = fit_start(actuator.slip, y, held, fades, most, known, counted)
-        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0, 0.0), start.creep)
+        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.creep)
         return replace(state, carts=start.carts - self.datum), start.constant
 
     def state_before(self, actuator: Actuator, number: int, epoch: Epoch, begun: Array | None = None) -> State:
@@ -202,7 +201,7 @@ class RecordComparison:
         for start in range(0, y.size, _STOPS_AT_A_TIME):
             _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        moved = self.source.moved_at(number, epoch.start)
+        moved = self.source.state_at(number, epoch.start)
         creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
         if actuator.creep is not None and begun.size:
             c = actuator.creep.stiffness

@@ -6,7 +6,7 @@ from dehyst.model.dynamics import Creep, Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
-from dehyst.model.stage import Stage, StageTrace
+from dehyst.model.stage import Stage
 from dehyst.model.states import simulated
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "SmoothSlip",
     "Spring",
     "Stage",
-    "StageTrace",
     "State",
     "Transformer",
     "simulated",

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
-from dehyst._io import PathLike, read_json, write_json
 from dehyst._native import EMPTY, Core
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
@@ -25,6 +23,7 @@ from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
 from dehyst.model.python_control import actuator_block
+from dehyst.model.serialization import JsonFile
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Actuator(AbstractModel):
+class Actuator(JsonFile, AbstractModel):
     """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
     With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, s_i the elongation of
@@ -177,7 +176,8 @@ class Actuator(AbstractModel):
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
-        return checks.major_loop_ends(self, limits)
+        low, high = checks.slow_loops(self, limits).displacement[-2:].tolist()
+        return low, high
 
     @cached_property
     def voltage_range(self) -> tuple[float, float]:
@@ -412,39 +412,11 @@ class Actuator(AbstractModel):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
-        """Rebuild from `as_dict`, strictly. `data` is what `as_dict` returns.
+        """Rebuild from the `data` of `as_dict`, strictly; files of earlier versions too.
 
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         return cls(**serialization.parts(data))
-
-    def save(self, path: PathLike) -> None:
-        """Write the model file (JSON), completely or not at all. The file's `path` ends in .json.
-
-        Raise `FileFormatError` if it cannot be written.
-        """
-        write_json(path, self.as_dict())
-
-    @classmethod
-    def load(cls, path: PathLike) -> Actuator:
-        """Read a model file, strictly. `path` is the file's.
-
-        Raises
-        ------
-        FileFormatError
-            If the file cannot be read or is no JSON.
-        ModelError
-            If it is not an actuator of this version, or holds impossible numbers.
-        """
-        data = read_json(path)
-        try:
-            return cls.from_dict(data)
-        except ModelError as error:
-            raise ModelError(f"{path}: {error}") from error
-
-    def with_provenance(self, **entries: Any) -> Actuator:
-        """Return a copy whose provenance also holds `entries`."""
-        return replace(self, provenance={**self.provenance, **entries})
 
     def with_identification(self, **entries: Any) -> Actuator:
         """Return a copy whose identification holds `entries`, fields of `Identification`."""

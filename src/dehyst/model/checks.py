@@ -16,6 +16,7 @@ from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, T
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
+    from dehyst.model.base import Motion
 
 _KINDS: tuple[tuple[str, tuple[type, ...]], ...] = (
     ("slip", (MaxwellSlip, GradedSlip)),
@@ -89,14 +90,13 @@ class Range:
         return (low, high) if self.is_far(low, high) else None
 
 
-def major_loop_ends(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the displacements [m] at both limits [V] of slow loops between them, creep at rest at both."""
+def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
+    """Return the motion of slow loops between limits [V], to the second one last, creep at rest at both."""
     slow = actuator.quasistatic()
     voltage = np.tile(limits, _VISITS)
     rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
     time = np.arange(voltage.size) * rest if slow.needs_time else None
-    y = slow.simulate(voltage, time=time, extrapolate=True).displacement
-    return float(y[-2]), float(y[-1])
+    return slow.simulate(voltage, time=time, extrapolate=True)
 
 
 def plausible_displacements(actuator: Actuator) -> Range:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from dehyst._errors import ModelError
+from dehyst._io import PathLike, read_json, write_json
 from dehyst._types import Array
 from dehyst._validation import number
+from dehyst._views.fields import json_value
 from dehyst.model.base import State
 from dehyst.model.dynamics import Creep, Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
@@ -21,72 +24,93 @@ if TYPE_CHECKING:
 
 FORMAT = "dehyst-actuator"
 VERSION = 3
-# The keys of a part's fields, in their order.
-_SPRING = ("displacement_m", "voltage_V")
+# Parts of one set of keys each, which are those of their fields in order; all but the spring may be missing.
 _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
+    "spring": (Spring, ("displacement_m", "voltage_V")),
     "transformer": (Transformer, ("voltage_V", "drive_V")),
     "creep": (Creep, ("time_constants_s", "stiffness_V_per_m")),
     "smooth": (SmoothSlip, ("length_m", "closing", "stiffness_V_per_m")),
     "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
 }
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
+_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s", "identification"}
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
 # Of the limits; one of them may be missing.
 _LIMITS = ("voltage_V", "recorded_slew_rate_V_per_s")
-_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s", "identification"}
+
+
+class JsonFile(ABC):
+    """What is kept in a file of JSON."""
+
+    @abstractmethod
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values in SI units; `from_dict` reads them back without loss."""
+
+    @classmethod
+    @abstractmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if a value or a key is impossible."""
+
+    def save(self, path: PathLike) -> None:
+        """Write the file (JSON) at `path`, completely or not at all; raise `FileFormatError` if that fails."""
+        write_json(path, self.as_dict())
+
+    @classmethod
+    def load(cls, path: PathLike) -> Self:
+        """Read the file at `path`, strictly.
+
+        Raises
+        ------
+        FileFormatError
+            If the file cannot be read or is no JSON.
+        ModelError
+            If it is of another format or version, or holds impossible values.
+        """
+        data = read_json(path)
+        try:
+            return cls.from_dict(data)
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
 
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """Return the JSON values of an actuator in SI units; missing parts are null."""
-    slip = actuator.slip
-    elements: dict[str, Any] = {"breakaway_m": slip.breakaway.tolist()}
-    if isinstance(slip, GradedSlip):
-        elements["knots_m"] = slip.knots.tolist()
-    elements["stiffness_V_per_m"] = slip.stiffness.tolist()
+    slip, slew_rate = actuator.slip, actuator.recorded_slew_rate
+    knots = {"knots_m": slip.knots.tolist()} if isinstance(slip, GradedSlip) else {}
+    limits = zip(_LIMITS, (json_value(actuator.limits), slew_rate), strict=True)
     return {
         "format": FORMAT,
         "version": VERSION,
         "name": actuator.name,
-        "slip": elements,
-        "spring": _values(actuator.spring, _SPRING),
+        "slip": {"breakaway_m": slip.breakaway.tolist(), **knots, "stiffness_V_per_m": slip.stiffness.tolist()},
         **{name: _values(getattr(actuator, name), keys) for name, (_, keys) in _PARTS.items()},
         "load_stiffness_N_per_m": actuator.load_stiffness,
         "lag_s": actuator.lag,
         "state": state_dict(actuator.state),
-        "limits": _limits_dict(actuator),
+        "limits": {key: value for key, value in limits if value is not None} or None,
         "delay_s": actuator.delay,
-        "identification": None if actuator.identification is None else actuator.identification.as_dict(),
+        "identification": json_value(actuator.identification),
         "provenance": dict(actuator.provenance),
     }
-
-
-def _limits_dict(actuator: Actuator) -> dict[str, Any] | None:
-    """Return the voltages and the speed of the records, as far as they are known."""
-    voltage = None if actuator.limits is None else list(actuator.limits)
-    given = zip(_LIMITS, (voltage, actuator.recorded_slew_rate), strict=True)
-    return {key: value for key, value in given if value is not None} or None
 
 
 def _values(part: Any, keys: tuple[str, ...]) -> dict[str, Any] | None:
     """Return the fields of a part, in order, as JSON values under these keys; None without the part."""
     if part is None:
         return None
-    values = [getattr(part, field.name) for field in fields(part)]
-    plain = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
-    return dict(zip(keys, plain, strict=True))
+    return {key: json_value(getattr(part, field.name)) for key, field in zip(keys, fields(part), strict=True)}
 
 
 def state_dict(state: State) -> dict[str, Any]:
     """Return the JSON values of a state."""
+    motion = dict(zip(("displacement_m", "velocity_m_per_s"), state.motion.tolist(), strict=False)) or None
     return {
         "displacement_m": state.displacement,
         "carts_m": state.carts.tolist(),
         "creep_m": state.creep.tolist(),
         "smooth_m": state.smooth.tolist(),
-        "motion": None
-        if not state.motion.size
-        else {"displacement_m": float(state.motion[0]), "velocity_m_per_s": float(state.motion[1])},
+        "motion": motion,
     }
 
 
@@ -98,60 +122,40 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
 
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
-    version = data.get("version")
-    if data.get("format") != FORMAT or type(version) is not int or version not in (1, 2, VERSION):
-        raise ModelError(
-            f"got format {data.get('format')!r} version {version!r}, need {FORMAT!r} version 1, 2 or {VERSION}"
-        )
+    version = demand_format(data, FORMAT, (1, 2, VERSION))
     demand_keys(data, {1: _PLAIN, 2: _KEYS - {"identification"}}.get(version, _KEYS), "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
-    spring = _part(data, "spring", set(_SPRING))
-    known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
-    given = {} if data["limits"] is None else _part(data, "limits", known or set(_LIMITS[:1]))
-    limits, slew_rate = (given.get(key) for key in _LIMITS)
-    plain = {
-        "slip": _slip(data, graded=version > 1),
-        "spring": Spring(*_columns(spring, "spring", *_SPRING)),
-        "limits": None if limits is None else _pair(limits),
-        "recorded_slew_rate": None if slew_rate is None else number(slew_rate, _LIMITS[1]),
-        "delay": number(data["delay_s"], "delay_s"),
-        "name": data["name"],
-        "provenance": data["provenance"],
-        "identification": _identification(data),
-    }
-    return {**plain, "state": _state(data, set())} if version == 1 else {**plain, **_further_parts(data)}
-
-
-def _identification(data: Mapping[str, Any]) -> Identification | None:
-    if "identification" not in data:
-        return Identification.from_entries(data["provenance"])
-    if data["identification"] is None:
-        return None
-    return Identification.from_dict(_part(data, "identification", set(Identification().as_dict())))
-
-
-def _further_parts(data: Mapping[str, Any]) -> dict[str, Any]:
-    stiffness = data["load_stiffness_N_per_m"]
-    parts: dict[str, Any] = {
-        "state": state(data),
-        "lag": number(data["lag_s"], "lag_s"),
-        "load_stiffness": None if stiffness is None else number(stiffness, "load_stiffness_N_per_m"),
-    }
+    found: dict[str, Any] = {"name": data["name"], "provenance": data["provenance"]}
+    found["slip"] = _slip(data, graded=version > 1)
     for name, (kind, keys) in _PARTS.items():
-        if data[name] is not None:
+        if name == "spring" or data.get(name) is not None:
             part, read = _part(data, name, set(keys)), number if kind is Dynamics else numbers
-            parts[name] = kind(*(read(part[key], f"{name}.{key}") for key in keys))
-    return parts
+            found[name] = kind(*(read(part[key], f"{name}.{key}") for key in keys))
+    if version > 1:
+        found["lag"] = number(data["lag_s"], "lag_s")
+        found["load_stiffness"] = _or_none(number, data["load_stiffness_N_per_m"], "load_stiffness_N_per_m")
+    if "identification" not in data:
+        found["identification"] = Identification.from_entries(data["provenance"])
+    elif data["identification"] is not None:
+        entries = _part(data, "identification", set(Identification().as_dict()))
+        found["identification"] = Identification.from_dict(entries)
+    if data["limits"] is not None:
+        known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
+        limits = _part(data, "limits", known or set(_LIMITS[:1]))
+        found["limits"] = _or_none(_pair, limits.get(_LIMITS[0]), f"limits.{_LIMITS[0]}")
+        found["recorded_slew_rate"] = _or_none(number, limits.get(_LIMITS[1]), _LIMITS[1])
+    return found | {"delay": number(data["delay_s"], "delay_s"), "state": state(data, plain=version == 1)}
 
 
 def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
-    keys, slip = {"breakaway_m", "stiffness_V_per_m"}, data["slip"]
-    if not (graded and isinstance(slip, Mapping) and "knots_m" in slip):
-        return MaxwellSlip(*_columns(_part(data, "slip", keys), "slip", "breakaway_m", "stiffness_V_per_m"))
-    slip = _part(data, "slip", keys | {"knots_m"})
-    rho, knots = _columns(slip, "slip", "breakaway_m", "knots_m")
-    rows, where = slip["stiffness_V_per_m"], "slip.stiffness_V_per_m"
+    keys, given, where = {"breakaway_m", "stiffness_V_per_m"}, data["slip"], "slip.stiffness_V_per_m"
+    graded = graded and isinstance(given, Mapping) and "knots_m" in given
+    slip = _part(data, "slip", keys | {"knots_m"} if graded else keys)
+    rho, rows = numbers(slip["breakaway_m"], "slip.breakaway_m"), slip["stiffness_V_per_m"]
+    if not graded:
+        return MaxwellSlip(rho, numbers(rows, where))
+    knots = numbers(slip["knots_m"], "slip.knots_m")
     if not isinstance(rows, list) or len(rows) != rho.size:
         raise ModelError(f"{where}: need a list of {rho.size} lists of numbers, one for an element")
     table = [numbers(row, f"{where}[{i}]") for i, row in enumerate(rows)]
@@ -160,25 +164,29 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
     return GradedSlip(rho, knots, np.array(table).reshape(rho.size, knots.size - 1))
 
 
-def state(data: Mapping[str, Any]) -> State:
-    """Read the entry "state", strictly.
+def state(data: Mapping[str, Any], *, plain: bool = False) -> State:
+    """Read the entry "state", strictly; a plain one holds displacement and carts alone.
 
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
-    return _state(data, {"creep_m", "smooth_m", "motion"})
+    rows = ("carts_m",) if plain else ("carts_m", "creep_m", "smooth_m")
+    given = _part(data, "state", {"displacement_m", *rows, *(() if plain else ("motion",))})
+    found = {key.removesuffix("_m"): numbers(given[key], f"state.{key}") for key in rows}
+    if not plain and given["motion"] is not None:
+        keys = ("displacement_m", "velocity_m_per_s")
+        part = _part(given, "motion", set(keys))
+        found["motion"] = np.array([number(part[key], f"motion.{key}") for key in keys])
+    return State(number(given["displacement_m"], "state.displacement_m"), **found)
 
 
-def _state(data: Mapping[str, Any], more: set[str]) -> State:
-    state = _part(data, "state", {"displacement_m", "carts_m"} | more)
-    w, carts = number(state["displacement_m"], "state.displacement_m"), numbers(state["carts_m"], "state.carts_m")
-    if not more:
-        return State(w, carts)
-    motion: tuple[float, ...] = ()
-    if state["motion"] is not None:
-        part = _part(state, "motion", {"displacement_m", "velocity_m_per_s"})
-        motion = tuple(number(part[key], f"motion.{key}") for key in ("displacement_m", "velocity_m_per_s"))
-    creep, smooth = _columns(state, "state", "creep_m", "smooth_m")
-    return State(w, carts, creep, motion, smooth)
+def demand_format(data: Mapping[str, Any], name: str, versions: Sequence[int]) -> int:
+    """Return the version of a file; raise `ModelError` if it is of another format, or none of these versions."""
+    found = data.get("version")
+    if data.get("format") != name or type(found) is not int or found not in versions:
+        *others, last = map(str, versions)
+        wanted = f"{', '.join(others)} or {last}" if others else last
+        raise ModelError(f"got format {data.get('format')!r} version {found!r}, need {name!r} version {wanted}")
+    return found
 
 
 def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
@@ -196,10 +204,6 @@ def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, A
     return part
 
 
-def _columns(part: Mapping[str, Any], where: str, *keys: str) -> list[Array]:
-    return [numbers(part[key], f"{where}.{key}") for key in keys]
-
-
 def numbers(values: Any, where: str) -> Array:
     """Return a list of finite numbers as an array; raise `ModelError` otherwise."""
     if not isinstance(values, list):
@@ -207,7 +211,11 @@ def numbers(values: Any, where: str) -> Array:
     return np.array([number(value, f"{where}[{i}]") for i, value in enumerate(values)], dtype=np.float64)
 
 
-def _pair(values: Any) -> tuple[float, float]:
+def _pair(values: Any, where: str) -> tuple[float, float]:
     if not isinstance(values, list) or len(values) != 2:
-        raise ModelError(f"limits.voltage_V: got {values!r}, need two numbers")
-    return number(values[0], "limits.voltage_V"), number(values[1], "limits.voltage_V")
+        raise ModelError(f"{where}: got {values!r}, need two numbers")
+    return number(values[0], where), number(values[1], where)
+
+
+def _or_none(read: Callable[[Any, str], Any], value: Any, where: str) -> Any:
+    return None if value is None else read(value, where)

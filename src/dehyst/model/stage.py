@@ -3,46 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._io import PathLike, read_json, write_json
-from dehyst._text import counted
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
 from dehyst._views.fields import json_values
 from dehyst.model.actuator import Actuator
-from dehyst.model.base import State
-from dehyst.model.serialization import demand_keys, numbers
+from dehyst.model.base import Motion, State
+from dehyst.model.serialization import JsonFile, demand_format, demand_keys, numbers
 
-# A stage whose inverse multiplies errors by more is no stage that can be driven.
+# A stage whose inverse multiplies errors by more cannot be driven.
 _WORST_CONDITION = 1e3
-
-
-def checked_coupling(coupling: object, count: int) -> Array:
-    """Return a coupling matrix (axes, axes); raise `ModelError` unless it is square, regular and 1 on its diagonal."""
-    table = matrix(coupling, "coupling")  # type: ignore[arg-type]
-    if table.shape != (count, count):
-        raise ModelError(
-            argument="coupling", got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes", need="one a pair"
-        )
-    if np.any(np.diag(table) != 1):
-        raise ModelError(
-            argument="coupling", got=f"the diagonal {np.diag(table).tolist()}", need="1 for each axis itself"
-        )
-    condition = float(np.linalg.cond(table))
-    if not condition < _WORST_CONDITION:
-        raise ModelError(
-            argument="coupling",
-            got=f"a matrix of condition {condition:.3g}",
-            need=f"one below {_WORST_CONDITION:g}: its axes cannot be distinguished",
-        )
-    return table
+FORMAT = "dehyst-stage"
+VERSION = 2
+_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "is_matrix", "recorded_columns"}
+# Those that files of version 1 lack, which have them among the entries of "provenance".
+_LATER = {"is_matrix", "recorded_columns"}
 
 
 def inverse(coupling: Array) -> Array:
@@ -76,14 +58,8 @@ def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: 
     ``sum_l in K D_kl y_l = w_k - sum_f not in K D_kf y_f``, solved by elimination without pivoting in the order of the
     axes. The displacement of every other axis stays as wanted.
 
-    Parameters
-    ----------
-    table : (axes, axes) nested sequence of float
-        Inverse of the coupling matrix.
-    wanted : (axes,) sequence of float
-        Wanted displacements y [m].
-    known : dict
-        For axes whose actuator is clamped, the displacement w_k [m] of its actuator.
+    `table`: (axes, axes). `wanted` (axes,): displacements y [m]. `known`: the displacement w_k [m] of each actuator
+    that is clamped, by its axis.
     """
     axes, result = sorted(known), list(wanted)
     free = [j for j in range(len(result)) if j not in known]
@@ -110,52 +86,8 @@ def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: 
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class StageTrace:
-    """Voltages and displacements of a stage that belong together.
-
-    Attributes
-    ----------
-    voltage, displacement : (n, axes) array
-        [V] and [m].
-    states : tuple of State
-        State of each actuator after the last sample.
-    clamped : (n, axes) bool array
-        Samples whose voltage was changed by limits or slew rate.
-    missed : (axes,) array
-        Largest distance [m] of the displacement of each axis from the wanted path; 0 for a simulation.
-    remarks : tuple of tuple of str
-        For each axis what was clamped, in sentences; empty for a simulation.
-    followed : bool
-        Whether nothing was clamped and no axis misses its path for another reason.
-    """
-
-    voltage: Array
-    displacement: Array
-    states: tuple[State, ...]
-    clamped: Mask
-    missed: Array
-    remarks: tuple[tuple[str, ...], ...] = ()
-    followed: bool = True
-
-    def __repr__(self) -> str:
-        count = int(self.clamped.any(axis=1).sum())
-        clamps = f"{count} clamped" if count else "nothing clamped"
-        return f"<StageTrace: {counted(len(self.voltage), 'sample')} of {self.voltage.shape[1]} axes, {clamps}>"
-
-
-FORMAT = "dehyst-stage"
-VERSION = 2
-_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "is_matrix", "recorded_columns"}
-# Those that files of version 1 lack, which have them among the entries of "provenance".
-_LATER = {"is_matrix", "recorded_columns"}
-
-Limits = Sequence[tuple[float, float] | None] | None
-SlewRates = Sequence[float | None] | None
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Stage:
+class Stage(JsonFile):
     """Several coupled actuators, ``y = coupling @ h(v)`` with h_j the hysteresis of actuator j.
 
     Parameters
@@ -193,10 +125,25 @@ class Stage:
         if not actuators or not all(isinstance(one, Actuator) for one in actuators):
             raise ModelError("actuators: need one Actuator for each axis")
         count = len(actuators)
-        table = np.eye(count) if self.coupling is None else self.coupling
-        keep(self, actuators=actuators, coupling=checked_coupling(table, count))
+        table = np.eye(count) if self.coupling is None else matrix(self.coupling, "coupling")
+        if table.shape != (count, count):
+            raise ModelError(
+                argument="coupling",
+                got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes",
+                need="one a pair",
+            )
+        if np.any(np.diag(table) != 1):
+            raise ModelError(
+                argument="coupling", got=f"the diagonal {np.diag(table).tolist()}", need="1 for each axis itself"
+            )
         axes = self.axes[:count] if self.axes == DEFAULT_AXES else self.axes
-        keep(self, axes=axis_names(axes, count, "stage"))
+        keep(self, actuators=actuators, coupling=table, axes=axis_names(axes, count, "stage"))
+        if not self.condition < _WORST_CONDITION:
+            raise ModelError(
+                argument="coupling",
+                got=f"a matrix of condition {self.condition:.3g}",
+                need=f"one below {_WORST_CONDITION:g}: its axes cannot be distinguished",
+            )
 
     def __repr__(self) -> str:
         off = self.coupling - np.eye(len(self.axes))
@@ -215,16 +162,6 @@ class Stage:
         """Condition number of the coupling matrix."""
         return float(np.linalg.cond(self.coupling))
 
-    @property
-    def states(self) -> tuple[State, ...]:
-        """The state of each actuator from which it starts by default."""
-        return tuple(one.state for one in self.actuators)
-
-    @property
-    def needs_time(self) -> bool:
-        """Whether `simulate` and `compensate` need the time of each sample."""
-        return any(one.needs_time for one in self.actuators)
-
     def summary(self) -> str:
         """Return the coupling matrix and the summary of each actuator, in lines."""
         lines = [f"Stage '{self.name}' of the axes {', '.join(self.axes)}, condition {self.condition:.4g}"]
@@ -233,15 +170,6 @@ class Stage:
             lines += [f"Axis {axis}:", *(f"  {line}" for line in one.summary().split("\n"))]
         return "\n".join(lines)
 
-    def axis_index(self, axis: str | int) -> int:
-        """Return the index of an `axis`, given by its name or index; raise `ModelError` if there is none."""
-        names: list[Any] = [*self.axes]
-        if axis in names:
-            return names.index(axis)
-        if isinstance(axis, int) and 0 <= axis < len(names):
-            return axis
-        raise ModelError(argument="axis", got=repr(axis), need=f"one of {', '.join(self.axes)}")
-
     def simulate(
         self,
         voltage: ArrayLike,
@@ -249,7 +177,7 @@ class Stage:
         time: ArrayLike | None = None,
         states: Sequence[State | None] | None = None,
         extrapolate: bool = False,
-    ) -> StageTrace:
+    ) -> Motion:
         """Return the displacements that voltages cause.
 
         Parameters
@@ -263,14 +191,20 @@ class Stage:
         extrapolate : bool, optional
             As in `Actuator.simulate`.
 
+        Returns
+        -------
+        Motion
+            With a column an axis; its `state` is a tuple of one an actuator.
+
         Raises
         ------
         ModelError
             As `Actuator.simulate`, the axis named, or if the columns do not fit the axes.
         """
         v = self.columns(voltage, "voltage", "V")
-        moved, reached = self._each("simulate", v, time, states, extrapolate)
-        return StageTrace(v, apply(self.coupling, moved), reached, np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1]))
+        motions = self._each("simulate", v, time, states, extrapolate)
+        moved = np.column_stack([one.displacement for one in motions])
+        return Motion(v, apply(self.coupling, moved), tuple(one.state for one in motions))
 
     def compensate(
         self,
@@ -279,7 +213,7 @@ class Stage:
         time: ArrayLike | None = None,
         states: Sequence[State | None] | None = None,
         extrapolate: bool = False,
-    ) -> StageTrace:
+    ) -> Motion:
         """Return the voltages with which all axes follow their displacements, ``v = h^-1(coupling^-1 y)``.
 
         They are not limited: see `StageCompensator`.
@@ -293,8 +227,8 @@ class Stage:
 
         Returns
         -------
-        StageTrace
-            With `voltage` (n, axes) [V].
+        Motion
+            As `simulate`, with `voltage` (n, axes) [V].
 
         Raises
         ------
@@ -302,31 +236,34 @@ class Stage:
             As `Actuator.compensate`, the axis named, or if the columns do not fit the axes.
         """
         y = self.columns(displacement, "displacement", "m")
-        v, reached = self._each("compensate", apply(self.decoupling, y), time, states, extrapolate)
-        return StageTrace(v, y, reached, np.zeros(v.shape, dtype=bool), np.zeros(v.shape[1]))
+        motions = self._each("compensate", apply(self.decoupling, y), time, states, extrapolate)
+        return Motion(np.column_stack([one.voltage for one in motions]), y, tuple(one.state for one in motions))
 
     def _each(
-        self,
-        what: Literal["simulate", "compensate"],
-        given: Array,
-        time: ArrayLike | None,
-        states: Sequence[State | None] | None,
-        extrapolate: bool,
-    ) -> tuple[Array, tuple[State, ...]]:
-        """Return what each actuator makes of its column (n,) of displacements or voltages, and its last state."""
-        starts = [None] * len(self.actuators) if states is None else states
-        if len(starts) != len(self.actuators):
-            raise ModelError(f"states: got {len(starts)}, need {len(self.actuators)}, one an axis")
-        found, reached = np.empty_like(given), []
-        for j, (actuator, state) in enumerate(zip(self.actuators, starts, strict=True)):
-            when = time if actuator.needs_time else None
+        self, call: str, given: Array, time: ArrayLike | None, states: Sequence[State | None] | None, extrapolate: bool
+    ) -> list[Motion]:
+        """Call the actuator of each axis with its column of `given` (n, axes)."""
+        count, motions = len(self.actuators), []
+        if states is not None and len(states) != count:
+            raise ModelError(f"states: got {len(states)}, need {count}, one an axis")
+        for axis, one, column, state in zip(self.axes, self.actuators, given.T, states or [None] * count, strict=True):
+            when = time if one.needs_time else None
             try:
-                motion = getattr(actuator, what)(given[:, j], time=when, state=state, extrapolate=extrapolate)
+                motions.append(getattr(one, call)(column, time=when, state=state, extrapolate=extrapolate))
             except ModelError as error:
-                raise ModelError(f"axis {self.axes[j]}: {error}") from error
-            found[:, j] = motion.displacement if what == "simulate" else motion.voltage
-            reached.append(motion.state)
-        return found, tuple(reached)
+                raise ModelError(f"axis {axis}: {error}") from error
+        return motions
+
+    def columns(self, values: ArrayLike, what: str, unit: str) -> Array:
+        """Return `values` (n, axes) in `unit` as an array; raise `ModelError` that names `what` if they are not."""
+        table = matrix(values, what, unit)
+        if table.shape[1] != len(self.actuators):
+            raise ModelError(
+                argument=what,
+                got=f"{table.shape[1]} columns",
+                need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
+            )
+        return table
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
@@ -336,15 +273,11 @@ class Stage:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Stage:
-        """Rebuild from `as_dict`, strictly. `data` is what `as_dict` returns.
+        """Rebuild from the `data` of `as_dict`, strictly; a file of version 1 too.
 
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
-        version = data.get("version")
-        if data.get("format") != FORMAT or type(version) is not int or version not in (1, VERSION):
-            raise ModelError(
-                f"got format {data.get('format')!r} version {version!r}, need {FORMAT!r} version 1 or {VERSION}"
-            )
+        version = demand_format(data, FORMAT, (1, VERSION))
         demand_keys(data, _KEYS - _LATER if version == 1 else _KEYS, "stage")
         lists = all(isinstance(data[key], list) for key in ("axes", "coupling", "actuators"))
         if not lists or not all(isinstance(one, Mapping) for one in data["actuators"]):
@@ -357,55 +290,16 @@ class Stage:
                 argument="coupling", got=f"rows of {[row.size for row in rows]} numbers", need="rows of one length"
             )
         actuators = tuple(Actuator.from_dict(one) for one in data["actuators"])
-        matrix_only, columns = (data.get(key) for key in ("is_matrix", "recorded_columns"))
+        is_matrix, columns = data.get("is_matrix"), data.get("recorded_columns")
         if version == 1:
-            matrix_only, given = data["provenance"].get("is_matrix") is not False, data["provenance"].get("axes")
+            is_matrix, given = data["provenance"].get("is_matrix") is not False, data["provenance"].get("axes")
             columns = list(map(str, given)) if isinstance(given, list) else []
         if not isinstance(columns, list) or not all(isinstance(one, str) for one in columns):
             raise ModelError(f"stage: recorded_columns: got {columns!r}, need a list of text")
-        if not isinstance(matrix_only, bool):
-            raise ModelError(f"stage: is_matrix: got {matrix_only!r}, need true or false")
-        described = data["name"], data["provenance"], matrix_only, tuple(columns)
+        if not isinstance(is_matrix, bool):
+            raise ModelError(f"stage: is_matrix: got {is_matrix!r}, need true or false")
+        described = data["name"], data["provenance"], is_matrix, tuple(columns)
         return cls(actuators, np.array(rows), tuple(data["axes"]), *described)
-
-    def save(self, path: PathLike) -> None:
-        """Write the stage file (JSON) to `path`, completely or not at all.
-
-        Raise `FileFormatError` if it cannot be written.
-        """
-        write_json(path, self.as_dict())
-
-    @classmethod
-    def load(cls, path: PathLike) -> Stage:
-        """Read a stage file, strictly. `path` is the file's.
-
-        Raises
-        ------
-        FileFormatError
-            If the file cannot be read or is no JSON.
-        ModelError
-            If it is not a stage of this version, or holds impossible numbers.
-        """
-        data = read_json(path)
-        try:
-            return cls.from_dict(data)
-        except ModelError as error:
-            raise ModelError(f"{path}: {error}") from error
-
-    def with_provenance(self, **entries: Any) -> Stage:
-        """Return a copy whose provenance also holds `entries`."""
-        return replace(self, provenance={**self.provenance, **entries})
-
-    def columns(self, values: ArrayLike, what: str, unit: str) -> Array:
-        """Return `values` (n, axes) in `unit` as an array; raise `ModelError` that names `what` if they are not."""
-        table = matrix(values, what, unit)
-        if table.shape[1] != len(self.actuators):
-            raise ModelError(
-                argument=what,
-                got=f"{table.shape[1]} columns",
-                need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
-            )
-        return table
 
 
 def by_axis(axes: Sequence[str], results: Sequence[Any]) -> dict[str, Any]:

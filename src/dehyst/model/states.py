@@ -12,8 +12,11 @@ from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
+from dehyst.model.checks import slow_loops
 
 _ROUNDING = 1e-12
+# Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
+NEAR = 0.01
 
 
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
@@ -30,6 +33,24 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
     time = np.zeros(1) if slow.needs_time else None
     reached = slow.simulate([nearest], time=time, state=replace(start, motion=EMPTY), extrapolate=True).state
     return actuator.model.complete_state(reached)
+
+
+def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
+    """Return a state, or if its voltage lies outside the limits [V], the one after slow major loops between them.
+
+    The loops end at the limit next to the state. Of a state beyond the limits, the elements have slid farther than any
+    voltage between them makes them slide: no play within the limits leads to it.
+    """
+    low, high = limits
+    held, near = actuator.voltage(state), NEAR * (high - low)
+    return state if low - near <= held <= high + near else looped(actuator, limits, rising=held > high)
+
+
+def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
+    """Return the state after slow major loops between limits [V], at the upper one if `rising`, creep at rest."""
+    reached = slow_loops(actuator, limits if rising else (limits[1], limits[0])).state
+    # The state of a slow motion has none of a mass.
+    return actuator.model.complete_state(replace(reached, motion=EMPTY))
 
 
 def state_at(actuator: Actuator, state: State, displacement: float) -> State:

@@ -19,8 +19,6 @@ from dehyst.control import (
     StageCompensator,
     VoltageLimits,
     plan_path,
-    plan_stage_path,
-    start_at,
     wave_table,
 )
 from dehyst.control.planning.path import MOST_ROWS
@@ -466,7 +464,7 @@ def _planned(
     )
     begins = [one.start for one in axes if one.start is not None]
     present = [one.present for one in axes if one.present is not None]
-    return [*plan_stage_path(several, wanted, time=when, starts=begins or None, home=home, present=present or None)]
+    return [*plan_path(several, wanted, time=when, start=begins or None, home=home, present=present or None)]
 
 
 def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
@@ -492,7 +490,8 @@ def _tabulate(
 ) -> Result:
     """Write the wave table of a scan, with its homing unless the start was given or --no-home was, and its start-up."""
     actuator, slew, path = one.actuator, one.slew, scan.path(axis)
-    start = one.start or start_at(actuator, float(path.displacement[0]), one.limits or actuator.limits)
+    bounds = one.limits or actuator.limits
+    start = one.start or PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
     homes = one.start is None and home is not False
     if options["tolerance"] is not None and not options["tolerance"] > 0:
         raise RecordError(argument="tolerance", got=f"{options['tolerance'] * 1e6:g}", need="a length above 0 in um")

@@ -10,14 +10,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import (
-    Compensator,
-    HomedPath,
-    PossibleStart,
-    StageCompensator,
-    plan_stage_voltage,
-    plan_voltage,
-)
+from dehyst.control import Compensator, HomedPath, PossibleStart, StageCompensator, plan_voltage
 from dehyst.control.limits import outside_identified
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
@@ -112,7 +105,7 @@ def _played(
         compensator = Compensator(known.actuators[0], ranges[0])
         return [plan_voltage(compensator, voltage[:, 0], time=when, start=begins[0], home=home)]
     several = StageCompensator(known.stage, limits=ranges, period=starts.period_of(time))
-    return [*plan_stage_voltage(several, voltage, time=when, starts=begins, home=home)]
+    return [*plan_voltage(several, voltage, time=when, start=begins, home=home)]
 
 
 def _displacements(

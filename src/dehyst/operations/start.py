@@ -15,8 +15,8 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import HomedPath, PossibleStart, StartError
 from dehyst.control.planning.start import NAMES
-from dehyst.control.stage_compensator import start_within
 from dehyst.model import Actuator, State
+from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns
 from dehyst.records import Record
@@ -130,7 +130,7 @@ def starts_of(
 def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
     """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
     allowed = limits or actuator.limits
-    state = start.state if allowed is None else start_within(actuator, start.state, allowed)
+    state = start.state if allowed is None else state_after_loops(actuator, start.state, allowed)
     if allowed is None or state is start.state:
         return start
     remark = (

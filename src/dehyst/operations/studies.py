@@ -51,7 +51,7 @@ def demo(run: Run, *, output: Path = Path("dehyst-demo"), report: bool = True) -
 
 @operation()
 def paper(run: Run, *, output: Path = Path("dehyst-paper")) -> Result:
-    """Repeat the experiment of the paper on a virtual actuator: every table and figure, beside the paper's numbers.
+    """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results.
 
     Parameters
     ----------

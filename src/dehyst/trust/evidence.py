@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification import Structure
-from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probe_identifiability
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probes
 from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
 from dehyst.identification.preprocessing.regressors import Rows, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
@@ -111,9 +111,9 @@ class Evidence:
         """
         records = [*self.pieces(), *more]
         if not self.actuator.wide:
-            return identifiability(records, self.regression)
-        knots = self.regression.knots
-        return probe_identifiability(records, self.regression.rows, (float(knots[0]), float(knots[-1])))
+            return identifiability(records, self.regression.grid)
+        knots = self.regression.grid.knots
+        return identifiability(records, probes((float(knots[0]), float(knots[-1]))))
 
     @cached_property
     def misfit(self) -> float:
@@ -137,7 +137,7 @@ class Evidence:
 
     def with_structure(self, structure: Structure) -> Regression:
         """Return the regression of the same records for a structure that does not move in time."""
-        knots, volts = self.regression.knots, self.regression.rows.voltage
+        knots, volts = self.regression.grid.knots, self.regression.rows.voltage
         # Times are those of creep branches only.
         ends = (float(knots[0]), float(knots[-1])), (float(volts.min()), float(volts.max())), (1.0, 2.0)
         grid, pieces = structure.grid(*ends), [item.measured for item in self.comparisons]
@@ -151,7 +151,7 @@ class Evidence:
         return found.to_actuator(
             self.regression.grid,
             first,
-            least=None,
+            every_part=True,
             limits=model.limits,
             delay=model.delay,
             dynamics=model.dynamics,

@@ -22,6 +22,7 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.highs import linear_programs
 from dehyst.model import Actuator, State
+from dehyst.model.elements import parts_in_segments
 from dehyst.records.signals import turning_points
 from dehyst.trust.evidence import Evidence
 
@@ -96,10 +97,10 @@ def feasible_set(evidence: Evidence, displacement: Array | None = None, state: S
         extremes = polytope.extremes(np.vstack([numbers, path]))
     if not any(x is not None for pair in extremes for x in pair):
         raise IdentifyError("no model meets these records as well as the identified one: are they of another actuator?")
-    count = int(np.count_nonzero(regression.movable))
+    count = int(np.count_nonzero(regression.grid.movable))
     ranges = _ranges(numbers, extremes[: len(numbers)], _vector(evidence, evidence.model))
     stiffness = np.tile(actuator.slip.stiffness, (2, 1))
-    stiffness[:, regression.movable] = ranges[:, :count]
+    stiffness[:, regression.grid.movable] = ranges[:, :count]
     spring, slopes = np.split(ranges[:, count:], 2, axis=1)
     found = [
         evidence.actuator_of(_coefficients(evidence, x))
@@ -113,11 +114,11 @@ def feasible_set(evidence: Evidence, displacement: Array | None = None, state: S
 
 def _numbers(regression: Regression, unknowns: int) -> Array:
     """Costs that pick each stiffness, the spring's voltage at each knot less that of the first, and each slope."""
-    count, segments = int(np.count_nonzero(regression.movable)), regression.knots.size - 1
+    count, segments = int(np.count_nonzero(regression.grid.movable)), regression.grid.knots.size - 1
     costs = np.zeros((count + 2 * segments, unknowns))
     costs[:count, :count] = np.eye(count)
     spring = slice(count, count + segments)
-    costs[spring, spring] = np.tril(np.tile(np.diff(regression.knots), (segments, 1)))
+    costs[spring, spring] = np.tril(np.tile(np.diff(regression.grid.knots), (segments, 1)))
     costs[count + segments :, spring] = np.eye(segments)
     return costs
 
@@ -154,10 +155,11 @@ class _Polytope:
         tolerance = np.maximum(residual, max(_TOLERANCE * float(residual.mean()), rounding))
         total = max(_TOTAL * float(residual.sum()), rounding * len(goal))
         lower = np.full(rows.shape[1], -np.inf)
-        count = int(np.count_nonzero(regression.movable))
+        count = int(np.count_nonzero(regression.grid.movable))
         lower[:count] = 0.0
         # A model that lies lower than the floor itself, as the paper's method may leave it, stays possible.
-        lower[count : count + regression.knots.size - 1] = np.minimum(regression.floor, 0.5 * evidence.model.slopes)
+        spring = slice(count, count + regression.grid.knots.size - 1)
+        lower[spring] = np.minimum(regression.floor, 0.5 * evidence.model.slopes)
         return cls(rows, goal, weights, lower, tolerance, total)
 
     def extremes(self, costs: Array) -> list[tuple[Array | None, Array | None]]:
@@ -181,7 +183,7 @@ class _Polytope:
 
 
 def _columns(regression: Regression, elongation: Array, y: Array, nuisances: Array) -> Array:
-    return np.hstack([elongation[:, regression.movable], regression.parts_of_spring(y), nuisances])
+    return np.hstack([elongation[:, regression.grid.movable], parts_in_segments(regression.grid.knots, y), nuisances])
 
 
 def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
@@ -190,7 +192,7 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
     rows = regression.rows
     columns = _columns(regression, rows.elongation, regression.axis, regression.nuisances())
     # Stuck elements without a column keep their part.
-    still = rows.elongation[:, ~regression.movable] @ evidence.model.stiffness[~regression.movable, 0]
+    still = rows.elongation[:, ~regression.grid.movable] @ evidence.model.stiffness[~regression.grid.movable, 0]
     number = _groups(evidence)
     size = np.bincount(number).astype(float)
     mean = np.zeros((size.size, columns.shape[1] + 2))
@@ -216,14 +218,14 @@ def _vector(evidence: Evidence, found: Coefficients) -> Array:
     regression = evidence.regression
     constants = [found.offsets[epoch] for epoch in np.unique(regression.rows.epoch).tolist()]
     drifts = [found.drifts[q] for q in regression.drifting]
-    return np.concatenate([found.stiffness[regression.movable, 0], found.slopes, constants, drifts])
+    return np.concatenate([found.stiffness[regression.grid.movable, 0], found.slopes, constants, drifts])
 
 
 def _coefficients(evidence: Evidence, x: Array) -> Coefficients:
     regression, model = evidence.regression, evidence.model
-    count, segments = int(np.count_nonzero(regression.movable)), regression.knots.size - 1
+    count, segments = int(np.count_nonzero(regression.grid.movable)), regression.grid.knots.size - 1
     stiffness = model.stiffness.copy()
-    stiffness[regression.movable, 0] = np.maximum(x[:count], 0.0)
+    stiffness[regression.grid.movable, 0] = np.maximum(x[:count], 0.0)
     epochs = np.unique(regression.rows.epoch).tolist()
     offsets = x[count + segments : count + segments + len(epochs)]
     return replace(

@@ -19,7 +19,7 @@ from dehyst._views.fields import json_values
 from dehyst.control import StateBounds
 from dehyst.control.planning.bounds import known_by_displacement, moves_on
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.quadratic import triangle_of
+from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.validation import RecordComparison
 from dehyst.model import Actuator, GradedSlip, MaxwellSlip
 from dehyst.records import Record

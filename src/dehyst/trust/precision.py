@@ -271,7 +271,7 @@ def known_numbers(
     compatible models. Otherwise by noise, and `parts` say what is determined.
     """
     alone = {one.part: one.alone for one in parts}
-    actuator, movable = evidence.actuator, evidence.regression.movable
+    actuator, movable = evidence.actuator, evidence.regression.grid.movable
     kappa, noise = actuator.slip.stiffness[movable], intervals.stiffness[:, movable]
     elements = next((alone[name] for name in alone if name.endswith("elements") and name != "smooth elements"), None)
     spring = alone.get("parallel spring")

@@ -14,8 +14,6 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring
 from dehyst.identification.diagnostics.identifiability import identifiability
-from dehyst.identification.preprocessing.regressors import collect
-from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
 from dehyst.records import Record
 
@@ -91,12 +89,9 @@ def unseen(turns, elements=10, *, relaxed=False):
 
 
 def told(records, elements=10, *, movable=None, relaxed=()):
-    rho = grid(elements)
-    rows, _ = collect([(q, one, np.zeros(len(one))) for q, one in enumerate(records)], rho, [0.0] * len(records))
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    regression = Regression(rows, Grid.maxwell_slip(rho, knots, every), 1.0, np.zeros(len(records)))
-    return identifiability(records, regression, relaxed=relaxed)
+    return identifiability(records, Grid.maxwell_slip(grid(elements), knots, every), relaxed=relaxed)
 
 
 def told_of(turns, elements=10, **options):

@@ -131,7 +131,7 @@ def test_a_remark_that_asks_for_a_record_has_a_command_that_writes_its_voltage(l
     drive = messages.drive_like(limits, [prepare(Record(time, volts, 1e-7 * volts))])
     open_ = Identifiability(np.ones(2), np.ones(2, bool), np.array([1.0, 0.0]), np.eye(2))
     remarks = [
-        messages.of_drift_or_creep(drive),
+        messages.DRIFT_OR_CREEP.format(hold=messages.hold(drive)),
         messages.of_creep_not_tried(0.0, 1.0, drive),
         messages.of_dropped("creep", 1e-9, 2e-9, 1e-6, drive),
         *messages.of_turns(open_, drive),

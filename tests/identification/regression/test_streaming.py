@@ -41,26 +41,22 @@ def stream(most, drifting=(1,)):
     return Regression(source.thinned(most), grid, 1e5, np.zeros(2), drifting, source=source)
 
 
-class Twice:
-    """Something that moves along a piece, told apart from that of another."""
-
-    def __init__(self, number, piece):
-        self.rows = np.column_stack([piece.displacement, number + piece.time])
-
-    def blocks(self, size):
-        return (self.rows[begin : begin + size] for begin in range(0, len(self.rows), size))
+def twice(grid, path, lead, size):
+    """Something that moves along a path, and differs from path to path."""
+    rows = np.column_stack([path.displacement, path.displacement[3] + path.time])
+    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
 
 
-def source(moving):
-    """All rows of these records, with something that moves."""
-    made = RowSource.of(pieces(), Grid.maxwell_slip(RHO, np.zeros(2)), [2e-9, 2e-9])
-    return replace(made, moved=[Twice(number, piece) for number, piece, _ in made.pieces]) if moving else made
+def source():
+    return RowSource.of(pieces(), Grid.maxwell_slip(RHO, np.zeros(2)), [2e-9, 2e-9])
 
 
 @pytest.mark.parametrize("size", [1, 97, 1000])
 @pytest.mark.parametrize("moving", [False, True])
 def test_blocks_of_any_size_are_the_rows(monkeypatch, size, moving):
-    whole = source(moving).thinned(10**9)
+    if moving:
+        monkeypatch.setattr(regressors, "internal_states", twice)
+    whole = source().thinned(10**9)
     assert whole.moved.shape == (len(whole), 2 if moving else 0)
     if moving:
         np.testing.assert_array_equal(whole.moved[:, 0], whole.displacement)
@@ -68,7 +64,7 @@ def test_blocks_of_any_size_are_the_rows(monkeypatch, size, moving):
         found, _ = collect(pieces(), RHO, [2e-9, 2e-9])
         np.testing.assert_array_equal(found.elongation, whole.elongation)
     monkeypatch.setattr(regressors, "_BLOCK", size)
-    made = source(moving)
+    made = source()
     assert len(made) == len(whole)
     assert made.count == np.unique(whole.epoch).size
     for name in Rows.__dataclass_fields__:
@@ -89,11 +85,10 @@ def test_a_stream_has_the_optimum_of_the_rows_in_memory(monkeypatch, norm):
     assert other.solution.optimal
     assert abs(other.solution.gap) < 1e-6
     weights = 1 / memory.slope(memory.fit("l2"))
-    epochs = np.unique(memory.rows.epoch)
-    free, bounded, target = memory.table(epochs)
+    free, bounded, target = memory.table()
 
     def residual(found):
-        x = np.concatenate([found.stiffness[memory.movable, 0], found.slopes - memory.floor])
+        x = np.concatenate([found.stiffness[memory.grid.movable, 0], found.slopes - memory.floor])
         a = np.array([*found.offsets.values(), *found.drifts.values()])
         return np.abs(free @ a + bounded @ x - target) * weights
 

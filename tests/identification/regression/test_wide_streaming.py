@@ -11,7 +11,7 @@ import pytest
 import structured_records as wide
 
 from dehyst.identification.preprocessing import regressors
-from dehyst.identification.preprocessing.regressors import InternalStates, RowSource
+from dehyst.identification.preprocessing.regressors import RowSource, internal_states
 from dehyst.identification.solvers.program import NORMS
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
@@ -28,9 +28,8 @@ def test_what_moves_beside_carts_is_the_same_in_blocks(monkeypatch, name, size, 
     record = replace(record, time=time)
     lead, piece = (record.slice(0, cut), record.slice(cut, len(record))) if cut else (None, record)
     whole = wide.moved_along(plant.grid, piece, lead)
-    beside = InternalStates(plant.grid, piece, lead)
-    blocks = list(beside.blocks(size))
-    assert beside.width == whole.shape[1]
+    blocks = list(internal_states(plant.grid, piece, lead, size))
+    assert blocks[0].shape[1] == whole.shape[1]
     assert {len(block) for block in blocks[:-1]} <= {size}
     np.testing.assert_allclose(np.vstack(blocks), whole, rtol=1e-9, atol=1e-15)
 
@@ -73,7 +72,7 @@ def test_starts_that_some_blocks_have_forgotten_are_columns_of_all(monkeypatch):
     _, memory = streams("creep", 10**9, (0, 1))
     one, other = memory.fit_weighted("l2"), streamed.fit_weighted("l2")
     for q in (0, 1):
-        np.testing.assert_allclose(other.starts[q], one.starts[q], rtol=1e-4, atol=1e-6 * np.ptp(memory.knots))
+        np.testing.assert_allclose(other.starts[q], one.starts[q], rtol=1e-4, atol=1e-6 * np.ptp(memory.grid.knots))
 
 
 def test_an_epoch_of_which_no_row_is_in_memory_has_its_constant():

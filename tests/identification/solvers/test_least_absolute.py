@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from dehyst._threads import one_thread
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers import highs, least_absolute_blocks
+from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.highs import LinearSolution
 from dehyst.identification.solvers.least_absolute import interior
-from dehyst.identification.solvers.problem import Problem
+from dehyst.identification.solvers.problem import Blocks, Problem
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure import Grid
 from examples import examples
@@ -120,13 +120,13 @@ def test_a_gap_over_all_rows_is_never_below_the_true_one():
 def test_rows_in_any_number_of_blocks_give_the_same_optimum():
     a, b, _ = table("collinear", 5, 6000, 6)
 
-    class Cut(least_absolute_blocks.Whole):
-        def __iter__(self):
-            for start in range(0, len(self), 701):
-                yield self.rows[start : start + 701], self.goal[start : start + 701]
+    def cut():
+        for start in range(0, b.size, 701):
+            yield a[start : start + 701], b[start : start + 701]
 
     frame = Problem(a[:0], b[:0], 0, np.zeros((0, 6)), np.zeros(0))
-    one, many = (least_absolute_blocks.least_absolute(kind(a, b), frame) for kind in (least_absolute_blocks.Whole, Cut))
+    blocks = Blocks.whole(a, b), Blocks(b.size, cut)
+    one, many = (least_absolute.least_absolute(some, frame) for some in blocks)
     assert one.optimal
     assert many.optimal
     sums = [np.abs(b - a @ answer.x).sum() for answer in (one, many)]
@@ -136,7 +136,7 @@ def test_rows_in_any_number_of_blocks_give_the_same_optimum():
 def test_more_wrong_signs_than_there_is_room_for_still_end_in_the_optimum(monkeypatch):
     a, b, _ = table("random", 8, 6000, 6)
     best = least(a, b, 0)
-    monkeypatch.setattr(least_absolute_blocks, "_MOST_NUMBERS", 6 * 900)
+    monkeypatch.setattr(least_absolute, "_MOST_NUMBERS", 6 * 900)
     found = solve(a[:, :0], a, b, norm="l1")
     assert found.optimal, found.status
     assert np.abs(found.residual).sum() == pytest.approx(best, rel=1e-5)
@@ -155,13 +155,12 @@ def test_an_epoch_that_is_missed_by_far_keeps_its_share_of_the_rows(seed):
     """Were none of its rows in the program, nothing there would hold its constant against the sum of the others."""
     free, a, b = of_a_noisy_epoch(seed)
     rows, frame = np.hstack([free, a]), Problem(np.zeros((0, 14)), b[:0], 2, np.zeros((0, 14)), np.zeros(0))
-    sample, unit = least_absolute_blocks._sample(least_absolute_blocks.Whole(rows, b), frame, 6)
-    x = least_absolute_blocks.least_absolute(least_absolute_blocks.Whole(sample.rows, sample.goal), frame).x
-    divided, _ = least_absolute_blocks._divide_rows(
-        least_absolute_blocks.Whole(rows, b), frame, x, least_absolute_blocks._SignDoubt.of(sample), 2000
-    )
+    blocks = Blocks.whole(rows, b)
+    sample, unit = least_absolute._sample(blocks, frame, 6)
+    x = least_absolute.least_absolute(Blocks.whole(sample.rows, sample.goal), frame).x
+    divided, _ = least_absolute._divide_rows(blocks, frame, x, least_absolute._SignDoubt(sample), 2000)
     assert (divided.places >= 9000 - 700).sum() > 0.15 * 700
-    found = least_absolute_blocks.least_absolute_deviations(divided.problem, divided.pull, unit)
+    found = least_absolute.least_absolute_deviations(divided.problem, divided.pull, unit)
     assert found.optimal, found.status
     whole = solve(free, a, b, norm="l1")
     assert whole.optimal, whole.status
@@ -177,8 +176,6 @@ def bound(a, seed, count=20, depth=0.3):
 @pytest.mark.parametrize("rows", [150, 3000])
 @pytest.mark.parametrize("inequalities", [False, True])
 def test_where_the_interior_point_fails_highs_takes_over(monkeypatch, rows, inequalities):
-    from dehyst.identification.solvers import least_absolute
-
     a, b, _ = table("random", 1, rows, 5)
     limits = bound(a, 3) if inequalities else None
     monkeypatch.setattr(least_absolute, "interior", lambda p, pull: replace(interior(p, pull), y=np.zeros(p.goal.size)))
@@ -192,8 +189,6 @@ def test_where_the_interior_point_fails_highs_takes_over(monkeypatch, rows, ineq
 
 def test_a_gap_that_is_too_wide_is_no_optimum(monkeypatch):
     """Neither solver has a dual point: what was found is handed back as what it is."""
-    from dehyst.identification.solvers import least_absolute
-
     a, b, _ = table("random", 1, 150, 5)
     monkeypatch.setattr(least_absolute, "interior", lambda p, pull: replace(interior(p, pull), y=np.zeros(p.goal.size)))
     monkeypatch.setattr(
@@ -228,7 +223,7 @@ def test_the_program_of_a_record():
         np.zeros(1),
     )
     found = regression.fit("l1")
-    spring = regression.parts_of_spring(regression.axis)
+    spring = regression.spring_parts
     a = np.hstack([regression.nuisances(), rows.elongation[:, movable], spring])
     best = least(a, rows.voltage - 1e5 * spring.sum(axis=1), regression.nuisances().shape[1])
     assert np.abs(found.solution.residual).sum() == pytest.approx(best, rel=1e-7)

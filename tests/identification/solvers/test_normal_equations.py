@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.identification.solvers.program import ActiveSet, NormalEquations, solve
+from dehyst.identification.solvers.least_squares import ActiveSet, NormalEquations
+from dehyst.identification.solvers.program import solve
 
 
 @st.composite

@@ -6,8 +6,6 @@ The faults are those of `benchmarks/faults.py`; each test looks at one of them.
 import json
 import re
 import signal
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -89,9 +87,7 @@ def rehearsed(request):
         yield Rehearsals(asked, pool)
 
 
-def test_the_page_tells_these_faults():
-    check = [sys.executable, str(Path(faults.__file__).with_name("safety_page.py")), "--check"]
-    assert subprocess.run(check, check=False).returncode == 0, "run faults.py, then safety_page.py, in benchmarks"
+def test_these_faults_were_rehearsed():
     told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
     assert {name: one["words"] for name, one in told.items()} == {case.name: case.words for case in faults.CASES}
     assert {name: one["status"] for name, one in told.items()} == {name: said[0] for name, said in SAID.items()}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, number
-from dehyst.control.compensator import Compensator
+from dehyst.control.compensator import Compensator, allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.bounds import MajorLoop, StateBounds, first_move_error, least_width, moves_on
 from dehyst.control.planning.timed_homing import TimedHoming, leg_seconds
@@ -141,7 +141,7 @@ def shortest_homing(
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
-    allowed = _limits(actuator, limits)
+    allowed = allowed_limits(actuator, limits)
     start = _inside(present, "present", allowed)
     stop = start if end is None else _inside(end, "end", allowed)
     if moves_on(actuator):
@@ -263,17 +263,6 @@ class _HomingTask:
         low, high = self.limits
         above, below = self.top(low, reach) - high, low - self.bottom(high, reach)
         return f"{above:.4g} V above {high:.6g} V, or {below:.4g} V below {low:.6g} V, would suffice"
-
-
-def _limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
-    chosen = actuator.limits if limits is None else limits
-    if chosen is None:
-        raise ModelError(
-            "no voltage limits: the actuator has none and none were given",
-            hint="give limits (low, high)",
-            change=("limits",),
-        )
-    return interval(chosen)
 
 
 def _inside(voltage: float, what: str, limits: tuple[float, float]) -> float:

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError, RecordError
+from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
-from dehyst._validation import interval, number, untimely, vector
+from dehyst._validation import untimely, vector
 from dehyst.control.compensator import Compensator
-from dehyst.control.limits import VoltageLimits, unit_hint
+from dehyst.control.limits import unit_hint
 from dehyst.control.planning.bounds import moves_on
 from dehyst.control.planning.homing import FASTEST_LEG, Homing, played_homing, present_voltage, rows_of
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.timed_homing import leg_seconds
-from dehyst.model import Actuator, State
+from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
+from dehyst.control.trajectory import Command
+from dehyst.model import Actuator, Stage, State
+from dehyst.model.checks import ANYWAY
+from dehyst.model.stage import apply
 from dehyst.model.states import state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
 
@@ -32,11 +37,13 @@ _TOLERANCE = 1e-3
 _ROUNDS = 3
 # A larger file is more than 300 MB.
 MOST_ROWS = 5_000_000
+# Of the time before the path: rows of two axes that are closer are one.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class HomedPath:
-    """A voltage that homes the actuator if need be, leads to the first sample of a path, and follows it.
+    """The voltage of one axis that homes the actuator if need be, leads to the first sample of a path, and follows it.
 
     Attributes
     ----------
@@ -48,11 +55,11 @@ class HomedPath:
     voltage : (n,) array
         [V], within limits and slew rate.
     displacement : (n,) array
-        Wanted displacement [m, or `units`]; before the path, and with a given voltage, that of the model.
+        Wanted displacement of the axis [m, or `units`]; before the path, and with a given voltage, that of the model.
     expected : (n,) array
         Displacement of the model [m, or `units`], before the path from the middle of the possible states.
     state : State
-        At the last sample.
+        Of the actuator at the last sample.
     start : PossibleStart
         The possible states before the homing.
     homing : Homing or None
@@ -87,17 +94,6 @@ class HomedPath:
     units: str = "m"
     unhomed: StartError | None = None
 
-    def in_units(self, units: str) -> HomedPath:
-        """Return the path with its displacements, now in metres, in `units`, such as "um"."""
-        counts = per_metre(units)
-        return replace(
-            self,
-            displacement=self.displacement * counts,
-            expected=self.expected * counts,
-            error=self.error.in_units(units),
-            units=units,
-        )
-
     @property
     def first(self) -> int:
         """The first sample of the path."""
@@ -113,19 +109,20 @@ class HomedPath:
         """Whether the state is known: given, or the homing certified or leaves less than the model's error here."""
         return self.homing is None or self.homing.certified or not self.error.matters
 
+    def in_units(self, units: str) -> HomedPath:
+        """Return the path with its displacements, now in metres, in `units`, such as "um"."""
+        counts = per_metre(units)
+        return replace(
+            self,
+            displacement=self.displacement * counts,
+            expected=self.expected * counts,
+            error=self.error.in_units(units),
+            unhomed=self.unhomed and self.unhomed.in_units(units),
+            units=units,
+        )
 
-def start_at(actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None) -> PossibleStart:
-    """Return the unknown start of an actuator that stands at about a displacement.
 
-    `actuator`: the model. `displacement` [m]. `limits` [V]: those of all earlier voltages, by default the actuator's
-    `voltage_range`. Raise `ModelError` if the displacement is not finite, or the limits are no interval.
-    """
-    y = number(displacement, "displacement")
-    held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
-    low, high = interval(actuator.voltage_range if limits is None else limits)
-    return PossibleStart.unknown(actuator, min(max(held, low), high), (low, high))
-
-
+@overload
 def plan_path(
     compensator: Compensator,
     displacement: ArrayLike,
@@ -136,101 +133,78 @@ def plan_path(
     start: PossibleStart | None = None,
     home: bool | None = None,
     present: float | None = None,
-) -> HomedPath:
+) -> HomedPath: ...
+@overload
+def plan_path(
+    compensator: StageCompensator,
+    displacement: ArrayLike,
+    *,
+    time: ArrayLike | None = None,
+    start: Sequence[PossibleStart] | None = None,
+    home: bool | None = None,
+    present: Sequence[float] | None = None,
+) -> tuple[HomedPath, ...]: ...
+def plan_path(
+    compensator: Any,
+    displacement: ArrayLike,
+    *,
+    time: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    start: Any = None,
+    home: bool | None = None,
+    present: Any = None,
+) -> Any:
     """Compute the voltages of a path from what is known of its start, with a homing before it where that matters.
 
-    Limits and slew rate hold from the present voltage to the last sample.
+    Limits and slew rate hold from the present voltage to the last sample. Several axes are homed side by side: one with
+    a shorter homing waits.
 
     Parameters
     ----------
-    compensator : Compensator
-        Its actuator, limits, slew rate and units; its state does not count.
-    displacement, time, velocity, acceleration
+    compensator : Compensator or StageCompensator
+        Its actuators, limits, slew rates and units; its state does not count.
+    displacement : (n,) or (n, axes) array_like
         The path, as in `Compensator.trajectory`.
-    start : PossibleStart, optional
+    time, velocity, acceleration
+        As in `Compensator.trajectory`; the last two of one axis only.
+    start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
         Whether a way to the first sample comes before the path: from a known start directly, otherwise with the
         shortest homing. Default: from a known start, if one step within the slew rate does not lead there; from an
         unknown one, if it leaves more open along the path than the model's error.
-    present : float, optional
+    present : float, or one an axis, optional
         Present voltage [V] before a homing; default 0 V or the nearest limit.
+
+    Returns
+    -------
+    HomedPath, or a tuple of one an axis
+        Of several axes with the same rows in time; displacements are those of the axes, with all coupling, states and
+        errors those of the actuators.
 
     Raises
     ------
     ModelError
-        As `Compensator.trajectory` does.
+        As `trajectory` of the compensator does.
     RecordError
         If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
     """
-    wanted, actuator, limits = compensator.in_metres(displacement), compensator.actuator, compensator.limits
-    path: dict[str, Any] = {"time": time, "velocity": velocity, "acceleration": acceleration}
-    when = _time(compensator, time, wanted.size)
+    plan = _Plan(compensator, displacement, "displacement", time)
+    rates = plan.rates(velocity, acceleration)
+    given, now = plan.each(start, "start"), plan.each(present, "present")
     if home:
-        return _led(compensator, wanted, path, present, start if start is not None and start.known else None)
-    begin = start_at(actuator, float(wanted[0]), limits) if start is None else start
-    first = state = begin.within(actuator, limits)
-    if actuator.model.moves_on or start is None:
-        # It stands at the first sample, or is brought there slowly.
-        first = state_at(actuator, state, float(wanted[0]))
-    held = None if start is None else VoltageLimits(*limits).nearest(actuator.voltage(state))
-    command = compensator.trajectory(displacement, **path, state=first, present=held)
-    if start is not None and compensator.slew_rate is not None and command.clamped[:1].any():
-        led = _led(compensator, wanted, path, None, PossibleStart(start.name, (state,)))
-        error = start.error_along(actuator, led.voltage, limits, time=led.time, first=led.first)
-        return replace(led, start=start, error=error.in_units(compensator.units))
-    planned = HomedPath(
-        time=when,
-        phase=np.full(wanted.size, PATH),
-        voltage=command.voltage,
-        displacement=wanted * per_metre(compensator.units),
-        expected=command.displacement,
-        state=command.state,
-        start=begin,
-        homing=None,
-        clamped=command.clamped,
-        followed=command.followed,
-        error=begin.error_along(actuator, command.voltage, limits, time=when).in_units(compensator.units),
-        warnings=command.warnings,
-        units=compensator.units,
-    )
-    if start is None and home is None and planned.error.matters:
-        return replace(_led(compensator, wanted, path, present, None), unhomed=planned.error)
-    return planned
+        return plan.result(plan.led(rates, [one if one and one.known else None for one in given], now))
+    if start is not None:
+        return plan.result(plan.begun(rates, given))
+    paths = plan.begun(rates, None)
+    if home is None and any(one.error.matters for one in paths):
+        homed = plan.led(rates, given, now)
+        paths = [replace(one, unhomed=before.error) for one, before in zip(homed, paths, strict=True)]
+    return plan.result(paths)
 
 
-def _led(
-    compensator: Compensator, wanted: Array, path: dict[str, Any], present: float | None, start: PossibleStart | None
-) -> HomedPath:
-    """Return the voltages of a path [m] with the way to it before it: from a known start, or by the shortest homing."""
-    actuator, when = compensator.actuator, _time(compensator, path["time"], wanted.size)
-
-    def first_state(state: State) -> State:
-        return state_at(actuator, state, float(wanted[0]))
-
-    way = _Way.found(
-        compensator, when, wanted.size, present, lambda begun: actuator.voltage(first_state(begun)), start=start
-    )
-    rates: dict[str, Any] = {
-        name: None if path[name] is None else compensator.in_metres(path[name], name, per)
-        for name, per in (("velocity", "/s"), ("acceleration", "/s**2"))
-    }
-    # A mass moves with the path from its first sample on.
-    state = first_state(way.state) if actuator.model.moves_on else way.state
-    command = way.follower.trajectory(wanted, time=when, **rates, state=state, present=way.last)
-    played = way.then(command.voltage, when)
-    unit = unit_hint(compensator.units, compensator.reach, wanted * per_metre(compensator.units))
-    return replace(
-        played,
-        displacement=np.concatenate([played.expected[: way.size], wanted]),
-        expected=np.concatenate([played.expected[: way.size], command.displacement]),
-        state=command.state,
-        clamped=np.concatenate([played.clamped[: way.size], command.clamped]),
-        followed=command.followed,
-        warnings=(*played.warnings, *command.warnings, *unit),
-    ).in_units(compensator.units)
-
-
+@overload
 def plan_voltage(
     compensator: Compensator,
     voltage: ArrayLike,
@@ -239,21 +213,44 @@ def plan_voltage(
     start: PossibleStart | None = None,
     home: bool = False,
     present: float | None = None,
-) -> HomedPath:
+) -> HomedPath: ...
+@overload
+def plan_voltage(
+    compensator: StageCompensator,
+    voltage: ArrayLike,
+    *,
+    time: ArrayLike | None = None,
+    start: Sequence[PossibleStart | None] | None = None,
+    home: bool = False,
+    present: Sequence[float] | None = None,
+) -> tuple[HomedPath, ...]: ...
+def plan_voltage(
+    compensator: Any,
+    voltage: ArrayLike,
+    *,
+    time: ArrayLike | None = None,
+    start: Any = None,
+    home: bool = False,
+    present: Any = None,
+) -> Any:
     """Return the displacement that a voltage causes from what is known of its start, perhaps with a homing before it.
 
     Parameters
     ----------
-    compensator : Compensator
-        Its actuator, limits and slew rate, which the homing keeps.
-    voltage : (n,) array_like
+    compensator : Compensator or StageCompensator
+        Its actuators, limits and slew rates, which the homing keeps.
+    voltage : (n,) or (n, axes) array_like
         [V]; played as it is.
     time, present
         As in `plan_path`.
-    start : PossibleStart, optional
+    start : PossibleStart, or one an axis, optional
         The state before the voltage; default: unknown, at rest at the first one.
     home : bool, optional
         Whether the shortest homing comes first.
+
+    Returns
+    -------
+    HomedPath, or a tuple of one an axis
 
     Raises
     ------
@@ -262,181 +259,285 @@ def plan_voltage(
     RecordError
         As `plan_path` does.
     """
-    given, actuator = vector(voltage, "voltage"), compensator.actuator
-    when = _time(compensator, time, given.size)
-    if not home:
-        start = start or PossibleStart.unknown(actuator, float(given[0]), compensator.limits)
-        clock = when if actuator.needs_time else None
-        motion = actuator.simulate(given, time=clock, state=start.state, extrapolate=True)
-        return HomedPath(
-            time=when,
-            phase=np.full(given.size, PATH),
-            voltage=given,
-            displacement=motion.displacement,
-            expected=motion.displacement,
-            state=motion.state,
-            start=start,
-            homing=None,
-            clamped=np.zeros(given.size, dtype=bool),
-            followed=True,
-            error=StartError.along(actuator, start.states, given, time=when),
-            warnings=(),
-        ).in_units(compensator.units)
-    way = _Way.found(compensator, when, given.size, present, lambda _: float(given[0]))
-    return way.then(given, when).in_units(compensator.units)
+    plan = _Plan(compensator, voltage, "voltage", time)
+    given = plan.each(start, "start")
+    if home:
+        ways = plan.ways([None] * len(given), plan.each(present, "present"))
+    else:
+        starts = [
+            known or PossibleStart.unknown(one.actuator, volts, one.limits)
+            for known, one, volts in zip(given, plan.loops, plan.firsts, strict=True)
+        ]
+        ways = [_Way(known, known.state) for known in starts]
+    size = ways[0].voltage.size
+    moved, states = plan.motion(ways, plan.rows)
+    commands = [
+        Command(volts, y, np.zeros(y.size, dtype=bool), state, (), 0.0, True)
+        for volts, y, state in zip(plan.rows.T, moved[size:].T, states, strict=True)
+    ]
+    return plan.result(plan.joined(ways, moved[:size], commands, moved[size:]))
 
 
-def _time(compensator: Compensator, time: ArrayLike | None, size: int) -> Array | None:
-    """Return the time of a path [s], None if it has none; raise if it is empty or the time does not fit."""
-    if not size:
-        raise RecordError(argument="path", got="no samples", need="one at least")
-    if time is None:
-        period = compensator.period
-        return None if period is None else period * np.arange(size, dtype=np.float64)
-    when = vector(time, "time")
-    if when.size != size or np.any(np.diff(when) <= 0):
-        raise ModelError(untimely(when, size))
-    return when
+class _Way(NamedTuple):
+    """The homing of an axis and the way to the first sample of a path, without that sample.
 
+    `state`: at the end, from the middle of the possible ones. `voltage` (k,) [V] at `time` (k,) [s]; `goal` [V]: at the
+    first sample, `seconds` after the first row. `last`: the voltage before that sample, `step` [s] before it.
+    """
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """The homing and the way to the first sample of a path, without that sample."""
-
-    compensator: Compensator
-    homing: Homing | None
     start: PossibleStart
-    present: float
-    time: Array
-    phase: NDArray[np.int64]
-    voltage: Array
-    seconds: float
-    step: float
     state: State
-    warnings: tuple[str, ...]
+    homing: Homing | None = None
+    warnings: tuple[str, ...] = ()
+    time: Array = EMPTY
+    phase: NDArray[np.int64] = EMPTY.astype(np.int64)
+    voltage: Array = EMPTY
+    seconds: float = 0.0
+    goal: float = 0.0
+    last: float = 0.0
+    step: float = 0.0
 
-    @property
-    def size(self) -> int:
-        return self.voltage.size
 
-    @property
-    def last(self) -> float:
-        """The voltage [V] before the first sample of the path."""
-        return float(self.voltage[-1]) if self.size else self.present
+class _Plan:
+    """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    @property
-    def follower(self) -> Compensator:
-        """The compensator of the path, in metres: its first sample comes a step after the last one of the way."""
-        one = self.compensator
-        period = None if one.slew_rate is None else self.step
-        return Compensator(one.actuator, one.limits, one.slew_rate, period=period)
+    `firsts`: displacement [m] of each actuator at the first sample, or its voltage [V].
+    """
 
-    @classmethod
-    def found(
-        cls,
-        compensator: Compensator,
-        time: Array | None,
-        size: int,
-        present: float | None,
-        goal: Callable[[State], float],
-        start: PossibleStart | None = None,
-    ) -> _Way:
-        """Find the shortest homing, and the way from its end to the voltage [V] of the path's first sample.
+    def __init__(
+        self, compensator: Compensator | StageCompensator, rows: ArrayLike, what: str, time: ArrayLike | None
+    ) -> None:
+        self.compensator, self.loops, self.voltage = compensator, axes_of(compensator), what == "voltage"
+        self.single = compensator if isinstance(compensator, Compensator) else None
+        if isinstance(compensator, Compensator):
+            self.stage = Stage((compensator.actuator,))
+            self.rows = (vector(rows, what) if self.voltage else compensator.in_metres(rows))[:, None]
+            if not self.voltage and (sentence := compensator.strays(rows)):
+                raise ModelError(f"{sentence}; {ANYWAY}")
+        else:
+            self.stage = compensator.stage
+            self.rows = self.stage.columns(rows, what, "V" if self.voltage else "m")
+        size, period = len(self.rows), compensator.period
+        if not size:
+            raise RecordError(argument="path", got="no samples", need="one at least")
+        self.firsts: list[float] = (self.rows if self.voltage else apply(self.stage.decoupling, self.rows))[0].tolist()
+        self.time = None if period is None else period * np.arange(size, dtype=np.float64)
+        if time is not None:
+            self.time = vector(time, "time")
+            if self.time.size != size or np.any(np.diff(self.time) <= 0):
+                raise ModelError(untimely(self.time, size))
 
-        No homing from a known `start`.
+    def each(self, values: Any, what: str) -> list[Any]:
+        """Return what is given for each axis."""
+        return [values] if self.single else list(for_each(values, len(self.loops), what))
+
+    def rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> dict[str, Array]:
+        """Return those derivatives of a path that are given, in metres."""
+        given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
+        found = {name: self.loops[0].in_metres(values, name, per) for name, values, per in given if values is not None}
+        if found and self.single is None:
+            raise ModelError(argument=min(found), got="it for several axes", need="a path of one axis")
+        return found
+
+    def result(self, paths: list[HomedPath]) -> Any:
+        """Return the paths of several axes, or that of the only one, in the units of its compensator."""
+        if self.single is None:
+            return tuple(paths)
+        units = self.single.units
+        hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
+        return replace(paths[0], warnings=(*paths[0].warnings, *hint)).in_units(units)
+
+    def begun(self, rates: dict[str, Array], given: list[PossibleStart] | None) -> list[HomedPath]:
+        """Return the voltages of the path alone; after a way if no step within the slew rate leads from its start."""
+        starts = given or [
+            PossibleStart.unknown_near(one.actuator, y, one.limits)
+            for one, y in zip(self.loops, self.firsts, strict=True)
+        ]
+        states = [start.within(one.actuator, one.limits) for start, one in zip(starts, self.loops, strict=True)]
+        # An actuator stands at the first sample, or is brought there slowly.
+        begins = [
+            state_at(one.actuator, state, y) if given is None or one.actuator.model.moves_on else state
+            for one, state, y in zip(self.loops, states, self.firsts, strict=True)
+        ]
+        held = [one.held(state) for one, state in zip(self.loops, states, strict=True)]
+        commands = self.follow(rates, begins, None if given is None else held, self.compensator.period)
+        jumps = [one.slew_rate and command.clamped[0] for one, command in zip(self.loops, commands, strict=True)]
+        if given is not None and any(jumps):
+            known = [PossibleStart(start.name, (state,)) for start, state in zip(starts, states, strict=True)]
+            return self.led(rates, known, [None] * len(known), given)
+        ways = [_Way(start, start.state) for start in starts]
+        return self.joined(ways, np.zeros((0, len(starts))), commands, self.rows)
+
+    def led(
+        self,
+        rates: dict[str, Array],
+        known: Sequence[PossibleStart | None],
+        present: list[float | None],
+        starts: list[PossibleStart] | None = None,
+    ) -> list[HomedPath]:
+        """Return the voltages of the path after the way to it: from known starts, or by the shortest homing.
+
+        `starts`: those of which the known ones are the middle.
         """
-        actuator, limits = compensator.actuator, compensator.limits
-        if start is not None and present is None:
-            present = VoltageLimits(*limits).nearest(actuator.voltage(start.state))
-        now, rate, leg = present_voltage(limits, present), *_pace(actuator, time)
-        least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-        tolerance = least if moves_on(actuator) else None
+        ways = self.ways(known, present)
+        # A mass moves with the path from its first sample on.
+        begins = [
+            state_at(one.actuator, way.state, y) if one.actuator.model.moves_on else way.state
+            for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
+        ]
+        commands = self.follow(rates, begins, [way.last for way in ways], ways[0].step)
+        before = self.motion(ways, np.column_stack([one.voltage for one in commands]))[0][: ways[0].voltage.size]
+        if starts:
+            ways = [way._replace(start=start) for way, start in zip(ways, starts, strict=True)]
+        return self.joined(ways, before, commands, self.rows)
+
+    def follow(
+        self, rates: dict[str, Array], states: list[State], present: list[float] | None, period: float | None
+    ) -> Sequence[Command]:
+        """Return the voltages of the path from states; its first sample comes a `period` after the present voltages."""
+        if self.single is not None:
+            one = Compensator(self.single.actuator, self.single.limits, self.single.slew_rate, period=period)
+            options: dict[str, Any] = {"time": self.time, "present": None if present is None else present[0], **rates}
+            return [one.trajectory(self.rows[:, 0], state=states[0], **options)]
+        limits, slews = [one.limits for one in self.loops], [one.slew_rate for one in self.loops]
+        several = StageCompensator(self.stage, period=period, limits=limits, slew_rate=slews, states=states)
+        return several.trajectory(self.rows, time=self.time, present=present)
+
+    def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
+        """Return the ways to the first sample, which begin and end at one time: an axis with a shorter way waits."""
+        ways = [
+            self.way(one, start, now, first)
+            for one, start, now, first in zip(self.loops, starts, present, self.firsts, strict=True)
+        ]
+        ahead = np.unique(np.concatenate([one.time - one.seconds for one in ways]))
+        # Rows of two axes at one time may differ by rounding.
+        ahead = ahead[np.diff(ahead, append=0.0) > _ROUNDING * np.abs(ahead).max(initial=0.0)]
+        if self.single is not None or not ahead.size:
+            return ways
+        homed = [(one.time - one.seconds)[one.phase == WAY] for one in ways]
+        ends = max(own[0] if own.size else 0.0 for own in homed)
+        homes = any(one.homing is not None for one in ways)
+        phase = np.where(homes & (ahead < ends), HOMING, WAY)
+        merged = []
+        for one in ways:
+            own, values = np.append(one.time - one.seconds, 0.0), np.append(one.voltage, one.goal)
+            voltage = np.interp(ahead, own, values)
+            merged.append(one._replace(time=ahead - ahead[0], phase=phase, voltage=voltage, last=float(voltage[-1])))
+        states = self.motion(merged)[1]
+        seconds = -float(ahead[0])
+        return [one._replace(seconds=seconds, state=state) for one, state in zip(merged, states, strict=True)]
+
+    def way(self, one: Compensator, start: PossibleStart | None, present: float | None, first: float) -> _Way:
+        """Return the shortest homing of an axis, or none from a known start, and the way from its end to the path."""
+        actuator, limits = one.actuator, one.limits
+        now = present_voltage(limits, one.held(start.state) if start and present is None else present)
+        rate, leg = self.pace(actuator)
         drive = Sampling(frequency=0.5 / leg, sample_rate=rate)
-        excitation: Excitation | None = None
+        played: Excitation | None = None
         homing: Homing | None = None
         remarks: tuple[str, ...] = ()
         if start is None:
-            excitation, homing, remarks = played_homing(
-                compensator, rate, leg, present=now, drive=drive, tolerance=tolerance
-            )
+            least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
+            tolerance = least if moves_on(actuator) else None
+            played, homing, remarks = played_homing(one, rate, leg, present=now, drive=drive, tolerance=tolerance)
             start = PossibleStart.unknown(actuator, now, limits)
-        begin = start.state if homing is None else homing.state
-        rows = np.zeros(0, dtype=np.int64) if excitation is None else rows_of(excitation.voltage[:-1])
-        homed = np.zeros(0) if excitation is None else excitation.voltage[rows]
-        seconds = 0.0 if excitation is None else excitation.duration
-        drive = replace(drive, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
-        way, state = _ramp(actuator, drive, begin, goal)
-        if rows.size + way.size + size > MOST_ROWS:
+        rows = rows_of(EMPTY if played is None else played.voltage[:-1])
+        seconds = 0.0 if played is None else played.duration
+        drive = replace(drive, base=now, present=now, limits=limits, slew_rate=one.slew_rate)
+        state = start.state if homing is None else homing.state
+        ramp, goal, state = self.ramp(actuator, drive, state, first)
+        if rows.size + ramp.size + len(self.rows) > MOST_ROWS:
             raise RecordError(
                 argument="homing",
-                got=f"{rows.size + way.size} samples before the path, {seconds:.4g} s at {rate:g} Hz",
+                got=f"{rows.size + ramp.size} samples before the path, {seconds:.4g} s at {rate:g} Hz",
                 need=f"at most {MOST_ROWS:g} with it",
                 hint="try a lower sample rate, or give the start",
             )
-        when = rows / (1.0 if excitation is None else excitation.sample_rate)
-        return cls(
-            compensator,
-            homing,
+        homed, when = (EMPTY, EMPTY) if played is None else (played.voltage[rows], rows / played.sample_rate)
+        voltage = np.concatenate([homed, ramp])
+        return _Way(
             start,
-            now,
-            np.concatenate([when, seconds + np.arange(way.size) / rate]),
-            np.repeat([HOMING, WAY], [rows.size, way.size]),
-            np.concatenate([homed, way]),
-            seconds + way.size / rate,
-            1 / rate,
             state,
+            homing,
             remarks,
+            np.concatenate([when, seconds + np.arange(ramp.size) / rate]),
+            np.repeat([HOMING, WAY], [rows.size, ramp.size]),
+            voltage,
+            seconds + ramp.size / rate,
+            goal,
+            last=float(voltage[-1]) if voltage.size else now,
+            step=1 / rate,
         )
 
-    def then(self, voltage: Array, time: Array | None) -> HomedPath:
-        """Return the way with the voltage of a path after it."""
-        actuator = self.compensator.actuator
-        whole = np.concatenate([self.voltage, voltage])
-        when = None if time is None else np.concatenate([self.time, self.seconds + time - time[0]])
-        start = self.start
-        clock = when if actuator.needs_time else None
-        motion = actuator.simulate(whole, time=clock, state=start.state, extrapolate=True)
-        return HomedPath(
-            when,
-            np.concatenate([self.phase, np.full(voltage.size, PATH)]),
-            whole,
-            motion.displacement,
-            motion.displacement,
-            motion.state,
-            start,
-            self.homing,
-            np.zeros(whole.size, dtype=bool),
-            True,
-            StartError.along(actuator, start.states, whole, time=when, first=self.size),
-            self.warnings,
-        )
+    def pace(self, actuator: Actuator) -> tuple[float, float]:
+        """Return the sample rate [Hz] of a homing before the path, and the duration of its legs [s]."""
+        if self.time is None:
+            return 1.0, float(_TIMELESS)
+        step = float(np.median(np.diff(self.time))) if self.time.size > 1 else FASTEST_LEG / _FEWEST
+        leg = max(FASTEST_LEG, _FEWEST * step)
+        return 1 / step, max(leg, leg_seconds(actuator, leg))
 
+    def ramp(self, actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
+        """Return the voltages [V] to the first sample of the path, without it; its voltage, and the state before it.
 
-def _pace(actuator: Actuator, time: Array | None) -> tuple[float, float]:
-    """Return the sample rate [Hz] of a homing before a path, and the duration of its legs [s]."""
-    if time is None:
-        return 1.0, float(_TIMELESS)
-    step = float(np.median(np.diff(time))) if time.size > 1 else FASTEST_LEG / _FEWEST
-    leg = max(FASTEST_LEG, _FEWEST * step)
-    return 1 / step, max(leg, leg_seconds(actuator, leg))
+        The way takes a share of a leg's time, but lets a mass and an amplifier follow.
+        """
+        low, high = drive.limits or (-np.inf, np.inf)
+        still = replace(actuator, creep=None, state=None)  # type: ignore[arg-type]
+        begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
+        for _ in range(_ROUNDS if actuator.needs_time else 1):
+            end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))
+            end = min(max(end, low), high)
+            if end == begin:
+                return EMPTY, end, state
+            seconds = max(drive.half * abs(end - begin) / (high - low), leg_seconds(still, 0.0))
+            voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
+            time = np.arange(voltage.size) / drive.rate if actuator.needs_time else None
+            reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
+            ramp = voltage[:-1]
+        return ramp, end, reached
 
+    def time_of(self, way: _Way, size: int) -> Array | None:
+        """Return the time [s] of the rows of a way and `size` samples after it; None if the path has none."""
+        if self.time is None:
+            return None
+        return np.concatenate([way.time, way.seconds + (self.time - self.time[0])[:size]])
 
-def _ramp(actuator: Actuator, drive: Sampling, state: State, goal: Callable[[State], float]) -> tuple[Array, State]:
-    """Return the voltages [V] from the end of a homing to the first sample of a path, without it, and the state there.
+    def motion(self, ways: Sequence[_Way], rows: Array | None = None) -> tuple[Array, list[State]]:
+        """Return the displacement (k, axes) [m] along ways and voltages (n, axes) after them, and the last states."""
+        after = np.zeros((0, len(ways))) if rows is None else rows
+        time = self.time_of(ways[0], len(after))
+        motions = []
+        for one, way, volts in zip(self.loops, ways, after.T, strict=True):
+            voltage, when = np.concatenate([way.voltage, volts]), time if one.actuator.needs_time else None
+            motions.append(one.actuator.simulate(voltage, time=when, state=way.start.state, extrapolate=True))
+        moved = np.column_stack([motion.displacement for motion in motions])
+        return apply(self.stage.coupling, moved), [motion.state for motion in motions]
 
-    The way takes a share of a leg's time, but lets a mass and an amplifier follow.
-    """
-    low, high = drive.limits or (-np.inf, np.inf)
-    still = replace(actuator, creep=None, state=None)  # type: ignore[arg-type]
-    begin, reached, way = drive.start, state, np.zeros(0)
-    for _ in range(_ROUNDS if actuator.needs_time else 1):
-        end = min(max(goal(reached), low), high)
-        if end == begin:
-            return np.zeros(0), state
-        share = abs(end - begin) / (high - low)
-        seconds = max(drive.half * share, leg_seconds(still, 0.0))
-        voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
-        time = np.arange(voltage.size) / drive.rate if actuator.needs_time else None
-        reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
-        way = voltage[:-1]
-    return way, reached
+    def joined(
+        self, ways: Sequence[_Way], before: Array, commands: Sequence[Command], wanted: Array
+    ) -> list[HomedPath]:
+        """Return the path of each axis: its way, which moves as `before` (k, axes) [m], and the command after it."""
+        size = len(wanted)
+        time, phase = self.time_of(ways[0], size), np.concatenate([ways[0].phase, np.full(size, PATH)])
+        paths = []
+        for one, way, command, led, path in zip(self.loops, ways, commands, before.T, wanted.T, strict=True):
+            voltage = np.concatenate([way.voltage, command.voltage])
+            first = way.voltage.size
+            paths.append(
+                HomedPath(
+                    time,
+                    phase,
+                    voltage,
+                    displacement=np.concatenate([led, path]),
+                    expected=np.concatenate([led, command.displacement]),
+                    state=command.state,
+                    start=way.start,
+                    homing=way.homing,
+                    clamped=np.concatenate([np.zeros(first, dtype=bool), command.clamped]),
+                    followed=command.followed,
+                    error=way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first),
+                    warnings=(*way.warnings, *command.warnings),
+                )
+            )
+        return paths

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._units import per_metre
-from dehyst._validation import choice, vector
+from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.bounds import middle_of, possible_states
 from dehyst.control.planning.homing import shortest_homing
@@ -118,6 +118,20 @@ class PossibleStart:
         `voltage_range`. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
         """
         return cls("unknown", possible_states(actuator, voltage, limits))
+
+    @classmethod
+    def unknown_near(
+        cls, actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None
+    ) -> PossibleStart:
+        """Return the unknown start of an `actuator` that stands at about a `displacement` [m].
+
+        `limits` [V]: those of all earlier voltages, by default the actuator's `voltage_range`. Raise `ModelError` if
+        the displacement is not finite, or the limits are no interval.
+        """
+        y = number(displacement, "displacement")
+        held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
+        low, high = interval(actuator.voltage_range if limits is None else limits)
+        return cls.unknown(actuator, min(max(held, low), high), (low, high))
 
     @classmethod
     def after(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.identification.preprocessing.regressors import Rows, collect
+from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.highs import minimum
+from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.solvers.problem import spread
 from dehyst.identification.structure import Grid
 from dehyst.records import Record
@@ -107,51 +108,50 @@ class Identifiability:
         )
 
 
-def identifiability(records: list[Record], regression: Regression, *, relaxed: Collection[int] = ()) -> Identifiability:
+def identifiability(records: list[Record], grid: Grid, *, relaxed: Collection[int] = ()) -> Identifiability:
     """Compute the directions of the stiffnesses that the records determine.
 
     Noise makes all samples of a record differ, which would raise the numerical rank of measured rows. So the rank is
     that of the outlines of the paths.
 
-    `records`: pieces without gaps, on a common displacement axis. `regression`: its thresholds, knots and movable
-    elements are used. `relaxed`: numbers of the records that start with no element strained.
+    `records`: pieces without gaps, on a common displacement axis. `relaxed`: numbers of the records that start with no
+    element strained.
     """
-    breakaway = regression.grid.breakaway
+    breakaway, movable = grid.breakaway, grid.movable
     spacing = float(np.diff(breakaway, prepend=0.0).min())
-    ends = regression.knots[[0, -1]]
-    turns = [_turns(record, spacing, ends) for record in records]
+    turns = [_turns(record, spacing, grid.knots[[0, -1]]) for record in records]
     points = int(np.clip(_MOST_ROWS // max(1, sum(map(len, turns))), 20, 4 * breakaway.size + 20))
     kept = [(q, places) for q, places in enumerate(turns) if len(places) > 2 or (q in relaxed and len(places) > 1)]
     outlines = [(q, _outline(places, points)) for q, places in kept]
     numbered = [(q, outline, np.zeros(len(outline))) for q, outline in outlines]
     rows, _ = collect(numbered, breakaway, [0.0] * len(outlines), relaxed=relaxed)
-    few = replace(regression, rows=rows, datum=np.zeros(len(records)), drifting=())
-    movable = regression.movable
     count = int(np.count_nonzero(movable))
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
-    values, vectors = np.linalg.svd(few.projected())[1:]
+    values, vectors = np.linalg.svd(projected(Regression(rows, grid, 0.0, np.zeros(len(records)))))[1:]
     padded = np.zeros(count)
     padded[: values.size] = values / np.sqrt(len(rows))
     return Identifiability(breakaway, movable, padded, vectors)
 
 
-def probe_identifiability(records: list[Record], rows: Rows, span: tuple[float, float]) -> Identifiability:
-    """Compute how much the turning points of records determine of ten Maxwell-slip elements over a stroke.
+def projected(regression: Regression) -> Array:
+    """Return columns of the movable elements over their rho, all others projected out: a triangle (m, m)."""
+    grid, others = regression.grid, np.hstack([regression.nuisances(), regression.spring_parts])
+    others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
+    slip = regression.rows.elongation[:, grid.movable] / grid.breakaway[grid.movable]
+    triangle = triangle_of(np.hstack([others, slip]))
+    return triangle[others.shape[1] :, others.shape[1] :]
+
+
+def probes(span: tuple[float, float]) -> Grid:
+    """Return ten Maxwell-slip elements over a stroke [m], with which the turning points of records are probed.
 
     A structure with more parts has more coefficients than records determine; smoothing settles the rest. If ten slip
     elements stay open, smoothing cannot predict loops that turn elsewhere.
-
-    `records`: pieces without gaps, on a common displacement axis. `rows`: rows of these records; their values have no
-    effect. `span`: ends of the stroke [m].
     """
     stroke = span[1] - span[0]
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
-    movable = 2 * rho < stroke * (1 - 1e-9)
-    knots = np.linspace(*span, _PROBES + 1)
-    return identifiability(
-        records, Regression(rows, Grid.maxwell_slip(rho, knots, movable), 0.0, np.zeros(len(records)))
-    )
+    return Grid.maxwell_slip(rho, np.linspace(*span, _PROBES + 1), 2 * rho < stroke * (1 - 1e-9))
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

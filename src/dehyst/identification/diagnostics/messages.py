@@ -17,7 +17,6 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors
 from dehyst.identification.rules import RULES
 from dehyst.model.identification import Outcome
-from dehyst.records.quality import guesses
 from dehyst.records.signals import turning_points
 from dehyst.waveforms import Sampling
 
@@ -28,10 +27,23 @@ LONGER_ELEMENTS = (
     "The loops grow. Elements that slide once only, as the range gets wider, lower the error of the records simulated "
     "whole: they are in the model."
 )
-
 STEPS = (
     "After steps of the voltage the displacement rings or overshoots. The expected error is of paths without steps; "
     "where a ring changes the hysteresis, a path is missed by more until its next full loop."
+)
+# What a step of {percent} that follows at once is.
+FALSE_CREEP = (
+    "Creep was found and left out: {percent:.0f} % of a step would follow within a twentieth of a cycle, which is a "
+    "low-pass, of the sensor or of the amplifier, and no creep."
+)
+DRIFT_OR_CREEP = (
+    "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records cannot "
+    "distinguish them. {hold}"
+)
+# `first` and `ratio`: where the first element slides [um], and over the noise.
+NOISE = (
+    "The first element slides at {first:.4g} um, {ratio:.3g} times the sensor's noise; below {least} times its "
+    "stiffness is estimated too small."
 )
 
 
@@ -43,59 +55,42 @@ def drive_like(limits: tuple[float, float], records: Sequence[Prepared]) -> Samp
     return Sampling(frequency=1 / cycle, base=low, limits=(low, limits[1]))
 
 
+def _command(drive: Sampling, kind: str, options: str) -> str:
+    """Return the command that writes an excitation up to the highest voltage."""
+    highest = f"{drive.limits[1]:g}" if drive.limits is not None else ""
+    return drive.command(f"{kind} {highest} {options}")
+
+
 def _staircase(drive: Sampling) -> str:
     """Return the command for steps that are held for as long as a cycle lasts, which show creep."""
-    return drive.command(f"staircase {_highest(drive)} --hold {2 * drive.half:.3g}")
+    return _command(drive, "staircase", f"--hold {2 * drive.half:.3g}")
 
 
-def _highest(drive: Sampling) -> str:
-    return f"{drive.limits[1]:g}" if drive.limits is not None else ""
-
-
-def of_drift_or_creep(drive: Sampling) -> str:
-    """Return the sentence for a drift that creep would explain as well."""
-    return (
-        "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records "
-        "cannot distinguish them. A step that is held for as long as a cycle lasts, or loops at two speeds, would show "
-        f"it: {_staircase(drive)}"
-    )
+def hold(drive: Sampling) -> str:
+    """Return the sentence with the excitation that would show creep."""
+    wanted = "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it"
+    return f"{wanted}: {_staircase(drive)}"
 
 
 def of_creep_not_tried(longest: float, needed: float, drive: Sampling) -> str:
     """Return the sentence for records that do not show creep: their longest hold, and the least that would [s]."""
-    hold = f" The longest hold, {longest:.3g} s, is {needed - longest:.3g} s too short." if longest else ""
+    short = f" The longest hold, {longest:.3g} s, is {needed - longest:.3g} s too short." if longest else ""
     return (
         "Creep was not looked for: the records neither hold still for as long as their cycles last nor have loops of "
-        f"one height at two speeds.{hold} Add slower loops or a staircase: {_staircase(drive)}"
+        f"one height at two speeds.{short} Add slower loops or a staircase: {_staircase(drive)}"
     )
-
-
-def of_false_creep(followed: float) -> str:
-    """Return the sentence for branches that follow a step at once, `followed` times its first displacement."""
-    return (
-        f"Creep was found and left out: {100 * followed:.0f} % of a step would follow within a twentieth of a cycle, "
-        "which is a low-pass, of the sensor or of the amplifier, and no creep."
-    )
-
-
-def of_guesses(records: Sequence[Prepared]) -> list[str]:
-    """Return a remark that repeats what was guessed when the records were read."""
-    sentences = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
-    return [" ".join(sentences)] if sentences else []
 
 
 def of_dropped(part: str, without: float, within: float, stroke: float, drive: Sampling) -> str:
     """Return the sentence for a part that does not predict time that was not trained on."""
-    named = {"inertia": "A resonance", "creep": "Creep"}[part]
-    wanted = {
-        "inertia": "Faster motion, up to a fifth of the resonance at least, would show it.",
-        "creep": "A step that is held for as long as a cycle lasts, or loops at two speeds, would show it: "
-        + _staircase(drive),
-    }
+    named, wanted = {
+        "inertia": ("A resonance", "Faster motion, up to a fifth of the resonance at least, would show it."),
+        "creep": ("Creep", hold(drive)),
+    }[part]
     return (
         f"{named} was found and left out: it does not predict parts of the records that were not trained on "
         f"(RMS {100 * within / stroke:.2g} % of the range with it, {100 * without / stroke:.2g} % without). Drift, "
-        f"vibration, the sensor's noise or its filter may look like it. {wanted[part]}"
+        f"vibration, the sensor's noise or its filter may look like it. {wanted}"
     )
 
 
@@ -126,18 +121,7 @@ def of_one_ended_loops(voltages: Sequence[Array], drive: Sampling) -> list[str]:
     return [
         f"All inner loops of the records turn at the {'lowest' if at_low else 'highest'} voltage. Loops that turn "
         "elsewhere were not tested, and a path that has them may be missed by several times the expected error. "
-        f"Reversal curves as a validation record would show it: "
-        + drive.command(f"reversal-curves {_highest(drive)} --count 8")
-    ]
-
-
-def of_noise(first: float, noise: float) -> list[str]:
-    """Return a remark if jitter that is left in the path drags the first element, at `first` [m]."""
-    if first >= RULES.first_element_noise * noise:
-        return []
-    return [
-        f"The first element slides at {first * 1e6:.4g} um, {first / noise:.3g} times the sensor's noise; "
-        f"below {RULES.first_element_noise} times its stiffness is estimated too small."
+        f"Reversal curves as a validation record would show it: " + _command(drive, "reversal-curves", "--count 8")
     ]
 
 
@@ -148,7 +132,7 @@ def of_turns(probe: Identifiability, drive: Sampling) -> list[str]:
     return [
         f"Structures with more parts were not tried: the turning points determine {probe.determined} of {probe.of} "
         "directions of ten slip elements. More parts need nested loops, with other turning points: "
-        + drive.command(f"descending-tops {_highest(drive)} --steps 10")
+        + _command(drive, "descending-tops", "--steps 10")
     ]
 
 
@@ -162,15 +146,16 @@ def of_plain(
             f"The records determine {identifiability.determined} of {identifiability.of} directions of the "
             "stiffnesses; minor loops with other turning points determine more (run dehyst insight for proposals)."
         )
-    still = int(np.count_nonzero(~regression.movable))
-    if still > 1 or not regression.movable.any():
+    movable = regression.grid.movable
+    still = int(np.count_nonzero(~movable))
+    if still > 1 or not movable.any():
         remarks.append(
-            f"{still} of {regression.movable.size} elements slide at half of the range or more: they never slide over "
+            f"{still} of {movable.size} elements slide at half of the range or more: they never slide over "
             "all of it, act as part of the spring, and got no stiffness."
         )
     low = np.flatnonzero(coefficients.slopes <= regression.floor * (1 + 1e-6))
     if low.size:
-        ends = regression.knots * 1e6
+        ends = regression.grid.knots * 1e6
         places = ", ".join(f"{ends[j]:.4g} to {ends[j + 1]:.4g} um" for j in low[:4])
         remarks.append(f"The spring's slope lies on its floor at {places}{' and elsewhere' if low.size > 4 else ''}.")
     if identifiability.determined < identifiability.of:
@@ -185,7 +170,11 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], d
     """
     low, high = limits
     width = RULES.end_of_limits * (high - low)
-    counted = [(_counted(item), _samples_a_cycle(item)) for item in records]
+    counted = []
+    for item in records:
+        used = counted_samples([(piece.voltage, epochs(piece, item.noise)) for piece in item.pieces])
+        cycles = [cycle.stop - cycle.start - 1 for cycle in item.record.cycles()]
+        counted.append((np.concatenate([np.zeros(0), *used]), float(np.median(cycles or [len(item.record)]))))
     total, remarks = sum(v.size for v, _ in counted), []
     for end, inward, words in ((high, -1, ("above", "highest")), (low, 1, ("below", "lowest"))):
         edge = end + inward * width
@@ -195,20 +184,9 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], d
             remarks.append(
                 f"Only {count} of {total} samples that count lie {words[0]} {edge:.4g} V, the {words[1]} voltage is "
                 f"{end:.4g} V: the model is little better than extrapolated there. Record loops that go there slowly: "
-                + drive.command(f"raised-cosine {_highest(drive)} --cycles 2")
+                + _command(drive, "raised-cosine", "--cycles 2")
             )
     return remarks
-
-
-def _counted(item: Prepared) -> Array:
-    """Return the voltages of the used samples, and of the turns before them."""
-    parts = counted_samples([(piece.voltage, epochs(piece, item.noise)) for piece in item.pieces])
-    return np.concatenate([np.zeros(0), *parts])
-
-
-def _samples_a_cycle(item: Prepared) -> float:
-    cycles = [cycle.stop - cycle.start - 1 for cycle in item.record.cycles()]
-    return float(np.median(cycles)) if cycles else float(len(item.record))
 
 
 def of_held_out(records: Sequence[Prepared], limits: tuple[float, float], errors: Sequence[RecordErrors]) -> list[str]:
@@ -251,20 +229,18 @@ def repaired(
             sentences.append(
                 f"{error.record}: fits best with its sensor's zero moved by {error.datum * 1e6:.4g} um; it was moved."
             )
-        if abs(error.drift) > RULES.smallest_drift * error.stroke:
-            sentences.append(f"{error.record}: {_drift(error)}; set aside.")
+        if abs(error.drift) <= RULES.smallest_drift * error.stroke:
+            continue
+        total = f"by {error.drifted_percent:.3g} % of the range over the samples that count"
+        if error.creeps:
+            # Only creep has a rate.
+            rate = 100 * error.drift / error.stroke
+            drift = f"creeps by {rate:.3g} % of the range a decade of time since its start"
+        elif error.steady:
+            drift = f"drifts steadily {total}: the sensor, the temperature, or creep that lasts longer than the record"
+        elif error.decades < RULES.fewest_decades:
+            drift = f"drifts {total}, too short a time to determine a rate of creep"
+        else:
+            drift = f"drifts {total}, which is more than creep"
+        sentences.append(f"{error.record}: {drift}; set aside.")
     return sentences
-
-
-def _drift(error: RecordErrors) -> str:
-    """Describe a drift; as a rate only if it can be creep."""
-    if error.creeps:
-        return f"creeps by {100 * error.drift / error.stroke:.3g} % of the range a decade of time since its start"
-    if error.steady:
-        return (
-            f"drifts steadily by {error.drifted_percent:.3g} % of the range over the samples that count: the sensor, "
-            "the temperature, or creep that lasts longer than the record"
-        )
-    few = error.decades < RULES.fewest_decades
-    why = "too short a time to determine a rate of creep" if few else "which is more than creep"
-    return f"drifts by {error.drifted_percent:.3g} % of the range over the samples that count, {why}"

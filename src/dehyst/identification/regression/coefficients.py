@@ -14,14 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.regressors import EpochRange
+from dehyst.identification.preprocessing.regressors import NumberedEpoch
 from dehyst.identification.solvers.program import Solution
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
@@ -72,19 +71,18 @@ class Coefficients:
             raise ValueError("these coefficients are those of an actuator; fit a regression for an answer")
         return self.solution
 
-    def to_actuator(self, grid: Grid, first: float, *, least: float | None = _NOTHING, **others: Any) -> Actuator:
+    def to_actuator(self, grid: Grid, first: float, *, every_part: bool = False, **others: Any) -> Actuator:
         """Return the actuator that has these coefficients on a grid.
 
-        `first`: the spring's voltage at its first knot [V]. `least`: creep branches and smooth elements that hold no
-        more than this part of the voltage are left out; None: all stay, negative stiffnesses as zero. `**others`:
-        further arguments of `Actuator`.
+        `first`: the spring's voltage at its first knot [V]. `every_part`: whether creep branches and smooth elements
+        that hold nothing stay, negative stiffnesses as zero. `**others`: further arguments of `Actuator`.
         """
         branches = grid.time_constants.size
-        internal = np.maximum(self.internal, 0.0) if least is None else self.internal
-        if least is None:
-            kept = np.ones(internal.size, dtype=bool)
+        if every_part:
+            internal, kept = np.maximum(self.internal, 0.0), np.ones(self.internal.size, dtype=bool)
         else:
-            kept = internal > least * float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+            mean_slope = float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+            internal, kept = self.internal, self.internal > _NOTHING * mean_slope
         creep, smooth = kept[:branches], kept[branches:]
         tau = grid.drive[:1] + np.concatenate([[0.0], np.cumsum(self.transformer * np.diff(grid.drive))])
         return Actuator(
@@ -111,43 +109,21 @@ def regularization_rows(grid: Grid, slope: float) -> Array:
 
     `slope`: volts for a metre [V/m], which make forces elongations.
     """
-    rho = grid.breakaway[grid.movable]
-    elements, spring, drive = rho.size * grid.segments, grid.knots.size - 1, max(grid.drive.size - 2, 0)
-    size = elements + spring + grid.moved + drive
-    stiffness = np.arange(elements).reshape(rho.size, grid.segments)
-    segment = float(np.ptp(grid.knots)) / spring
-    rows = [
-        _placed(_along(rho, grid.segments) / slope, stiffness.ravel(), size),
-        _placed(_across(rho, grid.segments) / slope, stiffness.ravel(), size),
-        _placed(_curvature(spring) * segment / slope, elements + np.arange(spring), size),
-    ]
-    if drive:
-        length = float(np.ptp(grid.drive)) / (drive + 1)
-        rows.append(_placed(_curvature(drive) * length / slope, size - drive + np.arange(drive), size))
+    rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places()
+    along = np.kron(np.diag(rho), np.diff(np.eye(segments), axis=0) * np.sqrt(segments))
+    steps = np.diff(np.diag(1 / np.diff(rho, prepend=0.0)), axis=0) * (rho[:-1] * np.diff(rho))[:, None]
+    parts = [("elements", along), ("elements", np.kron(steps, np.eye(segments)))]
+    for kind, knots in (("spring", grid.knots), ("transformer", grid.drive)):
+        count = places[kind].stop - places[kind].start
+        if count:
+            length = float(np.ptp(knots)) / (knots.size - 1)
+            parts.append((kind, np.diff(np.eye(count), n=2, axis=0) * length))
+    rows = []
+    for kind, differences in parts:
+        row = np.zeros((len(differences), places["transformer"].stop))
+        row[:, places[kind]] = differences / slope
+        rows.append(row)
     return np.vstack(rows)
-
-
-def _along(rho: Array, segments: int) -> Array:
-    """Of each element from one grade to the next."""
-    one = np.diff(np.eye(segments), axis=0) * np.sqrt(segments)
-    return np.asarray(np.kron(np.diag(rho), one))
-
-
-def _across(rho: Array, segments: int) -> Array:
-    """Of the density of stiffness from one threshold to the next, on each grade."""
-    density = np.diag(1 / np.diff(rho, prepend=0.0))
-    steps = np.diff(density, axis=0) * (rho[:-1] * np.diff(rho))[:, None]
-    return np.asarray(np.kron(steps, np.eye(segments)))
-
-
-def _curvature(count: int) -> Array:
-    return np.asarray(np.diff(np.eye(count), n=2, axis=0))
-
-
-def _placed(rows: Array, columns: NDArray[np.intp], size: int) -> Array:
-    found = np.zeros((len(rows), size))
-    found[:, columns] = rows
-    return found
 
 
 # Inequalities that one round adds at most, and how far [of the floor] one may be violated.
@@ -155,31 +131,27 @@ _ADDED = 40
 _VIOLATED = 1e-6
 
 
-def bounds(grid: Grid, records: int, unknowns: int, least: float) -> tuple[Array, Array]:
+def bounds(grid: Grid, strained: int, least: float) -> tuple[Array, Array]:
     """Return what the last segment of tau has left to give, and starts of creep that a branch can hold.
 
-    `records`: records that may begin strained. `unknowns`: unknowns of the program that are not negative. `least`:
-    least slope of tau.
+    `strained`: records that may begin strained. `least`: least slope of tau.
 
     Returns
     -------
-    (p, unknowns) array, (p,) array
-        matrix and lower of ``matrix x >= lower``.
+    (p, q) array, (p,) array
+        matrix and lower of ``matrix x >= lower`` over the unknowns that are not negative.
     """
-    lengths, branches = np.diff(grid.drive), grid.time_constants.size
-    spring = int(np.count_nonzero(grid.movable)) * grid.segments
-    creep, starts = spring + grid.knots.size - 1, unknowns - 2 * records * branches
-    rows = []
+    lengths, places = np.diff(grid.drive), grid.places(strained)
+    starts, unknowns, branches = places["starts"].start, places["starts"].stop, grid.time_constants.size
+    count = strained * branches
+    matrix, lower = np.zeros((bool(lengths.size) + count, unknowns)), np.zeros(bool(lengths.size) + count)
     if lengths.size:
-        rows.append(np.zeros(unknowns))
-        rows[-1][starts - (lengths.size - 1) : starts] = -lengths[:-1]
-    for k in range(records * branches):
-        rows.append(np.zeros(unknowns))
-        rows[-1][creep + k % branches] = float(np.ptp(grid.knots))
-        rows[-1][[starts + k, starts + records * branches + k]] = -1
-    lower = np.zeros(len(rows))
-    lower[: bool(lengths.size)] = -(1 - least) * float(lengths.sum())
-    return np.array(rows).reshape(-1, unknowns), lower
+        matrix[0, places["transformer"]] = -lengths[:-1]
+        lower[0] = -(1 - least) * float(lengths.sum())
+    for k, row in enumerate(matrix[bool(lengths.size) :]):
+        row[places["creep"].start + k % branches] = float(np.ptp(grid.knots))
+        row[[starts + k, starts + count + k]] = -1
+    return matrix, lower
 
 
 def violated(grid: Grid, x: Array, floor: float) -> Array:
@@ -190,55 +162,54 @@ def violated(grid: Grid, x: Array, floor: float) -> Array:
     return np.asarray(rising[worst[value[worst] < -_VIOLATED * floor]])
 
 
-def ties(grid: Grid, ranges: Sequence[EpochRange]) -> list[tuple[dict[int, float], Array]]:
+# Signs of constants by epoch number, and a row over the stiffnesses of the movable elements (m M,).
+Tie = tuple[dict[int, float], Array]
+
+
+def ties(grid: Grid, ranges: Sequence[NumberedEpoch], datum: Array) -> list[Tie]:
     """Return inequalities ``sum_e sign_e a_e + row kappa >= 0`` between constants.
 
-    `ranges`: on the model's axis, in order.
-
-    Returns
-    -------
-    list of (signs by epoch number, row over the stiffnesses of the movable elements (m M,))
+    `ranges`: in order, on the axes of the records. `datum`: shift of each record to the model's axis [m].
     """
-    rows: list[tuple[dict[int, float], Array]] = []
-    for record in dict.fromkeys(one.record for one in ranges):
-        own = [_Epoch(grid, one) for one in ranges if one.record == record]
-        for one in own[:-1]:
-            rows += _alike(one, own[-1])
-        for before, after in pairwise(own):
-            if before.range.piece == after.range.piece:
+    rows: list[Tie] = []
+    for record, own in groupby(ranges, key=lambda one: one.record):
+        states = [_StuckElements(grid, one, float(datum[record])) for one in own]
+        for one in states[:-1]:
+            rows += _alike(one, states[-1])
+        for before, after in pairwise(states):
+            if before.at.piece == after.at.piece:
                 rows += _grown(before, after)
     return rows
 
 
-class _Epoch:
-    """An epoch, with the movable elements that are not in a known state."""
+class _StuckElements:
+    """The movable elements that are not in a known state in an epoch, and where their carts can stand."""
 
-    def __init__(self, grid: Grid, at: EpochRange) -> None:
-        self.range, self._grid, self.rho = at, grid, grid.breakaway[grid.movable]
-        self.stuck: Mask = 2 * self.rho > at.reach
-        self.middle = np.full(self.rho.size, at.middle)
+    def __init__(self, grid: Grid, at: NumberedEpoch, datum: float) -> None:
+        self.at, self._grades, rho = at, grid.grades, grid.breakaway[grid.movable]
+        low, high = (at.epoch.middle + part * at.epoch.width + datum for part in (-0.5, 0.5))
+        self.stuck: Mask = 2 * rho > at.epoch.reach
+        self.middle = np.full(rho.size, 0.5 * (low + high))
         # A reach reduced by noise may let the two ends cross.
-        self.lowest = np.minimum(at.high - self.rho, self.middle)
-        self.highest = np.maximum(at.low + self.rho, self.middle)
+        self.lowest, self.highest = np.minimum(high - rho, self.middle), np.maximum(low + rho, self.middle)
 
     def change(self, upper: Array, lower: Array, which: Mask) -> Array:
         """Return the row of sum K(upper) - K(lower) over some of the elements (m M,)."""
-        grades = self._grid.grades
-        parts = parts_in_segments(grades, upper) - parts_in_segments(grades, lower)
+        parts = parts_in_segments(self._grades, upper) - parts_in_segments(self._grades, lower)
         return np.asarray(np.where(which[:, None], parts, 0.0).ravel())
 
 
-def _alike(one: _Epoch, last: _Epoch) -> list[tuple[dict[int, float], Array]]:
+def _alike(one: _StuckElements, last: _StuckElements) -> list[Tie]:
     """Return how far the constants of two epochs of a record may lie apart."""
-    number, reference = one.range.number, last.range.number
+    number, reference = one.at.number, last.at.number
     above = one.change(one.middle, one.lowest, one.stuck) + last.change(last.highest, last.middle, last.stuck)
     below = one.change(one.highest, one.middle, one.stuck) + last.change(last.middle, last.lowest, last.stuck)
     return [({number: -1.0, reference: 1.0}, above), ({number: 1.0, reference: -1.0}, below)]
 
 
-def _grown(before: _Epoch, after: _Epoch) -> list[tuple[dict[int, float], Array]]:
+def _grown(before: _StuckElements, after: _StuckElements) -> list[Tie]:
     """Return how the constant changes as the range grows from one epoch to the next."""
-    first, second = before.range.number, after.range.number
+    first, second = before.at.number, after.at.number
     released = before.stuck & ~after.stuck
     moved = before.change(after.middle, before.middle, after.stuck)
     down = before.change(before.highest, np.minimum(after.highest, before.highest), after.stuck)

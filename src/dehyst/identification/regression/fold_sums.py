@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.program import ActiveSet, NormalEquations, Solution
+from dehyst.identification.solvers.least_squares import ActiveSet, NormalEquations
+from dehyst.identification.solvers.program import Solution
 from dehyst.records.signals import rms, turning_points
 
-_FOLDS = 3
 # Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12
 # Passes towards least absolute residuals; those below this part of the median one weigh alike.
@@ -45,22 +46,21 @@ class FoldSums:
     """The rows of a regression, and their weighted sums by fold.
 
     `weights` (n,): of the rows, as for `Regression.fit`. `nearby`: the unknowns of a fit nearby that are not zero: the
-    first fit starts from them. `folds`: parts of the rows. `given` (n,) int: the fold of each row.
+    first fit starts from them. `folds`: parts of the rows. `given` (n,) int: the fold of each row; default: cycles in
+    turn.
     """
 
     regression: Regression
     weights: Array
     nearby: Nearby | None = None
-    folds: int = _FOLDS
+    folds: int = 1
     given: NDArray[np.intp] | None = None
 
     @cached_property
     def fold(self) -> NDArray[np.intp]:
-        """Fold of each row (n,): `given`, or every third cycle."""
-        if self.given is not None:
-            return self.given
+        """Fold of each row (n,)."""
         rows = self.regression.rows
-        return blocks(rows.voltage, rows.epoch) % self.folds
+        return blocks(rows.voltage, rows.epoch) % self.folds if self.given is None else self.given
 
     @cached_property
     def _columns(self) -> tuple[Array, int]:
@@ -70,59 +70,51 @@ class FoldSums:
 
     @cached_property
     def _sums(self) -> list[NormalEquations]:
-        columns, free = self._columns
-        target, sums = self.regression.target, []
-        if self.folds == 1:
-            return [NormalEquations.of_rows(columns * self.weights[:, None], target * self.weights, free)]
-        for k in range(self.folds):
-            rows, weights = np.flatnonzero(self.fold == k), self.weights[self.fold == k]
-            sums.append(NormalEquations.of_rows(columns[rows] * weights[:, None], target[rows] * weights, free))
-        return sums
+        (columns, free), target, weights = self._columns, self.regression.target, self.weights
+        parts = [slice(None)] if self.folds == 1 else [np.flatnonzero(self.fold == k) for k in range(self.folds)]
+        return [
+            NormalEquations.of_rows(columns[part] * weights[part, None], target[part] * weights[part], free)
+            for part in parts
+        ]
 
     @cached_property
-    def _regularization(self) -> NormalEquations:
-        """Sums of the regularisation beside one row."""
-        free = self._columns[1]
-        none, rows, target, weights = self.regression.regularization("l2", 1, free, 1 / self.regression.mean_slope)
-        return NormalEquations.of_rows(np.hstack([none, rows]) * weights[:, None], target * weights, free)
+    def _total(self) -> NormalEquations:
+        return sum(self._sums[1:], self._sums[0])
 
     @cached_property
     def whole(self) -> Coefficients:
         """Fit of all rows."""
-        return self._fit(np.ones(len(self.weights), dtype=bool), sum_of(self._sums), None)
+        return self._fit(self.weights.size, self._total, None)
 
     @cached_property
     def inverse_slopes(self) -> Array:
         """Inverse slopes of the fit of all rows (n,) [m/V]: weights for a structure nearby."""
         return np.asarray(1 / self.regression.slope(self.whole))
 
+    @cached_property
+    def residual(self) -> Array:
+        """Residual of the fit of all rows (n,) [V]."""
+        return self._left(slice(None), self.whole)
+
+    @property
+    def training_error(self) -> float:
+        """RMS error of the fit of all rows [m]."""
+        return rms(self.residual * self.inverse_slopes)
+
     def handed_on(self) -> Nearby:
         """Return the unknowns that are not zero in the fit of all rows."""
         active_set = self.whole.solved.active_set
         moving = np.zeros(0, dtype=bool) if active_set is None else active_set.moving[self._columns[1] :]
-        return Nearby(self.regression.places(), moving)
+        return Nearby(self._places, moving)
 
     @property
-    def _start(self) -> ActiveSet | None:
-        if self.nearby is None:
-            return None
-        columns, free = self._columns
-        moving = np.ones(columns.shape[1], dtype=bool)
-        moving[free:] = self.nearby.moving_of(self.regression.places(), columns.shape[1] - free)
-        return ActiveSet(moving, np.zeros(0, dtype=bool))
+    def _places(self) -> dict[str, slice]:
+        return self.regression.grid.places(len(self.regression.strained))
 
     def without(self, k: int) -> Coefficients | None:
         """Fit all rows but those of a fold; None if no other row is left."""
-        used = self.fold != k
-        return self._fit(used, sum_of(self._sums) - self._sums[k], self.whole) if used.any() else None
-
-    def training_error(self) -> float:
-        """Return the RMS error of the fit of all rows [m]."""
-        return rms(self.residual() * self.inverse_slopes)
-
-    def residual(self) -> Array:
-        """Return the residual of the fit of all rows (n,) [V]."""
-        return np.asarray(self._columns[0] @ _unknowns(self.whole) - self.regression.target)
+        count = int(np.count_nonzero(self.fold != k))
+        return self._fit(count, self._total - self._sums[k], self.whole) if count else None
 
     def held_out_errors(self) -> Array:
         """Return the error of each row [m] in the fit without its fold."""
@@ -135,21 +127,38 @@ class FoldSums:
 
     def errors_of(self, k: int) -> Array | None:
         """Return the errors of the rows of a fold [m] in the fit of the others; None if either has no row."""
-        out, coefficients = self.fold == k, self.without(k)
+        out, coefficients, rows = self.fold == k, self.without(k), self.regression.rows
         if coefficients is None or not out.any():
             return None
-        left = self._columns[0][out] @ _unknowns(coefficients) - self.regression.target[out]
-        epochs = self.regression.rows.epoch[out]
-        for epoch in np.setdiff1d(epochs, self.regression.rows.epoch[~out]):
+        left, epochs = self._left(out, coefficients), rows.epoch[out]
+        for epoch in np.setdiff1d(epochs, rows.epoch[~out]):
             left[epochs == epoch] -= np.median(left[epochs == epoch])
         return np.asarray(left / self.regression.chosen(out).slope(coefficients))
 
-    def _fit(self, used: Mask, sums: NormalEquations, like: Coefficients | None) -> Coefficients:
-        """Fit rows whose sums are given, from the active set and inequalities of another fit."""
-        some = self._regularization
-        count, free = int(np.count_nonzero(used)), self._columns[1]
-        program = replace(sums, gram=sums.gram + count * some.gram)
-        start = self._start if like is None else like.solved.active_set
+    def _left(self, some: Mask | slice, found: Coefficients) -> Array:
+        """Return what a fit leaves of some rows [V]."""
+        unknowns = np.concatenate([found.solved.free, found.solved.nonnegative])
+        return np.asarray(self._columns[0][some] @ unknowns - self.regression.target[some])
+
+    @cached_property
+    def _regularization(self) -> Array:
+        """Gram matrix of the regularisation beside one row."""
+        free = self._columns[1]
+        none, rows, _, weights = self.regression.regularization("l2", 1, free, 1 / self.regression.mean_slope)
+        rows = np.hstack([none, rows]) * weights[:, None]
+        return np.asarray(rows.T @ rows)
+
+    def _fit(self, count: int, sums: NormalEquations, like: Coefficients | None) -> Coefficients:
+        """Fit some rows by their sums, from the active set and inequalities of another fit."""
+        columns, free = self._columns
+        program = replace(sums, gram=sums.gram + count * self._regularization)
+        start = None
+        if like is not None:
+            start = like.solved.active_set
+        elif self.nearby is not None:
+            moving = np.ones(columns.shape[1], dtype=bool)
+            moving[free:] = self.nearby.moving_of(self._places, columns.shape[1] - free)
+            start = ActiveSet(moving, np.zeros(0, dtype=bool))
 
         def solver(limits: tuple[Array, Array] | None) -> Solution:
             nonlocal start
@@ -157,59 +166,46 @@ class FoldSums:
             x, start = program.minimum(none if limits is None else limits, start)
             return Solution(x[:free], x[free:], np.zeros(0), True, "", 0.0, active_set=start)
 
-        return self.regression.solved_with(solver, like=like)
+        return self.regression.solved_with(solver, like)
 
 
-def sum_of(parts: list[NormalEquations]) -> NormalEquations:
-    """Return the sum of normal equations."""
-    total = parts[0]
-    for part in parts[1:]:
-        total = total + part
-    return total
-
-
-def _unknowns(found: Coefficients) -> Array:
-    return np.concatenate([found.solved.free, found.solved.nonnegative])
-
-
-def first_weights(regression: Regression) -> Array:
-    """Return the inverse slopes of a first fit, in which all rows weigh the same (n,) [m/V]."""
-    return _of_equal_weights(regression, None).inverse_slopes
+def equally_weighted(regression: Regression, nearby: Nearby | None = None) -> FoldSums:
+    """Return a first fit, in which all rows weigh the same; its `inverse_slopes` are weights for others."""
+    return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), nearby)
 
 
 def least_squares_of_sums(regression: Regression) -> Coefficients:
     """Fit the rows of a regression, weighted by the inverse slope of a first fit, by their sums alone: quickly."""
-    found = FoldSums(regression, first_weights(regression), folds=1).whole
+    found = FoldSums(regression, equally_weighted(regression).inverse_slopes).whole
     return replace(found, solution=replace(found.solved, status="optimal (normal equations)"))
 
 
 def nearly_least_absolute(regression: Regression, weights: Array) -> Coefficients:
     """Fit by least squares whose rows weigh less the more they are missed: nearly the weighted L1 fit, and quickly."""
-    found = FoldSums(regression, weights, folds=1)
+    found = FoldSums(regression, weights)
     for _ in range(_REWEIGHTED):
-        missed = np.abs(found.residual() * weights)
+        missed = np.abs(found.residual * weights)
         least = _LEAST_MISSED * float(np.median(missed))
         milder = weights * np.sqrt(np.median(missed) / np.maximum(missed, least))
-        found = FoldSums(regression, milder, found.handed_on(), folds=1)
+        found = FoldSums(regression, milder, found.handed_on())
     return found.whole
 
 
-class TrainingErrors:
-    """Training errors of regressions nearby, for a search: each fit starts from the active set of the one before."""
+def training_errors() -> Callable[[Regression], float]:
+    """Return a function of the RMS residual of least-squares fits [m], for a search through regressions nearby.
 
-    def __init__(self) -> None:
-        self._nearby: Nearby | None = None
+    Each fit starts from the active set of the one before.
+    """
+    nearby: Nearby | None = None
 
-    def __call__(self, regression: Regression) -> float:
-        """Return the RMS residual of the least-squares fit [m]."""
-        sums = _of_equal_weights(regression, self._nearby)
-        error = sums.training_error()
-        self._nearby = sums.handed_on()
-        return error
+    def error(regression: Regression) -> float:
+        nonlocal nearby
+        sums = equally_weighted(regression, nearby)
+        found = sums.training_error
+        nearby = sums.handed_on()
+        return found
 
-
-def _of_equal_weights(regression: Regression, nearby: Nearby | None) -> FoldSums:
-    return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), nearby, 1)
+    return error
 
 
 def blocks(voltage: Array, epoch: NDArray[np.intp]) -> NDArray[np.intp]:

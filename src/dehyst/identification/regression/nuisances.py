@@ -1,4 +1,4 @@
-"""What a record has beside the actuator: the sensor's delay, each record's datum and drift."""
+"""What a record has besides the actuator: the sensor's delay, each record's datum and drift."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import TrainingErrors
+from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
+from dehyst.identification.solvers.program import solve
+from dehyst.model.elements import segment_of
 from dehyst.records.signals import turning_points
 
 _SEARCH_ROWS = 4000
-
 _STEPS = 20
 
 
@@ -30,7 +31,9 @@ def searched_delay(
     answer is good to 1 % of a sample. `voltage` (n,): of the samples that count [V]: loops of one height have to
     explain more. `stroke`: [m]. `points`: delays of the first, even scan.
     """
-    share = RULES.delay_gain_at_turns if _one_height(voltage) else RULES.drift_gain
+    legs = np.abs(np.diff(voltage[turning_points(voltage, 0.02 * float(np.ptp(voltage)))]))
+    one_height = legs.size < 2 or legs.min() > RULES.one_height * legs.max()
+    share = RULES.delay_gain_at_turns if one_height else RULES.drift_gain
     cost = cache(cost)
 
     def worth(error: float) -> bool:
@@ -38,13 +41,6 @@ def searched_delay(
 
     best = _search(cost, 0.0, longest, points, 0.002 * sample_time, worth)
     return best if abs(best) > RULES.found_delay * sample_time and worth(cost(best)) else 0.0
-
-
-def _one_height(voltage: Array) -> bool:
-    """Whether all legs of the voltage are of one height."""
-    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
-    legs = np.abs(np.diff(voltage[turns]))
-    return legs.size < 2 or bool(legs.min() > RULES.one_height * legs.max())
 
 
 def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:
@@ -64,14 +60,18 @@ def with_datums(regression: Regression, records: list[int], stroke: float) -> Re
 
 
 def _polished(regression: Regression, records: list[int]) -> Regression:
-    """All these datums at once; each step may only make the residual smaller."""
+    """All these datums at once, of Maxwell-slip elements; each step may only make the residual smaller."""
     if not records:
         return regression
-    error = TrainingErrors()
+    error = training_errors()
     best = error(regression)
     for _ in range(_STEPS):
+        # The changes that least squares ask for, the spring linearised at the present datums.
+        slope = regression.fit("l2").slopes[segment_of(regression.grid.knots, regression.axis)]
+        shifts = [np.where(regression.rows.record == q, slope, 0.0)[:, None] for q in records]
+        free, bounded, target = regression.table()
         datum = regression.datum.copy()
-        datum[records] += regression.datum_steps(records)
+        datum[records] += solve(np.hstack([free, *shifts]), bounded, target, norm="l2").free[-len(records) :]
         trial = replace(regression, datum=datum)
         cost = error(trial)
         if not cost < best:
@@ -82,7 +82,7 @@ def _polished(regression: Regression, records: list[int]) -> Regression:
 
 def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
     """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
-    few, error = regression.thinned(_SEARCH_ROWS), TrainingErrors()
+    few, error = regression.thinned(_SEARCH_ROWS), training_errors()
 
     def cost(shift: float) -> float:
         datum = few.datum.copy()
@@ -91,13 +91,14 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
         return error(moved) if given is None else moved.rms(moved.fit_nuisances(given))
 
     best = _search(cost, -0.6 * stroke, 0.6 * stroke, 25, 1e-9 * stroke)
-    return best if _worth(cost(best), cost(0.0), _stroke(few), RULES.datum_gain) else 0.0
+    return best if _worth(cost(best), cost(0.0), float(np.ptp(few.grid.knots)), RULES.datum_gain) else 0.0
 
 
-def find_drifts(regression: Regression, candidates: list[int]) -> tuple[int, ...]:
+def find_drifts(regression: Regression, candidates: Sequence[int]) -> tuple[int, ...]:
     """Return records among the candidates whose creep since the start is worth a coefficient."""
-    few, error = regression.thinned(_SEARCH_ROWS), TrainingErrors()
-    return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), candidates, _stroke(few))
+    few, error = regression.thinned(_SEARCH_ROWS), training_errors()
+    stroke = float(np.ptp(few.grid.knots))
+    return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), candidates, stroke)
 
 
 def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
@@ -114,10 +115,6 @@ def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[in
 def _worth(after: float, before: float, stroke: float, share: float = RULES.drift_gain) -> bool:
     """Whether a repair lowers the RMS residual enough."""
     return after < share * before and before - after > RULES.smallest_gain * stroke
-
-
-def _stroke(regression: Regression) -> float:
-    return float(np.ptp(regression.knots))
 
 
 def _search(

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.regressors import EpochRange, Rows, RowSource
+from dehyst.identification.preprocessing.regressors import NumberedEpoch, Rows, RowSource
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
-from dehyst.identification.solvers.program import Norm, Solution, solve, solve_blocks
-from dehyst.identification.solvers.quadratic import triangle_of
+from dehyst.identification.solvers.program import Norm, Solution, Table, solve, solve_blocks
 from dehyst.identification.structure import Grid
 from dehyst.model.elements import parts_in_segments, segment_of
 from dehyst.records.signals import rms
@@ -40,14 +39,11 @@ TRANSFORMER_FLOOR = 0.2
 _ROUNDS = 12
 # Of the creep before a record, what is less than this at its first sample that counts is nothing.
 _FORGOTTEN = 0.01
-
-
 # Constants may miss what ties them by this part of the voltages, for the sensor's noise moves the ends of a range.
 _SLACK = 1e-3
 
+# Inequalities (matrix, lower) -> answer.
 Solver = Callable[[tuple[Array, Array] | None], Solution]
-# Free columns, columns that are not negative, target and weights.
-Table = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +53,6 @@ class Regression:
     Attributes
     ----------
     rows : Rows
-        With what moves along the path: creep strains, smooth elongations, then exp(-t/tau_j).
     grid : Grid
     floor : float
         Least slope of the spring, and of every outermost branch [V/m].
@@ -71,10 +66,12 @@ class Regression:
         How much alike neighbours are held, see `regularization`; 0: not at all.
     lasting : (S J,) bool array, optional
         Starts of creep that are not forgotten before the first sample that counts; default: read from the rows.
-    ranges : tuple of EpochRange
-        Of the epochs, on the axes of the records: they tie the constants of a record to one another.
+    ranges : tuple of NumberedEpoch
+        Epochs whose ranges tie the constants of a record to one another.
     source : RowSource, optional
         All rows, of which `rows` are some, evenly; default: these are all.
+    epochs : (E,) int array, optional
+        Epochs that get a constant; default: those of the rows.
     """
 
     rows: Rows
@@ -85,8 +82,9 @@ class Regression:
     strained: tuple[int, ...] = ()
     smoothing: float = 0.0
     lasting: Mask | None = None
-    ranges: tuple[EpochRange, ...] = ()
+    ranges: tuple[NumberedEpoch, ...] = ()
     source: RowSource | None = None
+    epochs: NDArray[np.intp] | None = None
 
     def __len__(self) -> int:
         return len(self.rows if self.source is None else self.source)
@@ -105,19 +103,14 @@ class Regression:
         return replace(self, rows=self.rows.chosen(which), source=None)
 
     @property
-    def knots(self) -> Array:
-        """Knots of the spring [m]."""
-        return self.grid.knots
-
-    @property
-    def movable(self) -> Mask:
-        """(N,) elements that slide in some record; the others are one with the spring and get no stiffness."""
-        return self.grid.movable
-
-    @property
     def mean_slope(self) -> float:
         """Mean slope of voltage over displacement [V/m]."""
-        return float(np.ptp(self.rows.voltage) / np.ptp(self.knots))
+        return float(np.ptp(self.rows.voltage) / np.ptp(self.grid.knots))
+
+    @cached_property
+    def numbers(self) -> NDArray[np.intp]:
+        """Epochs that get a constant (E,)."""
+        return np.unique(self.rows.epoch) if self.epochs is None else self.epochs
 
     @cached_property
     def axis(self) -> Array:
@@ -127,36 +120,34 @@ class Regression:
     @cached_property
     def carts(self) -> Array:
         """Positions of the movable carts (n, m) [m]."""
-        return np.asarray(self.axis[:, None] - self.rows.elongation[:, self.movable])
+        return np.asarray(self.axis[:, None] - self.rows.elongation[:, self.grid.movable])
 
-    def parts_of_spring(self, y: Array) -> Array:
-        """Return R_j(y), shape (n, K - 1)."""
-        return parts_in_segments(self.knots, y)
+    @property
+    def spring_parts(self) -> Array:
+        """Part of each displacement in each segment of the spring, R_j(y) (n, K - 1)."""
+        return parts_in_segments(self.grid.knots, self.axis)
 
-    def nuisances(self, epochs: NDArray[np.intp] | None = None) -> Array:
-        """Return columns of the constants of these epochs, by default of those there are, then of the drifts."""
-        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
-        constants = (self.rows.epoch[:, None] == numbers).astype(float)
+    def nuisances(self) -> Array:
+        """Return columns of the constants of epochs, then of the drifts (n, E + D)."""
+        constants = (self.rows.epoch[:, None] == self.numbers).astype(float)
         drifts = [np.where(self.rows.record == q, self.rows.drift, 0.0)[:, None] for q in self.drifting]
         return np.hstack([constants, *drifts])
 
     @cached_property
     def bounded(self) -> Array:
-        """Columns of the unknowns that are not negative (n, q): elements, spring, what moves, transformer, starts."""
-        internal = self.rows.moved[:, : self.grid.moved]
-        spring, starts = self.parts_of_spring(self.axis), self.start_columns
-        return np.hstack([self._elements(self.movable), spring, internal, -self._tau_columns, starts, -starts])
-
-    def _elements(self, which: Mask) -> Array:
-        """Columns of some of the elements (n, m M)."""
-        elongation, segments = self.rows.elongation[:, which], self.grid.segments
-        if segments == 1:
-            return elongation
-        n, count = elongation.shape
-        carts = self.carts if which is self.movable else self.axis[:, None] - elongation
-        held = parts_in_segments(self.grid.grades, carts.ravel()).reshape(n, count, segments)
-        free = parts_in_segments(self.grid.grades, self.axis)[:, None, :]
-        return np.asarray((free - held).reshape(n, count * segments))
+        """Columns of the unknowns that are not negative (n, q), in the order of `Grid.places`."""
+        elements, grid = self.rows.elongation[:, self.grid.movable], self.grid
+        if grid.segments > 1:
+            n, count = elements.shape
+            held = parts_in_segments(grid.grades, self.carts.ravel()).reshape(n, count, grid.segments)
+            free = parts_in_segments(grid.grades, self.axis)[:, None, :]
+            elements = (free - held).reshape(n, count * grid.segments)
+        # Changes of tau leave its ends where they are: the last segment gives back what another one gets.
+        tau, lengths = self._tau_parts, np.diff(grid.drive)
+        if lengths.size:
+            tau = tau[:, :-1] - tau[:, -1:] * (lengths[:-1] / lengths[-1])
+        starts = self.start_columns
+        return np.hstack([elements, self.spring_parts, self.rows.moved[:, : grid.moved], -tau, starts, -starts])
 
     @property
     def start_columns(self) -> Array:
@@ -174,25 +165,18 @@ class Regression:
         knots = self.grid.drive
         return parts_in_segments(knots, self.rows.voltage) if knots.size else np.zeros((len(self.rows), 0))
 
-    @property
-    def _tau_columns(self) -> Array:
-        """Changes of tau that leave its ends where they are: the last segment gives back what another one gets."""
-        parts, lengths = self._tau_parts, np.diff(self.grid.drive)
-        return parts[:, :-1] - parts[:, -1:] * (lengths[:-1] / lengths[-1]) if lengths.size else parts
-
     @cached_property
     def target(self) -> Array:
         """Right-hand side (n,) [V]: what the floors leave."""
-        v, spring = self.rows.voltage, self.floor * self.parts_of_spring(self.axis).sum(axis=1)
-        knots = self.grid.drive
+        v, spring, knots = self.rows.voltage, self.floor * self.spring_parts.sum(axis=1), self.grid.drive
         if not knots.size:
             return np.asarray(v - spring)
         last = (1 - TRANSFORMER_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._tau_parts[:, -1]
         return np.asarray(knots[0] + TRANSFORMER_FLOOR * (v - knots[0]) + last - spring)
 
-    def table(self, epochs: NDArray[np.intp] | None = None) -> tuple[Array, Array, Array]:
-        """Return free columns, with a constant for each of these epochs, columns that are not negative, and target."""
-        return self.nuisances(epochs), self.bounded, self.target
+    def table(self) -> tuple[Array, Array, Array]:
+        """Return free columns, columns that are not negative, and target."""
+        return self.nuisances(), self.bounded, self.target
 
     def fit(
         self,
@@ -203,26 +187,24 @@ class Regression:
     ) -> Coefficients:
         """Solve the program, inequalities added round by round where they would be violated.
 
-        `equalities` (p, m): combinations of the movable elements' stiffnesses and their values [V], met besides; plain
-        elements only. `like`: another fit of this regression, whose inequalities the first round has.
+        `equalities` (p, m): combinations of the movable elements' stiffnesses and their values [V], met besides;
+        Maxwell-slip elements only. `like`: another fit of this regression, whose inequalities the first round has.
         """
-        free, bounded, target = self.table()
-        n = len(self.rows)
-        weight = np.ones(n) if weights is None else weights
-        blocks = [(free, bounded, target, weight)]
+        n, weight = len(self.rows), np.ones(len(self.rows)) if weights is None else weights
+        blocks = [(*self.table(), weight)]
+        count = blocks[0][0].shape[1]
         if equalities is not None:
             combinations, values = equalities
             strength = np.full(values.size, weight.max() * np.sqrt(n))
-            blocks.append((np.zeros((values.size, free.shape[1])), self._all_columns(combinations), values, strength))
-        if self._regularized(norm) and n >= max(free.shape[1], 1):
+            blocks.append((np.zeros((values.size, count)), self._padded(combinations), values, strength))
+        if n >= max(count, 1):
             usual = 1.0 if weights is None else 1 / self.mean_slope
-            blocks.append(self.regularization(norm, n, free.shape[1], usual))
+            blocks.append(self.regularization(norm, n, count, usual))
         free, bounded, target, weight = (np.concatenate(column) for column in zip(*blocks, strict=True))
         found = self.solved_with(
-            lambda limits: solve(free, bounded, target, weights=weight, norm=norm, constraints=limits), like=like
+            lambda limits: solve(free, bounded, target, weights=weight, norm=norm, constraints=limits), like
         )
-        answer = found.solved
-        return replace(found, solution=replace(answer, residual=answer.residual[:n]))
+        return replace(found, solution=replace(found.solved, residual=found.solved.residual[:n]))
 
     def fit_weighted(self, norm: Norm) -> Coefficients:
         """Fit all rows, weighted by the inverse slope of a least-squares fit of equal weights."""
@@ -233,88 +215,90 @@ class Regression:
 
     def _fit_in_blocks(self, source: RowSource, norm: Norm, before: Coefficients | None) -> Coefficients:
         """Fit all rows, weighted by the inverse slope of a model that was found before."""
-        epochs = np.arange(source.count)
+        every = replace(self, epochs=np.arange(source.count))
         usual = 1.0 if before is None else float(before.slopes.min()) / self.mean_slope
         alike = self.regularization(norm, len(source), source.count + len(self.drifting), usual)
-        blocks = _Blocks(self, source, lambda one: (*one.table(epochs), one.relative_weights(before)), alike)
-        like = self.table(epochs)
-        return self.solved_with(lambda limits: solve_blocks(blocks, like, norm=norm, constraints=limits), epochs)
+        count, like = len(source) + len(alike[3]), every.table()
 
-    def relative_weights(self, model: Coefficients | None) -> Array:
+        def tables() -> Iterator[Table]:
+            for one in every._blocks(source):
+                yield *one.table(), one._relative_weights(before)
+            if len(alike[3]):
+                yield alike
+
+        return every.solved_with(lambda limits: solve_blocks(count, tables, like, norm=norm, constraints=limits))
+
+    def _blocks(self, source: RowSource) -> Iterator[Regression]:
+        """Yield the same regression on all rows, block after block."""
+        lasting = np.asarray(self.start_columns.any(axis=0))
+        for rows in source.blocks():
+            yield replace(self, rows=rows, lasting=lasting, source=None)
+
+    def _relative_weights(self, model: Coefficients | None) -> Array:
         """Return inverse slopes of a model at the rows (n,), of the order of one; all one without a model."""
         if model is None:
             return np.ones(len(self.rows))
         return np.asarray(float(model.slopes.min()) / self.slope(model))
 
-    def _regularized(self, norm: Norm) -> bool:
-        """Whether neighbours are held alike. The largest residual is no matter of neighbours."""
-        return bool(self.smoothing) and norm != "linf"
-
     def regularization(self, norm: Norm, count: int, free: int, weight: float) -> Table:
-        """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization`.
+        """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization_rows`.
 
         `free` columns are not theirs, and `weight` is that of a row where the slope is the mean one. They weigh as much
-        beside few samples as beside many.
+        beside few samples as beside many. None for the largest residual, which is no matter of neighbours.
         """
-        if not self._regularized(norm):
+        if not self.smoothing or norm == "linf":
             return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
-        rows = self._all_columns(regularization_rows(self.grid, self.mean_slope))
+        rows = self._padded(regularization_rows(self.grid, self.mean_slope))
         p = len(rows)
         strength = self.smoothing * self.mean_slope * (np.sqrt(count) if norm == "l2" else count / np.sqrt(p))
         return np.zeros((p, free)), strength * rows, np.zeros(p), np.full(p, weight)
 
-    def _all_columns(self, rows: Array, free: int = 0) -> Array:
+    def _padded(self, rows: Array, free: int = 0) -> Array:
         """Rows over the first unknowns that are not negative, with nothing for the others and `free` free ones."""
         others = self.bounded.shape[1] - rows.shape[1]
         return np.hstack([np.zeros((len(rows), free)), rows, np.zeros((len(rows), others))])
 
-    def _limits(self, epochs: NDArray[np.intp] | None) -> tuple[Array, Array]:
-        """Inequalities over all unknowns, epochs as in `nuisances`: ties of constants, what tau and starts can be."""
-        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
-        free = numbers.size + len(self.drifting)
-        matrix, lower = bounds(self.grid, len(self.strained), self.bounded.shape[1], TRANSFORMER_FLOOR)
-        place = {int(number): k for k, number in enumerate(numbers)}
+    def solved_with(self, solver: Solver, like: Coefficients | None = None) -> Coefficients:
+        """Return the coefficients that a solver finds, see `constrained`."""
+        answer = self.constrained(solver, like)
+        return self._with_nuisances(self.at(answer.nonnegative), answer)
+
+    def constrained(self, solver: Solver, like: Coefficients | None = None) -> Solution:
+        """Return the answer of a solver when no other inequality is violated.
+
+        The first round has the inequalities of the fit `like`: by default ties of constants, what tau and starts can
+        be.
+        """
+        free = self.numbers.size + len(self.drifting)
+        known = None if like is None else like.solved.inequalities
+        matrix, lower = self._limits(free) if known is None else known
+        for _ in range(_ROUNDS):
+            answer = solver((matrix, lower) if lower.size else None)
+            if self.grid.segments == 1 or not answer.optimal:
+                break
+            more = self._padded(violated(self.grid, answer.nonnegative, self.floor), free)
+            if not len(more):
+                break
+            matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
+        return replace(answer, inequalities=(matrix, lower))
+
+    def _limits(self, free: int) -> tuple[Array, Array]:
+        matrix, lower = bounds(self.grid, len(self.strained), TRANSFORMER_FLOOR)
+        place = {int(number): k for k, number in enumerate(self.numbers)}
         rows = []
-        for signs, stiffness in ties(self.grid, [one.shifted(float(self.datum[one.record])) for one in self.ranges]):
+        for signs, stiffness in ties(self.grid, self.ranges, self.datum):
             if set(signs) <= set(place):
-                row = self._all_columns(stiffness[None], free)[0]
+                row = self._padded(stiffness[None], free)[0]
                 row[[place[number] for number in signs]] = list(signs.values())
                 rows.append(row)
         whole = np.hstack([np.zeros((lower.size, free)), matrix])
         slack = _SLACK * float(np.ptp(self.rows.voltage)) if len(self.rows) else 0.0
         return np.vstack([whole, *rows]), np.append(lower, np.full(len(rows), -slack))
 
-    def solved_with(
-        self, solver: Solver, epochs: NDArray[np.intp] | None = None, like: Coefficients | None = None
-    ) -> Coefficients:
-        """Return the coefficients that a solver finds with all inequalities met.
-
-        Epochs as in `nuisances`; the first round has the inequalities of the fit `like`.
-        """
-        return self.coefficients(self.constrained(solver, like, epochs), epochs)
-
-    def constrained(
-        self, solver: Solver, like: Coefficients | None = None, epochs: NDArray[np.intp] | None = None
-    ) -> Solution:
-        """Return the answer of a solver, inequalities -> answer, when no other inequality is violated."""
-        known = None if like is None else like.solved.inequalities
-        matrix, lower = self._limits(epochs) if known is None else known
-        free = matrix.shape[1] - self.bounded.shape[1]
-        for _ in range(_ROUNDS):
-            answer = solver((matrix, lower) if lower.size else None)
-            if self.grid.segments == 1 or not answer.optimal:
-                break
-            more = self._all_columns(violated(self.grid, answer.nonnegative, self.floor), free)
-            if not len(more):
-                break
-            matrix, lower = np.vstack([matrix, more]), np.append(lower, np.zeros(len(more)))
-        return replace(answer, inequalities=(matrix, lower))
-
     def slope(self, found: Coefficients) -> Array:
         """Return d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least; weights are its inverse."""
-        grid, y = self.grid, self.axis
-        spring = found.slopes[segment_of(self.knots, y)]
-        if grid.is_maxwell_slip:
+        grid, y, branches = self.grid, self.axis, self.grid.time_constants.size
+        if grid.segments == 1 and not (grid.drive.size or grid.moved):
             # One product, for regressions of many rows.
             elements = self.rows.stuck @ found.stiffness[:, 0]
         else:
@@ -322,19 +306,13 @@ class Regression:
             sliding = ~self.rows.stuck[:, grid.movable]
             at = np.take_along_axis(kappa.T, segment_of(grid.grades, self.carts), axis=0)
             elements = kappa.sum(axis=0)[segment_of(grid.grades, y)] - np.where(sliding, at, 0.0).sum(axis=1)
-        branches = grid.time_constants.size
-        slope = elements + spring + found.internal[:branches].sum()
-        return np.asarray(np.maximum(slope + self._smooth_shares @ found.internal[branches:], self.floor))
-
-    @property
-    def _smooth_shares(self) -> Array:
-        """Part of each smooth element that has not yielded, dq/dy (n, L)."""
-        lengths, closings = self.grid.lengths, self.grid.closings
-        q = self.rows.moved[:, self.grid.time_constants.size : self.grid.moved]
-        # The first slip element yields soonest: it shows where the row is bound for.
+        slope = elements + found.slopes[segment_of(grid.knots, y)] + found.internal[:branches].sum()
+        # Part of each smooth element that has not yielded, dq/dy. The first slip element yields soonest: it shows where
+        # the row is bound for.
+        q = self.rows.moved[:, branches : grid.moved]
         forward = np.sign(q * self.rows.elongation[:, :1])
-        pulled = np.minimum(np.abs(q) / lengths, 1) if lengths.size else q
-        return np.asarray(1 - pulled * (closings * forward + 1 - closings))
+        shares = 1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings)
+        return np.asarray(np.maximum(slope + shares @ found.internal[branches:], self.floor))
 
     def rms(self, found: Coefficients) -> float:
         """Return the RMS residual [m] of a fit."""
@@ -342,25 +320,21 @@ class Regression:
 
     def model(self, found: Coefficients) -> Array:
         """Return right-hand side less tau(v) of each row (n,) [V], without constants and drifts."""
-        tau = self.grid.drive[0] + self._tau_parts @ found.transformer if found.transformer.size else self.rows.voltage
-        spring = self.parts_of_spring(self.axis) @ found.slopes
-        internal = self.rows.moved[:, : self.grid.moved] @ found.internal
-        return np.asarray(self._forces(found.stiffness) + spring + internal - tau)
-
-    def _forces(self, stiffness: Array) -> Array:
-        """Sum of all elements (n,) [V]: what each stiffness, integrated from the cart to the displacement, gives."""
+        grades, stiffness, y = self.grid.grades, found.stiffness, self.axis
         if self.grid.segments == 1:
-            return np.asarray(self.rows.elongation @ stiffness[:, 0])
-        grades, y = self.grid.grades, self.axis
-        below = np.hstack([np.zeros((len(stiffness), 1)), np.cumsum(stiffness * np.diff(grades), axis=1)])
-        total, force = below.sum(axis=0), stiffness.sum(axis=0)
-        k = segment_of(grades, y)
-        value = total[k] + force[k] * (y - grades[k])
-        for i in np.flatnonzero(stiffness.any(axis=1)):
-            cart = y - self.rows.elongation[:, i]
-            k = segment_of(grades, cart)
-            value -= below[i, k] + stiffness[i, k] * (cart - grades[k])
-        return np.asarray(value)
+            forces = self.rows.elongation @ stiffness[:, 0]
+        else:
+            # Each stiffness, integrated from the cart to the displacement.
+            below = np.hstack([np.zeros((len(stiffness), 1)), np.cumsum(stiffness * np.diff(grades), axis=1)])
+            k = segment_of(grades, y)
+            forces = below.sum(axis=0)[k] + stiffness.sum(axis=0)[k] * (y - grades[k])
+            for i in np.flatnonzero(stiffness.any(axis=1)):
+                cart = y - self.rows.elongation[:, i]
+                k = segment_of(grades, cart)
+                forces -= below[i, k] + stiffness[i, k] * (cart - grades[k])
+        tau = self.grid.drive[0] + self._tau_parts @ found.transformer if found.transformer.size else self.rows.voltage
+        internal = self.rows.moved[:, : self.grid.moved] @ found.internal
+        return np.asarray(forces + self.spring_parts @ found.slopes + internal - tau)
 
     def residual(self, found: Coefficients) -> Array:
         """Return what the equation of each row leaves [V]; an epoch without a constant gets its median."""
@@ -374,36 +348,31 @@ class Regression:
             left[own] += found.offsets.get(epoch, -float(np.median(left[own])))
         return left
 
-    def with_nuisances(
-        self, model: Coefficients, answer: Solution, epochs: NDArray[np.intp] | None = None
-    ) -> Coefficients:
-        """Return a model with the constants, drifts and starts of an answer; epochs as in `nuisances`."""
-        numbers = np.unique(self.rows.epoch) if epochs is None else epochs
-        offsets, drifts = answer.free[: numbers.size].tolist(), answer.free[numbers.size :].tolist()
-        starts = answer.nonnegative[answer.nonnegative.size - 2 * len(self.strained) * self.grid.time_constants.size :]
+    def _with_nuisances(self, model: Coefficients, answer: Solution) -> Coefficients:
+        """Return a model with the constants, drifts and starts of an answer."""
+        offsets, drifts = answer.free[: self.numbers.size].tolist(), answer.free[self.numbers.size :].tolist()
+        count = 2 * len(self.strained) * self.grid.time_constants.size
+        starts: dict[int, Array] = {}
+        if count:
+            # What is added, and what is taken away.
+            plus, minus = answer.nonnegative[-count:].reshape(2, len(self.strained), -1)
+            starts = dict(zip(self.strained, plus - minus, strict=True))
         return replace(
             model,
             solution=answer,
-            offsets=dict(zip(numbers.tolist(), offsets, strict=True)),
+            offsets=dict(zip(self.numbers.tolist(), offsets, strict=True)),
             drifts=dict(zip(self.drifting, drifts, strict=True)),
-            starts=self._starts(starts),
+            starts=starts,
         )
 
-    def _starts(self, both: Array) -> dict[int, Array]:
-        """By record, from what is added and what is taken away."""
-        if not both.size:
-            return {}
-        plus, minus = both.reshape(2, len(self.strained), -1)
-        return dict(zip(self.strained, plus - minus, strict=True))
-
     def fit_nuisances(self, found: Coefficients) -> Coefficients:
-        """Fit only the constants, drifts and starts of all rows, for a model that is given."""
+        """Fit only the constants, drifts and starts of all rows, for a model that is given; no starts in blocks."""
         if self.source is not None and not self.whole:
             return self._fit_nuisances_in_blocks(self.source, found)
         fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))
-        limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.knots)) * stiffness
+        limits = -np.hstack([np.eye(stiffness.size)] * 2), -float(np.ptp(self.grid.knots)) * stiffness
         answer = solve(
             self.nuisances(),
             starts,
@@ -412,90 +381,33 @@ class Regression:
             norm="l2",
             constraints=limits if stiffness.size else None,
         )
-        return self.with_nuisances(found, answer)
+        return self._with_nuisances(found, answer)
 
     def _fit_nuisances_in_blocks(self, source: RowSource, found: Coefficients) -> Coefficients:
-        """Fit the constants and drifts of all rows, for a model that is given; no record is strained."""
-        epochs = np.arange(source.count)
+        every = replace(self, epochs=np.arange(source.count))
 
         def columns(one: Regression) -> tuple[Array, Array, Array]:
-            return one.nuisances(epochs), np.zeros((len(one.rows), 0)), -one.model(found)
+            return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
 
-        blocks = _Blocks(self, source, lambda one: (*columns(one), one.relative_weights(found)))
-        return self.with_nuisances(found, solve_blocks(blocks, columns(self), norm="l2"), epochs)
+        def tables() -> Iterator[Table]:
+            for one in every._blocks(source):
+                yield *columns(one), one._relative_weights(found)
 
-    def coefficients(self, answer: Solution, epochs: NDArray[np.intp] | None = None) -> Coefficients:
-        """Return an answer's coefficients; epochs as in `nuisances`."""
-        return self.with_nuisances(self.at(answer.nonnegative), answer, epochs)
+        return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
 
     def at(self, x: Array) -> Coefficients:
         """Return the coefficients of the unknowns (q,) that are not negative, without constants and starts."""
-        grid = self.grid
-        count, segments, spring = int(np.count_nonzero(grid.movable)), grid.segments, grid.knots.size - 1
-        stiffness = np.zeros((grid.movable.size, segments))
-        stiffness[grid.movable] = x[: count * segments].reshape(count, segments)
-        rest = x[count * segments :]
-        lengths = np.diff(grid.drive)
-        tau = rest[spring + grid.moved :][: max(lengths.size - 1, 0)]
+        grid, places = self.grid, self.grid.places()
+        stiffness = np.zeros((grid.movable.size, grid.segments))
+        stiffness[grid.movable] = x[places["elements"]].reshape(-1, grid.segments)
+        tau, lengths = x[places["transformer"]], np.diff(grid.drive)
         if lengths.size:
             left = max((1 - TRANSFORMER_FLOOR) * lengths.sum() - tau @ lengths[:-1], 0.0) / lengths[-1]
             tau = TRANSFORMER_FLOOR + np.append(tau, left)
-        return Coefficients(stiffness, rest[:spring] + self.floor, rest[spring : spring + grid.moved], tau)
-
-    def places(self) -> dict[str, slice]:
-        """Return the places of each kind of unknown that is not negative."""
-        grid = self.grid
-        branches = grid.time_constants.size
-        sizes = {
-            "elements": int(np.count_nonzero(grid.movable)) * grid.segments,
-            "spring": grid.knots.size - 1,
-            "creep": branches,
-            "smooth": grid.lengths.size,
-            "transformer": max(grid.drive.size - 2, 0),
-            "starts": 2 * len(self.strained) * branches,
-        }
-        ends = np.cumsum(list(sizes.values())).tolist()
-        return {kind: slice(end - size, end) for (kind, size), end in zip(sizes.items(), ends, strict=True)}
+        internal = x[places["creep"].start : places["smooth"].stop]
+        return Coefficients(stiffness, x[places["spring"]] + self.floor, internal, tau)
 
     def unknowns(self, found: Coefficients) -> tuple[Array, ...]:
         """Return the program's unknowns of coefficients, by kind: elements, spring, what moves, transformer."""
         elements = found.stiffness[self.grid.movable].ravel()
         return elements, found.slopes - self.floor, found.internal, found.transformer[:-1] - TRANSFORMER_FLOOR
-
-    def datum_steps(self, records: list[int]) -> Array:
-        """Return the changes of datums [m] that least squares ask for, the spring linearised at the present ones.
-
-        Of Maxwell-slip elements only.
-        """
-        slope = self.fit("l2").slopes[segment_of(self.knots, self.axis)]
-        shifts = np.column_stack([np.where(self.rows.record == q, slope, 0.0) for q in records])
-        answer = solve(np.hstack([self.nuisances(), shifts]), self.bounded, self.target, norm="l2")
-        return answer.free[-len(records) :]
-
-    def projected(self) -> Array:
-        """Return columns of the movable elements over their rho, all others projected out: a triangle (m, m)."""
-        others = np.hstack([self.nuisances(), self.parts_of_spring(self.axis)])
-        others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
-        slip = self.rows.elongation[:, self.movable] / self.grid.breakaway[self.movable]
-        triangle = triangle_of(np.hstack([others, slip]))
-        return np.asarray(triangle[others.shape[1] :, others.shape[1] :])
-
-
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Tables of all rows of a regression, block after block, and one more at the end."""
-
-    regression: Regression
-    source: RowSource
-    table: Callable[[Regression], Table]
-    last: Table | None = None
-
-    def __len__(self) -> int:
-        return len(self.source) + (0 if self.last is None else len(self.last[3]))
-
-    def __iter__(self) -> Iterator[Table]:
-        lasting = np.asarray(self.regression.start_columns.any(axis=0))
-        for rows in self.source.blocks():
-            yield self.table(replace(self.regression, rows=rows, lasting=lasting, source=None))
-        if self.last is not None and len(self.last[3]):
-            yield self.last

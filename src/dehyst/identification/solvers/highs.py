@@ -26,20 +26,36 @@ def minimum(
     cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], *, solver: str = "simplex"
 ) -> LinearSolution:
     """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1] (dense); "simplex" or "ipm"."""
-    return _run(_highs_model(cost, bounds, rows, limits, solver), solver)
+    return _solved(_model(cost, bounds, rows, limits, solver), solver)
+
+
+def linear_programs(
+    costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
+) -> Iterator[LinearSolution]:
+    """Minimise each of many costs (p, n) as `minimum` does, each from the optimum of the previous one."""
+    highs = _model(costs[0], bounds, rows, limits, "simplex")
+    every = np.arange(rows.shape[1], dtype=np.int32)
+    # The previous optimum is feasible: the primal simplex continues from it, the dual simplex would start anew.
+    for k, cost in enumerate(costs):
+        highs.changeColsCost(every.size, every, cost)
+        highs.setOptionValue("simplex_strategy", 4 if k else 1)
+        yield _solved(highs, "simplex")
 
 
 def dual_objective(
     solution: LinearSolution, cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
 ) -> float:
     """Return the value of the dual program at a solution."""
-    dual = solution.row_dual
-    return _support(dual, *limits) + _support(cost - rows.T @ dual, *bounds)
+    dual, value = solution.row_dual, 0.0
+    for multipliers, (lower, upper) in ((dual, limits), (cost - rows.T @ dual, bounds)):
+        bound = np.where(multipliers > 0, lower, upper)
+        # Infinite bounds have multipliers of zero, up to rounding.
+        finite = np.isfinite(bound)
+        value += float(multipliers[finite] @ bound[finite])
+    return value
 
 
-def _highs_model(
-    cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str
-) -> Any:
+def _model(cost: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array], solver: str) -> Any:
     import highspy
 
     m, n = rows.shape
@@ -51,8 +67,16 @@ def _highs_model(
     lp.a_matrix_.start_ = np.arange(n + 1) * m
     lp.a_matrix_.index_ = np.tile(np.arange(m), n)
     lp.a_matrix_.value_ = np.ascontiguousarray(rows.T).ravel()
-    highs = _silent_highs()
+
+    class Silent(highspy.Highs):
+        # From 1.16 on the constructor prints a header unless the output is off; this is what it calls first.
+        def enableCallbacks(self) -> None:  # noqa: N802 - HiGHS's name
+            self.setOptionValue("output_flag", False)
+            super().enableCallbacks()  # type: ignore[no-untyped-call]
+
+    highs = Silent()  # type: ignore[no-untyped-call]
     for option, value in (
+        ("output_flag", False),
         ("threads", 1),
         ("solver", solver),
         ("random_seed", 0),
@@ -64,21 +88,7 @@ def _highs_model(
     return highs
 
 
-def _silent_highs() -> Any:
-    """Return a HiGHS that prints nothing: from 1.16 on its constructor prints a header unless the output is off."""
-    import highspy
-
-    class Silent(highspy.Highs):
-        def enableCallbacks(self) -> None:  # noqa: N802 - HiGHS's name; its constructor calls it first
-            self.setOptionValue("output_flag", False)
-            super().enableCallbacks()  # type: ignore[no-untyped-call]
-
-    highs = Silent()  # type: ignore[no-untyped-call]
-    highs.setOptionValue("output_flag", False)
-    return highs
-
-
-def _run(highs: Any, solver: str) -> LinearSolution:
+def _solved(highs: Any, solver: str) -> LinearSolution:
     import highspy
 
     highs.run()
@@ -91,23 +101,3 @@ def _run(highs: Any, solver: str) -> LinearSolution:
         status == highspy.HighsModelStatus.kOptimal,
         f"HiGHS {solver}: {highs.modelStatusToString(status)}",
     )
-
-
-def linear_programs(
-    costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
-) -> Iterator[LinearSolution]:
-    """Minimise each of many costs (p, n) as `minimum` does, each from the optimum of the previous one."""
-    highs = _highs_model(costs[0], bounds, rows, limits, "simplex")
-    every = np.arange(rows.shape[1], dtype=np.int32)
-    # The previous optimum is feasible: the primal simplex continues from it, the dual simplex would start anew.
-    for k, cost in enumerate(costs):
-        highs.changeColsCost(every.size, every, cost)
-        highs.setOptionValue("simplex_strategy", 4 if k else 1)
-        yield _run(highs, "simplex")
-
-
-def _support(multipliers: Array, lower: Array, upper: Array) -> float:
-    """Return the least value of multipliers'z over lower <= z <= upper, without rounding at infinite bounds."""
-    bound = np.where(multipliers > 0, lower, upper)
-    finite = np.isfinite(bound)
-    return float(multipliers[finite] @ bound[finite])

@@ -6,26 +6,35 @@
 t represents rows with a residual of known sign: it is the sum of these rows, each times its sign (Portnoy and Koenker
 1997, Stat. Sci. 12, 279). Each iteration solves q equations twice (Mehrotra's predictor and corrector); the matrix is
 scaled to a unit diagonal and gets a ridge that grows until its factor exists, and the solution is refined.
-
 `least_absolute_deviations` returns the vertex next to the interior point, certified by its duality gap. If rounding
 leaves too wide a gap, HiGHS solves the dual, max b'y + l'm, A'y + C'm + t <= 0 (= 0 for free coefficients),
 abs(y) <= 1, m >= 0, whose row duals are x.
+
+Any number of rows is read in blocks, of which a few are in memory (`least_absolute`). A sample of the rows gives a
+first answer. Residuals far from zero there rarely change their sign: these rows enter the program only by t. With these
+signs as their duals, a dual point of the small program is one of the whole program, whatever the signs are. So the
+duality gap over all rows certifies each answer, and rows with a wrong sign return to the program until that gap is
+closed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.solvers import highs
 from dehyst.identification.solvers.problem import (
     OPTIMAL,
     TINY,
+    Answer,
+    Blocks,
     Problem,
-    barrier_matrix,
     corrector_target,
     reach,
     regularised_solver,
@@ -68,13 +77,13 @@ class PrimalDual:
 def interior(problem: Problem, pull: Array | None = None, start: Array | None = None) -> PrimalDual:
     """Minimise the sum of absolute residuals less `pull` (q,) times x, from `start` (q,) or least squares."""
     point = _PrimalDualPoint(problem, np.zeros(problem.unknowns) if pull is None else pull, start)
-    best, least, since, steps = copy(point), point.remaining(), 0, 0
+    best, (least, close), since, steps = copy(point), point.remaining(), 0, 0
     # Weights of rows without residual overflow at the very end; such steps are not taken.
     with np.errstate(all="ignore"):
-        while least > 0 and since <= (_LAST if point.is_complementary() else _PATIENCE) and steps < _STEPS:
+        while least > 0 and since <= (_LAST if close else _PATIENCE) and steps < _STEPS:
             point.step()
-            steps += 1
-            left, since = point.remaining(), since + 1
+            left, close = point.remaining()
+            steps, since = steps + 1, since + 1
             if left < least:
                 best, least, since = copy(point), left, 0
     x = best.x.copy()
@@ -111,18 +120,15 @@ class _PrimalDualPoint:
         """Duals of the rows."""
         return 0.5 * (self.down - self.up)
 
-    def remaining(self) -> float:
-        """Return complementarity plus the priced infeasibility of both points; 0 once they are within tolerance."""
-        left = self._complementarity() + float(np.abs(self.missed) @ np.abs(self.x))
+    def remaining(self) -> tuple[float, bool]:
+        """Return complementarity plus the priced infeasibility of both points, 0 once they are within tolerance.
+
+        Also whether complementarity is within tolerance, so that only rounding is left.
+        """
+        complementarity, tolerance = self._complementarity(), max(_CLOSE * float(np.abs(self.rest).sum()), self._floor)
+        left = complementarity + float(np.abs(self.missed) @ np.abs(self.x))
         left += float(np.abs(self._short()) @ np.maximum(self.m, self._price))
-        return left if left > self._tolerance() else 0.0
-
-    def is_complementary(self) -> bool:
-        """Return whether complementarity is within tolerance, so that only rounding is left."""
-        return self._complementarity() <= self._tolerance()
-
-    def _tolerance(self) -> float:
-        return max(_CLOSE * float(np.abs(self.rest).sum()), self._floor)
+        return left if left > tolerance else 0.0, complementarity <= tolerance
 
     def _short(self) -> Array:
         """Return the residual of the inequalities."""
@@ -140,33 +146,49 @@ class _PrimalDualPoint:
     def step(self) -> None:
         """Take one step, if there is a finite one."""
         places = 2 * self.u.size + self.s.size + self.w.size
-        mean = self._complementarity() / places
-        newton = _NewtonL1(self)
-        change = self._changes_to(newton, 0.0)
+        mean, changes_to = self._complementarity() / places, self._newton()
+        change = changes_to(0.0)
         after = self._stepped(change, *self._reach(change))._complementarity() / places
-        change = self._changes_to(newton, corrector_target(mean, after), change)
+        change = changes_to(corrector_target(mean, after), change)
         lengths = self._reach(change)
         if min(lengths) < _BLOCKED:
             # Some product is far below the mean and blocks the step: return to the central path first.
-            change = self._changes_to(newton, _CENTRING * mean)
+            change = changes_to(_CENTRING * mean)
             lengths = self._reach(change)
         if all(np.isfinite(part).all() for part in change):
             self.__dict__.update(self._stepped(change, *(_FARTHEST * length for length in lengths)).__dict__)
             self.rest, self.missed = self._p.goal - self._p.rows @ self.x, self._dual_residual()
 
-    def _changes_to(self, newton: _NewtonL1, aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
-        """Return changes that bring all complementarities to `aim`, of second order if the predictor's are given."""
-        targets = [
-            aim - self.u * self.up,
-            aim - self.v * self.down,
-            aim - self.s * self.m,
-            aim - self.w * self.x[self._bounded],
-        ]
-        if before is not None:
-            du, dv, ds, dx, dy, dm, dw = before
-            second = du * dy, -dv * dy, -ds * dm, -dw * dx[self._bounded]
-            targets = [first + more for first, more in zip(targets, second, strict=True)]
-        return newton.changes(*targets)
+    def _newton(self) -> Callable[..., tuple[Array, ...]]:
+        """Return a function of Newton's equations, reduced to the q coefficients.
+
+        It returns the changes of u, v, s, x, y, m, w that bring all complementarities to an aim, of second order if it
+        gets the predictor's changes.
+        """
+        p, bounded, x = self._p, self._bounded, self.x[self._bounded]
+        weight, ratio, below = 1 / (self.u / self.up + self.v / self.down), self.m / self.s, self.w / x
+        normal = _gram(p.rows, weight) + (p.matrix.T * ratio) @ p.matrix
+        places = np.arange(p.free, p.unknowns)
+        normal[places, places] += below
+        solve = regularised_solver(normal)
+        short, left = self._short(), self.rest - self.u + self.v
+
+        def changes(aim: float, before: tuple[Array, ...] | None = None) -> tuple[Array, ...]:
+            ru, rv = aim - self.u * self.up, aim - self.v * self.down
+            rs, rx = aim - self.s * self.m, aim - self.w * x
+            if before is not None:
+                du, dv, ds, dx, dy, dm, dw = before
+                ru, rv, rs, rx = ru + du * dy, rv - dv * dy, rs - ds * dm, rx - dw * dx[bounded]
+            goal = left - ru / self.up + rv / self.down
+            force = (rs + self.m * short) / self.s
+            right = p.rows.T @ (weight * goal) + p.matrix.T @ force - self.missed
+            right[bounded] += rx / x
+            dx = solve(right)
+            dy, ds = weight * (goal - p.rows @ dx), p.matrix @ dx - short
+            du, dv = (ru + self.u * dy) / self.up, (rv - self.v * dy) / self.down
+            return du, dv, ds, dx, dy, rs / self.s - ratio * ds, rx / x - below * dx[bounded]
+
+        return changes
 
     def _reach(self, change: tuple[Array, ...]) -> tuple[float, float]:
         """Return the step lengths of the primal and of the dual variables."""
@@ -183,35 +205,6 @@ class _PrimalDualPoint:
         moved.x, moved.up, moved.down = self.x + primal * dx, self.up - dual * dy, self.down + dual * dy
         moved.m, moved.w = self.m + dual * dm, self.w + dual * dw
         return moved
-
-
-class _NewtonL1:
-    """Newton's equations at a point, reduced to the q coefficients."""
-
-    def __init__(self, at: _PrimalDualPoint) -> None:
-        self._at, problem = at, at._p
-        self._weight = 1 / (at.u / at.up + at.v / at.down)
-        self._ratio = at.m / at.s
-        normal = _gram(problem.rows, self._weight) + barrier_matrix(problem.matrix, at.m, at.s)
-        self._below = at.w / at.x[problem.free :]
-        places = np.arange(problem.free, problem.unknowns)
-        normal[places, places] += self._below
-        self._solve = regularised_solver(normal)
-        self._missed, self._short = at.missed, at._short()
-        self._left = at.rest - at.u + at.v
-
-    def changes(self, ru: Array, rv: Array, rs: Array, rx: Array) -> tuple[Array, ...]:
-        """Return changes of u, v, s, x, y, m, w that change the four complementarities by these amounts."""
-        at, problem = self._at, self._at._p
-        goal = self._left - ru / at.up + rv / at.down
-        force = (rs + at.m * self._short) / at.s
-        right = problem.rows.T @ (self._weight * goal) + problem.matrix.T @ force - self._missed
-        right[problem.free :] += rx / at.x[problem.free :]
-        dx = self._solve(right)
-        dy = self._weight * (goal - problem.rows @ dx)
-        ds = problem.matrix @ dx - self._short
-        dw = rx / at.x[problem.free :] - self._below * dx[problem.free :]
-        return ((ru + at.u * dy) / at.up, (rv - at.v * dy) / at.down, ds, dx, dy, rs / at.s - self._ratio * ds, dw)
 
 
 def _gram(rows: Array, weight: Array) -> Array:
@@ -250,7 +243,7 @@ def least_absolute_deviations(problem: Problem, pull: Array, unit: float) -> Pri
     x = _polished(problem, pull, pair.x)
     limit = OPTIMAL * (_TIGHT if problem.goal.size <= _FEW else 1.0)
     objective = float(np.abs(problem.goal - problem.rows @ x).sum() - pull @ x)
-    value, lacking = dual_value(problem, pull, pair.y, pair.multipliers, x)
+    value, lacking = dual_value(problem, pull, pair, x)
     if abs(objective - value) + lacking <= limit * max(unit, abs(objective)) and problem.meets(x):
         return replace(pair, x=x)
     if problem.goal.size > _MOST_HIGHS and np.any(pull):
@@ -258,11 +251,11 @@ def least_absolute_deviations(problem: Problem, pull: Array, unit: float) -> Pri
     return _by_highs(problem, pull, pair)
 
 
-def dual_value(problem: Problem, pull: Array, y: Array, multipliers: Array, x: Array) -> tuple[float, float]:
+def dual_value(problem: Problem, pull: Array, dual: PrimalDual, x: Array) -> tuple[float, float]:
     """Return the value of a dual point, and its infeasibility priced at x."""
-    lacking = problem.rows.T @ y + problem.matrix.T @ multipliers + pull
+    lacking = problem.rows.T @ dual.y + problem.matrix.T @ dual.multipliers + pull
     lacking[problem.free :] = np.maximum(lacking[problem.free :], 0.0)
-    return float(problem.goal @ y + problem.lower @ multipliers), float(np.abs(lacking) @ np.abs(x))
+    return float(problem.goal @ dual.y + problem.lower @ dual.multipliers), float(np.abs(lacking) @ np.abs(x))
 
 
 def _by_highs(problem: Problem, pull: Array, pair: PrimalDual) -> PrimalDual:
@@ -297,3 +290,236 @@ def _polished(problem: Problem, pull: Array, x: Array) -> Array:
     refined[p:] = np.maximum(refined[p:], 0.0)
     better = np.abs(rows @ refined - goal).sum() - pull @ refined <= residual.sum() - pull @ x
     return refined if better and problem.meets(refined) else x
+
+
+# Up to so many rows a coefficient a sample saves nothing.
+_WHOLE = 60
+# Most numbers in a sample of rows, and in all rows of a program: 8 bytes each.
+_SAMPLED_NUMBERS, _MOST_NUMBERS = 8_000_000, 24_000_000
+_ROUNDS = 12
+# Ratio of all rows to a sample above which a sample of middle size comes between them.
+_LEAP = 10
+# The gap that ends the rounds, relative to the objective, and relative to the objective at zero.
+_GAP_CLOSED, _GAP_EXACT = 0.1 * OPTIMAL, 1e-12
+_UNSEEN = 1e-10
+# Rows with numbers so many times the typical ones are never thinned, up to so many a coefficient.
+_HEAVY, _MOST_HEAVY = 20.0, 10
+
+
+def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
+    """Minimise the sum of absolute residuals of all rows; `frame` has the limits but no rows."""
+    n, q = blocks.count, frame.unknowns
+    size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _SAMPLED_NUMBERS // max(q, 1))
+    if n <= max(2 * size, _WHOLE * q):
+        return _solve_all_rows(blocks, frame)
+    sample, unit = _sample(blocks, frame, -(-n // size))
+    first = least_absolute(Blocks.whole(sample.rows, sample.goal), frame)
+    if not first.optimal:
+        return _solve_all_rows(blocks, frame) if n * q <= _MOST_NUMBERS else first
+    x, step = first.x, int((n / size) ** 0.5)
+    if n > _LEAP * size:
+        # After so small a sample too many signs would be in doubt.
+        thinned = Blocks(len(range(0, n, step)), lambda: _thinned(blocks, step))
+        middle = _solve_reduced(thinned, frame, sample, x, unit / step)
+        x = middle.x if middle.optimal else x
+    return _solve_reduced(blocks, frame, sample, x, unit)
+
+
+def _solve_all_rows(blocks: Blocks, frame: Problem) -> Answer:
+    problem, unit = _sample(blocks, frame, 1)
+    pull = np.zeros(problem.unknowns)
+    solution = least_absolute_deviations(problem, pull, unit)
+    if not solution.optimal:
+        return problem.failed(solution.status)
+    primal = float(np.abs(problem.goal - problem.rows @ solution.x).sum())
+    value, lacking = dual_value(problem, pull, solution, solution.x)
+    return problem.answer(solution.x, (primal - value + lacking) / max(unit, primal), solution.status)
+
+
+def _sample(blocks: Blocks, frame: Problem, step: int) -> tuple[Problem, float]:
+    """Return every step-th row, thinned by `_thinned`, and the sum of absolute targets of all."""
+    unit = TINY
+
+    def seen() -> Iterator[tuple[Array, Array]]:
+        nonlocal unit
+        for rows, goal in blocks.read():
+            unit += float(np.abs(goal).sum())
+            yield rows, goal
+
+    parts = list(_thinned(Blocks(blocks.count, seen), step))
+    rows, goal = parts[0] if len(parts) == 1 else (np.concatenate(column) for column in zip(*parts, strict=True))
+    return replace(frame, rows=rows, goal=goal), unit
+
+
+def _thinned(blocks: Blocks, step: int) -> Iterator[tuple[Array, Array]]:
+    """Yield every step-th row of blocks, and all heavy ones at a step-th of their weight.
+
+    A few heavy rows may matter as much as all others: they must neither be missed by chance nor represent others.
+    """
+    place, usual = 0, 0.0
+    for rows, goal in blocks.read():
+        if step == 1:
+            yield rows, goal
+            continue
+        # The median over rows of their largest number.
+        usual = usual or max(float(np.median(np.abs(rows[:: len(rows) // 4096 + 1]).max(axis=1))), TINY)
+        every = np.zeros(goal.size, dtype=bool)
+        every[-place % step :: step] = True
+        place += goal.size
+        heavy = np.maximum(rows.max(axis=1), -rows.min(axis=1)) > _HEAVY * usual
+        few = np.count_nonzero(heavy) <= max(_MOST_HEAVY * rows.shape[1], goal.size // step)
+        if heavy.any() and few:
+            every &= ~heavy
+            yield np.concatenate([rows[every], rows[heavy] / step]), np.concatenate([goal[every], goal[heavy] / step])
+        elif every.any():
+            yield rows[every], goal[every]
+
+
+class _Divided(NamedTuple):
+    """Rows in the program, and the sum of the others.
+
+    `problem`: the kept rows. `places` (k,) int: their places among all rows, ascending. `signs_of` (q,): the
+    coefficients that define the signs of the others. `pull`, `value` (q,): sums of the other rows and of their targets,
+    each times its sign.
+    """
+
+    problem: Problem
+    places: NDArray[np.intp]
+    signs_of: Array
+    pull: Array
+    value: float
+
+
+class _WrongSigns(NamedTuple):
+    """Rows with a residual of another sign than assumed: (k, q), (k,), (k,), and the assumed signs (k,)."""
+
+    rows: Array
+    goal: Array
+    places: NDArray[np.intp]
+    signs: Array
+
+
+def _solve_reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
+    n, most = blocks.count, _MOST_NUMBERS // frame.unknowns
+    doubt, room = _SignDoubt(sample), min(2 * sample.goal.size, _SAMPLED_NUMBERS // (2 * frame.unknowns))
+    divided, centre = _divide_rows(blocks, frame, x, doubt, room)
+    if centre <= _GAP_EXACT * unit:
+        # Zeros are a dual point: the objective cannot fall, and signs of rounding errors have no meaning.
+        return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, centre / unit)
+    # If more than half of the rows are in the program, all of them may be, if memory permits.
+    best = frame.failed("no round of the reduction gave an answer")
+    for k in range(1, _ROUNDS + 1):
+        solution = least_absolute_deviations(divided.problem, divided.pull, unit)
+        primal, wrong = _check_signs(blocks, divided, solution.x, most) if solution.optimal else (np.inf, None)
+        if wrong is not None:
+            value, lacking = dual_value(divided.problem, divided.pull, solution, solution.x)
+            gap = primal - value - divided.value + lacking
+            if not gap / unit > best.gap:
+                method = f"{solution.status}, on {divided.places.size} of {n} rows in round {k}"
+                best = frame.answer(solution.x, gap / max(unit, primal), method)
+            if gap <= max(_GAP_CLOSED * primal, _GAP_EXACT * unit) or not wrong.places.size:
+                break
+            many = divided.places.size + wrong.places.size
+            if n <= min(most, 2 * many):
+                break
+            # If more signs are wrong than rows are kept, other rows should be kept, next to the better answer.
+            if many <= most and (many <= 2 * divided.places.size or primal >= centre):
+                divided = _with_rows(divided, wrong)
+                continue
+        if primal < centre:
+            x = solution.x
+        elif room < most:
+            # Too many signs are wrong: the kept rows cannot balance the pull of the others.
+            room = min(2 * room, most)
+        else:
+            break
+        if n <= min(most, 2 * room):
+            break
+        divided, centre = _divide_rows(blocks, frame, x, doubt, room)
+    return best if best.optimal or n > most else _solve_all_rows(blocks, frame)
+
+
+class _SignDoubt:
+    """Doubt about the sign of a residual: its size over the shift that the sample's uncertainty may cause."""
+
+    def __init__(self, sample: Problem) -> None:
+        values, vectors = np.linalg.eigh(sample.rows.T @ sample.rows / sample.goal.size)
+        # A root of the inverse Gram matrix (q, q): rows times it are as long as the square root of their leverage. What
+        # the sample does not contain, such as a constant of few rows, is in the greatest doubt.
+        self._root = vectors / np.sqrt(np.maximum(values, 0.0) + _UNSEEN * values.max(initial=TINY))
+        self._sample = sample
+
+    def score(self, rows: Array, residual: Array) -> Array:
+        """Return a score of each row (n,), small where the sign is in doubt."""
+        shift = rows @ self._root
+        return np.asarray(np.abs(residual) / np.sqrt(np.einsum("ij,ij->i", shift, shift) + TINY))
+
+    def cuts(self, x: Array, share: float) -> Array:
+        """Return for each group of rows the score below which this share of its rows in the sample lies.
+
+        Each group keeps its share: a group with a free coefficient needs enough rows to balance the sum of the others,
+        even if its record is fitted less well.
+        """
+        rows, free = self._sample.rows, self._sample.free
+        scores, groups = self.score(rows, self._sample.goal - rows @ x), _groups(rows, free)
+        cuts = np.full(free + 1, np.inf)
+        for group in np.unique(groups):
+            cuts[group] = np.quantile(scores[groups == group], min(share, 1.0))
+        return cuts
+
+
+def _divide_rows(blocks: Blocks, frame: Problem, x: Array, doubt: _SignDoubt, room: int) -> tuple[_Divided, float]:
+    """Keep about `room` rows whose sign is most in doubt, add up the others; also the sum of absolute residuals."""
+    parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
+    pull, value, primal, place, left = np.zeros(frame.unknowns), 0.0, 0.0, 0, room + room // 2
+    cuts = doubt.cuts(x, room / blocks.count)
+    for rows, goal in blocks.read():
+        residual = goal - rows @ x
+        kept = np.flatnonzero(doubt.score(rows, residual) <= cuts[_groups(rows, frame.free)])[:left]
+        signs = np.where(residual >= 0, 1.0, -1.0)
+        signs[kept] = 0.0
+        primal += float(np.abs(residual).sum())
+        pull += signs @ rows
+        value += float(signs @ goal)
+        parts.append((rows[kept], goal[kept], kept + place))
+        place, left = place + goal.size, left - kept.size
+    some, goals, places = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value), primal
+
+
+def _groups(rows: Array, free: int) -> NDArray[np.intp]:
+    """Return the first free coefficient of each row (n,), such as its epoch's constant; their number if none."""
+    nonzero = np.hstack([rows[:, :free] != 0, np.ones((len(rows), 1), dtype=bool)])
+    return np.asarray(nonzero.argmax(axis=1))
+
+
+def _check_signs(blocks: Blocks, divided: _Divided, x: Array, most: int) -> tuple[float, _WrongSigns]:
+    """Return the sum of absolute residuals of all rows, and at most `most` + 1 rows with wrong signs."""
+    primal, place, room, parts = 0.0, 0, most + 1, []
+    for rows, goal in blocks.read():
+        residual, signs = goal - rows @ x, np.where(goal - rows @ divided.signs_of >= 0, 1.0, -1.0)
+        primal += float(np.abs(residual).sum())
+        kept = slice(*np.searchsorted(divided.places, [place, place + goal.size]))
+        signs[divided.places[kept] - place] = 0.0
+        wrong = np.flatnonzero(residual * signs < 0)[:room]
+        parts.append((rows[wrong], goal[wrong], wrong + place, signs[wrong]))
+        place, room = place + goal.size, room - wrong.size
+    return primal, _WrongSigns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _with_rows(divided: _Divided, more: _WrongSigns) -> _Divided:
+    """Keep these rows too, written directly to their places: joining and sorting would need a second copy."""
+    places = np.concatenate([divided.places, more.places])
+    place = np.empty(places.size, np.intp)
+    place[np.argsort(places, kind="stable")] = np.arange(places.size)
+    old, new = np.split(place, [divided.places.size])
+    problem = divided.problem
+    rows, goal = np.empty((place.size, problem.unknowns)), np.empty(place.size)
+    rows[old], rows[new] = problem.rows, more.rows
+    goal[old], goal[new] = problem.goal, more.goal
+    return divided._replace(
+        problem=replace(problem, rows=rows, goal=goal),
+        places=np.sort(places),
+        pull=divided.pull - more.signs @ more.rows,
+        value=divided.value - float(more.signs @ more.goal),
+    )

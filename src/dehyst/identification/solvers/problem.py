@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import IdentifyError
 from dehyst._types import Array
 
 # Largest relative duality gap of an optimum.
@@ -17,6 +16,8 @@ OPTIMAL = 1e-6
 # Tolerance of an inequality, relative to its largest coefficient times the largest unknown.
 MET = 1e-9
 TINY = float(np.finfo(np.float64).tiny)
+_RIDGES = 10.0 ** np.arange(-15, 1, 2)
+_REFINEMENTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +39,19 @@ class Problem:
         """Number q of coefficients."""
         return int(self.rows.shape[1])
 
-    def of_columns(self, kept: NDArray[np.intp], free: int) -> Problem:
-        """Return the problem with all other coefficients at zero."""
-        return replace(self, rows=self.rows[:, kept], matrix=self.matrix[:, kept], free=free)
-
     def meets(self, x: Array) -> bool:
         """Return whether x meets the inequalities up to rounding; x[free:] >= 0 is assumed."""
         size = max(1.0, float(np.abs(x).max(initial=0.0)))
         return bool(np.all(self.matrix @ x >= self.lower - MET * size))
+
+    def answer(self, x: Array, gap: float, method: str) -> Answer:
+        """Return coefficients with their relative duality gap, optimal if that is small and the inequalities hold."""
+        optimal = abs(gap) <= OPTIMAL and self.meets(x)
+        return Answer(x, f"{'optimal' if optimal else 'no optimum'} ({method})", optimal, gap)
+
+    def failed(self, status: str) -> Answer:
+        """Return an answer without an optimum."""
+        return Answer(np.zeros(self.unknowns), status, False, float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +64,17 @@ class Answer:
     gap: float
 
 
-def failed(problem: Problem, status: str) -> Answer:
-    """Return an answer without an optimum."""
-    return Answer(np.zeros(problem.unknowns), status, False, float("nan"))
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Rows and targets (k, q) and (k,), `count` in all, that `read` yields block after block, any number of times."""
+
+    count: int
+    read: Callable[[], Iterator[tuple[Array, Array]]]
+
+    @classmethod
+    def whole(cls, rows: Array, goal: Array) -> Blocks:
+        """Return rows in memory, in one block."""
+        return cls(goal.size, lambda: iter([(rows, goal)]))
 
 
 def spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray[Any]:
@@ -68,32 +82,6 @@ def spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray
     whole = np.zeros(size, dtype=values.dtype)
     whole[places] = values
     return whole
-
-
-def inequalities(constraints: tuple[Array, Array] | None, free: int, scale: Array) -> tuple[Array, Array]:
-    """Check and return (matrix, lower) on all coefficients divided by `scale`, rows scaled to a largest number of one.
-
-    Raise `IdentifyError` if shapes do not fit or a number is not finite.
-    """
-    bounded = scale.size - free
-    if constraints is None or not np.size(constraints[1]):
-        return np.zeros((0, scale.size)), np.zeros(0)
-    matrix, lower = (np.asarray(part, dtype=np.float64) for part in constraints)
-    if matrix.ndim != 2 or matrix.shape[1] not in (bounded, scale.size) or lower.shape != (matrix.shape[0],):
-        raise IdentifyError(
-            f"constraints: got a matrix of shape {matrix.shape} and lower limits of shape {lower.shape}, need (m, "
-            f"{bounded}) and (m,): one column for each coefficient that is not negative, one limit for each row"
-        )
-    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(lower))):
-        raise IdentifyError("constraints: got NaN or infinite numbers, need finite ones; leave out rows without limit")
-    whole = np.hstack([np.zeros((lower.size, scale.size - matrix.shape[1])), matrix]) / scale
-    size = np.abs(whole).max(axis=1, initial=0.0)
-    size[size == 0] = 1.0
-    return whole / size[:, None], lower / size
-
-
-_RIDGES = 10.0 ** np.arange(-15, 1, 2)
-_REFINEMENTS = 2
 
 
 def reach(values: Array, step: Array) -> float:
@@ -105,11 +93,6 @@ def reach(values: Array, step: Array) -> float:
 def corrector_target(mean: float, predicted: float) -> float:
     """Return Mehrotra's complementarity for the corrector, from the present mean and the predictor's."""
     return (predicted / mean) ** 3 * mean
-
-
-def barrier_matrix(limits: Array, dual: Array, slack: Array) -> Array:
-    """Return limits' diag(dual / slack) limits (q, q): what the inequalities add to the normal matrix."""
-    return np.asarray((limits.T * (dual / slack)) @ limits)
 
 
 def regularised_solver(normal: Array) -> Callable[[Array], Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,21 @@ from dehyst.records.signals import largest, percent
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
+# The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
+PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
+PRE_ENERGISED = 100.0
+CYCLES = 3
+DRIVE = Sampling(frequency=0.01, sample_rate=5.0)
+ELEMENTS = 10
+# With it the nominal ratio misses a full-stroke raised cosine by what the paper reports, 13.6 % of the range.
+WIDTH = 0.715
+# Samples of half a cycle and of a cycle.
+_HALF, CYCLE = int(DRIVE.rate * DRIVE.half), int(2 * DRIVE.rate * DRIVE.half)
+# Voltages applied between the relaxed state and t = 0.
+RELAXED, ENERGISED = "relaxed", "pre-energised"
+STARTS = {RELAXED: np.zeros(1), ENERGISED: raised_cosine(PRE_ENERGISED, drive=DRIVE).voltage}
 # Fine enough that the sampling adds less than 1e-4 % of the range.
-_DRIVE = Sampling(sample_rate=40.0)
+_FINE = Sampling(sample_rate=40.0)
 _PLACES = 801
 
 
@@ -38,7 +51,7 @@ class ClosedLoop:
     def of(cls, truth: PlayActuator) -> ClosedLoop:
         """Play two major cycles into a relaxed copy."""
         twin = replace(truth, noise=0.0)
-        voltage = raised_cosine(truth.highest, cycles=2, drive=_DRIVE).voltage
+        voltage = raised_cosine(truth.highest, cycles=2, drive=_FINE).voltage
         both = np.vstack([twin.play(voltage), voltage])
         n = (voltage.size - 1) // 4
         return cls(both[:, 2 * n : 3 * n + 1], both[:, 4 * n : 3 * n - 1 : -1])
@@ -50,8 +63,7 @@ class ClosedLoop:
 
     def width(self, places: Array, apart: float) -> Array:
         """Return the voltage between the branches, the rising one moved down, the falling one up by `apart`."""
-        up, down = (places + apart, places - apart)
-        return np.asarray(np.interp(up, *self.rising) - np.interp(down, *self.falling))
+        return np.asarray(np.interp(places + apart, *self.rising) - np.interp(places - apart, *self.falling))
 
 
 def symmetric_width_floor(loop: ClosedLoop) -> float:
@@ -65,14 +77,20 @@ def symmetric_width_floor(loop: ClosedLoop) -> float:
     """
     places = np.linspace(float(loop.falling[0, 0]), float(loop.falling[0, -1]), _PLACES)
 
-    def possible(e: float) -> bool:
-        least, most = loop.width(places, -e), loop.width(places, e)
-        return any(_overlap(places, least, most, moved) for moved in np.linspace(-e, e, 21))
+    def overlap(least: Array, most: Array, moved: float) -> bool:
+        """Whether one width fits at each place and at its mirror image about the centre moved by `moved`."""
+        mirrored = places[0] + places[-1] + 2 * moved - places
+        inside = (mirrored >= places[0]) & (mirrored <= places[-1])
+        rounding = 1e-9 * float(most.max())
+        there = np.interp(mirrored, places, least), np.interp(mirrored, places, most)
+        return bool(np.all((least <= there[1] + rounding)[inside] & (there[0] <= most + rounding)[inside]))
 
     low, high = 0.0, loop.range
     while high - low > 1e-6 * loop.range:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if possible(middle) else (middle, high)
+        e = 0.5 * (low + high)
+        least, most = loop.width(places, -e), loop.width(places, e)
+        possible = any(overlap(least, most, moved) for moved in np.linspace(-e, e, 21))
+        low, high = (low, e) if possible else (e, high)
     return percent(high, loop.range)
 
 
@@ -101,37 +119,6 @@ def parabola_chord_error(nominal: float, elements: int) -> float:
     return float(100 * bend * u**2 / 4)
 
 
-def _overlap(places: Array, least: Array, most: Array, moved: float) -> bool:
-    """Return whether one width fits at each place and at its mirror image about the centre moved by `moved`."""
-    mirrored = places[0] + places[-1] + 2 * moved - places
-    inside = (mirrored >= places[0]) & (mirrored <= places[-1])
-    rounding = 1e-9 * float(most.max())
-    there = np.interp(mirrored, places, least), np.interp(mirrored, places, most)
-    return bool(np.all((least <= there[1] + rounding)[inside] & (there[0] <= most + rounding)[inside]))
-
-
-# The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
-PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
-PRE_ENERGISED = 100.0
-CYCLES = 3
-DRIVE = Sampling(frequency=0.01, sample_rate=5.0)
-ELEMENTS = 10
-# With it the nominal ratio misses a full-stroke raised cosine by what the paper reports, 13.6 % of the range.
-WIDTH = 0.715
-_HALF, _CYCLE = int(DRIVE.rate * DRIVE.half), int(2 * DRIVE.rate * DRIVE.half)
-
-
-class Start(NamedTuple):
-    """A history before t = 0: the voltage applied since the actuator was relaxed (n,) [V]."""
-
-    name: str
-    voltage: Array
-
-
-RELAXED = Start("relaxed", np.zeros(1))
-ENERGISED = Start("pre-energised", raised_cosine(PRE_ENERGISED, drive=DRIVE).voltage)
-
-
 class PaperError(NamedTuple):
     """Largest error against the truth and against the measurement with its noise [% of the range]."""
 
@@ -143,27 +130,23 @@ class PaperError(NamedTuple):
 class Measured:
     """A record whose sensor reads zero at its first sample, and what a perfect sensor of the same zero would read.
 
-    `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m].
+    `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m]. `start`: one of `STARTS`.
     """
 
     record: Record
     true: Array
     zero: float
-    start: Start
+    start: str
 
     def cut(self, loop: str) -> Record:
         """Return the cycles of one amplitude."""
-        first = CYCLES * _CYCLE * list(PEAKS).index(loop)
-        return self.record.slice(first, first + CYCLES * _CYCLE + 1).with_name(loop)
+        first = CYCLES * CYCLE * list(PEAKS).index(loop)
+        return self.record.slice(first, first + CYCLES * CYCLE + 1).with_name(loop)
 
     def known(self, loop: str) -> slice[int, int, None]:
         """Return the samples of one amplitude from the first peak on, where the start has no effect (Lemma 1)."""
-        first = CYCLES * _CYCLE * list(PEAKS).index(loop)
-        return slice(max(first, _HALF), first + CYCLES * _CYCLE + 1)
-
-    def noiseless(self) -> Measured:
-        """Return a copy with a perfect sensor."""
-        return replace(self, record=replace(self.record, displacement=self.true))
+        first = CYCLES * CYCLE * list(PEAKS).index(loop)
+        return slice(max(first, _HALF), first + CYCLES * CYCLE + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,15 +244,15 @@ class Experiment:
     @property
     def shift(self) -> Shift:
         """Shift of the loop by pre-energising."""
-        before, after = self.runs[RELAXED.name], self.runs[ENERGISED.name]
+        before, after = self.runs[RELAXED], self.runs[ENERGISED]
         moved = (after.record.displacement - before.record.displacement)[_HALF:]
         return Shift(float(moved.mean()), float(moved.std()), before.zero - after.zero)
 
-
-def midpoints(found: Experiment) -> Array:
-    """Return midpoints of pairs of break points of the major loop minus half of its peak (N - 1,) [V]; 0 by Lemma 2."""
-    loop = found.loops[0]
-    return np.asarray(0.5 * (loop.descending[1:-1, 1] + loop.ascending[1:-1, 1] - PEAKS["major"]))
+    @property
+    def midpoints(self) -> Array:
+        """Midpoints of pairs of break points of the major loop minus half of its peak (N - 1,) [V]; 0 by Lemma 2."""
+        loop = self.loops[0]
+        return np.asarray(0.5 * (loop.descending[1:-1, 1] + loop.ascending[1:-1, 1] - PEAKS["major"]))
 
 
 def virtual_actuator(*, asymmetric: bool = True) -> PlayActuator:
@@ -281,26 +264,26 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     """Run the paper's protocol on an actuator and identify it in every way; seeded and thus reproducible."""
     progress("recording loops, relaxed and pre-energised")
     loops = raised_cosine(list(PEAKS.values()), cycles=CYCLES, drive=DRIVE).voltage
-    runs = {start.name: _record(truth, start, loops, seed) for seed, start in enumerate((RELAXED, ENERGISED))}
+    runs = {start: _record(truth, start, loops, seed) for seed, start in enumerate(STARTS)}
     runs["tops"] = _record(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
-    relaxed = runs[RELAXED.name]
     trials = {plan.key: _identify(truth, runs, plan, progress) for plan in PLANS}
     progress("fitting Goldfarb and Celanovic's model")
     for key, start in (("goldfarb", RELAXED), ("goldfarb_energised", ENERGISED)):
-        baseline = GoldfarbCelanovic.fit(runs[start.name].record, elements=ELEMENTS)
-        trials[key] = _trial(truth, runs[start.name], key, baseline.actuator, "CLOSED_FORM", baseline.remarks)
+        baseline = GoldfarbCelanovic.fit(runs[start].record, elements=ELEMENTS)
+        trials[key] = _trial(truth, runs[start], key, baseline.actuator, "CLOSED_FORM", baseline.remarks)
+    relaxed = runs[RELAXED]
     break_points = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None), ClosedLoop.of(truth))
 
 
-def _record(truth: PlayActuator, start: Start, voltage: Array, seed: int) -> Measured:
+def _record(truth: PlayActuator, start: str, voltage: Array, seed: int) -> Measured:
     """Play a voltage from a start; the sensor is zeroed by its first, noisy, sample."""
     sensed, exact = replace(truth, seed=truth.seed + seed), replace(truth, noise=0.0)
     for actuator in (sensed, exact):
-        actuator.play(start.voltage, measured=False)
+        actuator.play(STARTS[start], measured=False)
     displacement, true = sensed.play(voltage), exact.play(voltage)
     zero = float(displacement[0])
-    record = Record(np.arange(voltage.size) / DRIVE.rate, voltage, displacement - zero, start.name)
+    record = Record(np.arange(voltage.size) / DRIVE.rate, voltage, displacement - zero, start)
     return Measured(record, true - zero, zero, start)
 
 
@@ -308,19 +291,27 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
     """Identify on the major and the small loop, and on the further records of the plan."""
     step = f"identifying, {plan.key.replace('_', ' ')}"
     progress(step)
-    relaxed = runs[RELAXED.name]
-    seen = relaxed.noiseless() if plan.noiseless else relaxed
+    relaxed = seen = runs[RELAXED]
+    if plan.noiseless:
+        seen = replace(relaxed, record=replace(relaxed.record, displacement=relaxed.true))
     records = [seen.cut("major"), seen.cut("small")]
     if plan.tops:
-        tops = runs["tops"]
         # Recorded later, with the sensor's zero left where it was.
-        records.append(
-            replace(tops.record, displacement=tops.record.displacement + tops.zero - relaxed.zero, name="tops")
-        )
-    # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
-    known: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
-    options = {"method": plan.method, "elements": plan.elements, "norm": plan.norm, **known}
-    fit = identify(records, validate=seen.cut("medium"), progress=lambda words: progress(f"{step}: {words}"), **options)
+        tops = runs["tops"]
+        moved = tops.record.displacement + tops.zero - relaxed.zero
+        records.append(replace(tops.record, displacement=moved, name="tops"))
+    fit = identify(
+        records,
+        validate=seen.cut("medium"),
+        progress=lambda words: progress(f"{step}: {words}"),
+        method=plan.method,
+        elements=plan.elements,
+        norm=plan.norm,
+        # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
+        shared_datum=True,
+        delay=0.0,
+        drift=False,
+    )
     return _trial(truth, relaxed, plan.key, fit.actuator, fit.outcome.name, fit.remarks)
 
 
@@ -333,45 +324,35 @@ def _trial(
         samples = run.known(loop)
         misses = (simulated[samples] - y[samples] for y in (run.true, run.record.displacement))
         errors[loop] = PaperError(*(percent(largest(miss), truth.stroke) for miss in misses))
-    energised = _after(actuator, ENERGISED.voltage, actuator.relaxed())
+    # Eq. 10: the sensor reads y - y(0), and once every element has slid y does not depend on the start (Lemma 1): the
+    # rest of the loop moves in the (v, y) plane by -(y(0) - y_relaxed), the paper's -(keq/km) x(0).
+    energised = _after(actuator, STARTS[ENERGISED], actuator.relaxed())
+    rest = actuator.relaxed(actuator.voltage(energised), extrapolate=True)
+    shift = rest.displacement - energised.displacement
     tracking = _track(truth, run, actuator)
-    return PaperTrial(key, actuator, simulated, errors, tracking, _shift(actuator, energised), outcome, tuple(remarks))
+    return PaperTrial(key, actuator, simulated, errors, tracking, shift, outcome, tuple(remarks))
 
 
 def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
     """Track two raised cosines of the full stroke after a major loop, by inverse control or by the nominal ratio."""
     shape = raised_cosine(1.0, cycles=2, drive=DRIVE).voltage
-    wanted = _bottom(run) + truth.stroke * shape
+    # From the lower turning point of the major loop, as the sensor shows it.
+    bottom = float(run.record.displacement[[CYCLE * i for i in range(1, CYCLES + 1)]].mean())
+    wanted = bottom + truth.stroke * shape
     homing = raised_cosine(truth.highest, drive=DRIVE).voltage
     voltage, clamped = truth.highest * shape, 0
     if actuator is not None:
-        homed = _after(actuator, homing)
         compensator = Compensator(actuator, (0.0, truth.highest), period=1 / DRIVE.rate)
-        command = compensator.trajectory(wanted, state=homed)
+        command = compensator.trajectory(wanted, state=_after(actuator, homing))
         voltage, clamped = command.voltage, int(command.clamped.sum())
     exact = replace(truth, noise=0.0)
-    exact.play(np.concatenate([run.start.voltage, homing]))
+    exact.play(np.concatenate([STARTS[run.start], homing]))
     time = np.arange(wanted.size) / DRIVE.rate
     return PaperTracking(time, wanted, voltage, exact.play(voltage) - run.zero, truth.stroke, clamped)
 
 
 def _after(actuator: Actuator, voltage: Array, state: State | None = None) -> State:
     """Return the state after a voltage sampled at the drive's rate."""
-    reached: State = actuator.simulate(
-        voltage, time=np.arange(voltage.size) / DRIVE.rate, state=state, extrapolate=True
-    ).state
+    time = np.arange(voltage.size) / DRIVE.rate
+    reached: State = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
     return reached
-
-
-def _bottom(run: Measured) -> float:
-    """Return the lower turning point of the major loop as the sensor shows it [m]."""
-    return float(run.record.displacement[[_CYCLE * i for i in range(1, CYCLES + 1)]].mean())
-
-
-def _shift(actuator: Actuator, state: State) -> float:
-    """Return by how much a loop from `state` lies above the one from the relaxed state [m] (Eq. 10).
-
-    The sensor reads y - y(0), and once every element has slid y does not depend on the start (Lemma 1): the rest of the
-    loop moves in the (v, y) plane by ``-(y(0) - y_relaxed)``, the paper's ``-(keq/km) x(0)``.
-    """
-    return actuator.relaxed(actuator.voltage(state), extrapolate=True).displacement - state.displacement

@@ -6,19 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 
 from dehyst.report.html import MINUS, Row, bullets, document, escape, table
-from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment
+from dehyst.studies.paper import tables
+from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
 from dehyst.studies.paper.figures import Plate
-from dehyst.studies.paper.tables import (
-    CONSTANTS,
-    MODELS,
-    Quantity,
-    floors,
-    limits,
-    open_directions,
-    physical,
-    summary,
-    table1,
-)
 
 _STYLE = """.plate svg{max-width:62rem}.plate.one svg{max-width:31rem}
 .plate svg text,.plate svg tspan{font-family:"DejaVu Sans","Bitstream Vera Sans",Verdana,Arial,sans-serif!important}
@@ -34,81 +24,38 @@ _SOURCE = (
 )
 
 
-# By the paper's number.
-_CAPTIONS = {
-    1: "The voltage v acts as a force F = T v on a massless bar at x, held by km and ke in series, the nonlinear "
-    "spring g and N slip elements: springs kᵢ on massless carts at xbᵢ, each with Coulomb friction up to fᵢ. Drawn "
-    "anew after the paper's text and equations.",
-    2: "(a) The physical model, Eqs. 1 and 2: the displacement drives the slip elements, whose forces return to the "
-    "force balance. (b) The Preisach model as a sum: the voltage drives M relays with the switching values αᵢ, βᵢ.",
-    3: "From the relaxed state. 0 V leads back to the residual displacement.",
-    4: "(a) The loop and its image under a half-turn about its centre; break points of the descending (full) and the "
-    "ascending branch (hollow). Lemma 2: without the nonlinear spring the two coincide. (b) Distance of the midpoints "
-    "of pairs of break points from the centre, with and without the asymmetric map.",
-    5: "The range from y(T₀) to y(T₀/2) in N equal parts. The paper's method uses only these points of the loop; its "
-    "model is straight between a turning point and the first of them, the loop is not.",
-    6: "(a) The same voltage from the relaxed state, and after a voltage that was applied and removed. (b) The "
-    "difference, constant from the first peak on (Eq. 10), and the models' predictions of it.",
-    7: "The major and the small loop were fitted, the medium one only simulated. Below: measured minus simulated in "
-    "the last cycle.",
-    8: "h = keq x + g rises everywhere: Assumption I holds. With the paper's constants g is strongly negative; only h "
-    "matters.",
-    9: "The medium loop, held out, where it turns. The model is straight until the first element slips.",
-    10: "(a) Voltages for a raised cosine over the full range. (b) What inverse control adds to the nominal ratio.",
-    11: "The path wanted, and the true displacement with the voltages of Fig. 10, after one cycle that makes the state "
-    "known.",
-    12: "Reached minus wanted. (c) is for an actuator that differs only in having no asymmetric map: the difference "
-    "from (b) is due to the model class.",
-}
-
-
-def _differences(found: Experiment) -> dict[str, str]:
-    """Return where the experiment differs from the paper, by heading."""
-    p = physical(found, "breakpoints")
-    minor = " and ".join(f"{peak:g}" for name, peak in PEAKS.items() if name != "major")
-    return {
-        "The grid": "Ten chords are wrong where the loop bends after its turning points, also on a parabola "
-        "(Rayleigh's law). The paper's 0.2 % requires a sharper bend, or an error counted at break points only.",
-        "The model class": "At mirrored displacements the branches of a Maxwell-slip model are equally far apart; "
-        "those of this actuator are not, because an asymmetric map follows its loop.",
-        "Open directions": open_directions(found.trials["record"]) + " Descending tops in the training close them.",
-        "The constants": f"T/km = {1e9 * p.transformer_ratio / p.mechanical_stiffness:.0f} nm/V makes 6 µm of 200 V, "
-        "not 16.152: keq x is much too stiff, and g comes out strongly negative. An element as long as half of the "
-        "range, k₁₀, never slides over all of it and acts as part of the spring.",
-        "Chosen here": f"Peaks of the minor loops ({minor} V), {CYCLES} cycles in one run with one zero of the sensor, "
-        "errors in % of the major loop, and the share of plays that gives the paper's error of the nominal ratio.",
-        "Not simulated": "Creep, lag, inertia, temperature. Tracking errors are against the truth, the paper's against "
-        "its sensor.",
-    }
-
-
 def render(found: Experiment, symmetric: Experiment, plates: Sequence[Plate], files: Sequence[str]) -> str:
     """Return the text of the page; the same text for the same experiments.
 
-    Parameters
-    ----------
-    found, symmetric : Experiment
-        With the virtual E-280.10, and with the same without its asymmetric map.
-    plates : sequence of Plate
-    files : sequence of str
-        Names of the files that lie beside the page.
+    `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map. `files`: names of the
+    files that lie beside the page.
     """
+    others = [name for name in files if not name.startswith("fig")]
+    reproduce = (
+        "<h2>How to reproduce</h2>\n<pre>dehyst paper -o DIR</pre>\n"
+        '<p class="muted">Everything is seeded: the same numbers each time. All of them are in the files beside this '
+        f"page: {_links(others)}</p>"
+    )
     parts = [
         f"<h1>{_TITLE}</h1>",
-        f'<p class="muted">{escape(_SOURCE)}</p>',
+        _muted(_SOURCE),
         _facts(found),
         _summary("The paper's numbers and ours: the virtual E-280.10", found),
         _summary("The same actuator without its asymmetric map", symmetric),
         _limits({"Virtual E-280.10": found, "Without its asymmetric map": symmetric}),
         _table1(found),
-        *(_plate(plate, _CAPTIONS[plate.number], files) for plate in plates),
+        *(_figure(plate, files) for plate in plates),
         bullets(
             "Where this differs from the paper, and why",
             (f"<strong>{name}.</strong> {_typeset(text)}" for name, text in _differences(found).items()),
         ),
-        _reproduce(files),
+        reproduce,
     ]
     return document(_TITLE, parts).replace("</style>", f"{_STYLE}</style>", 1)
+
+
+def _muted(text: str) -> str:
+    return f'<p class="muted">{escape(text, quote=False)}</p>'
 
 
 def _facts(found: Experiment) -> str:
@@ -120,112 +67,107 @@ def _facts(found: Experiment) -> str:
         f"sensor noise {1e9 * truth.noise:g} nm",
         f"raised cosines of {peaks} V at {DRIVE.frequency:g} Hz, {CYCLES} cycles each, {DRIVE.rate:g} samples a second",
     )
-    return f'<p class="muted">{escape(" · ".join(facts))}</p>'
+    return _muted(" · ".join(facts))
 
 
 def _summary(title: str, found: Experiment) -> str:
-    head: Row = ("Quantity", "Paper", ("Measured", "no model"), *MODELS.values())
-    rows: list[Row] = [
-        (
-            *(row.words, "–" if row.paper is None else f"{row.paper:g} {row.unit}", _value(row.actuator, row.unit)),
-            *(_cell(row, key) for key in MODELS),
-        )
-        for row in summary(found)
-    ]
-    return (
-        f"<h2>{escape(title)}</h2>\n"
-        '<p class="muted">Largest errors in % of the range of the major loop, against the truth, which is known here; '
-        "in small print: against the measurement with its noise. Simulated from the voltage alone, from the first peak "
-        "on; no constant is fitted. The major and the small loop were fitted, the medium one was not.</p>\n"
-        f"{table(head, rows, texts=1)}"
+    head: Row = ("Quantity", "Paper", ("Measured", "no model"), *tables.MODELS.values())
+    rows = []
+    for row in tables.summary(found):
+        paper = "–" if row.paper is None else f"{row.paper:g} {row.unit}"
+        cells: list[str | tuple[str, str]] = [row.words, paper, _value(row.actuator, row.unit)]
+        for key in tables.MODELS:
+            value, noisy = _value(row.models.get(key), row.unit), row.against_noise.get(key)
+            cells.append(value if noisy is None else (value, _value(noisy, row.unit)))
+        rows.append(cells)
+    note = _muted(
+        "Largest errors in % of the range of the major loop, against the truth, which is known here; in small print: "
+        "against the measurement with its noise. Simulated from the voltage alone, from the first peak on; no constant "
+        "is fitted. The major and the small loop were fitted, the medium one was not."
     )
-
-
-def _cell(row: Quantity, key: str) -> str | tuple[str, str]:
-    if key not in row.models:
-        return "–"
-    value = _value(row.models[key], row.unit)
-    noisy = row.against_noise.get(key)
-    return value if noisy is None else (value, _value(noisy, row.unit))
+    return f"<h2>{escape(title)}</h2>\n{note}\n{table(head, rows, texts=1)}"
 
 
 def _value(value: float | None, unit: str) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.{3 if unit == 'µm' else 2}f} {unit}".replace("-", MINUS)
+    return "–" if value is None else f"{value:.{3 if unit == 'µm' else 2}f} {unit}".replace("-", MINUS)
 
 
 def _limits(experiments: Mapping[str, Experiment]) -> str:
     loops = (f"{loop.capitalize()} loop" for loop in PEAKS)
     head: Row = ("Identification", "N", ("Residuals", "what is least"), *loops, "Tracking", "Outcome")
-    tables = []
+    parts = ["<h2>What limits the errors</h2>"]
     for title, found in experiments.items():
-        rows: list[Row] = [
-            (
-                row.words,
-                str(row.plan.elements),
-                row.norm,
-                *(_value(error, "%") for error in row.errors.values()),
-                row.outcome.replace("_", " ").lower(),
-            )
-            for row in limits(found)
-        ]
-        under = floors(found)
+        rows: list[Row] = []
+        for row in tables.limits(found):
+            errors = (_value(error, "%") for error in row.errors.values())
+            outcome = row.outcome.replace("_", " ").lower()
+            rows.append((row.words, str(row.plan.elements), row.norm, *errors, outcome))
+        under = tables.floors(found)
         chords = ", ".join(f"{under[f'chords_{n}']:.2f} % (N = {n})" for n in (10, 20, 40))
         note = (
             f"On the major loop, chords through N + 1 points of a branch are wrong by {chords}. The loop of every "
             "plain Maxwell-slip model is equally wide at mirrored places; such a model is wrong by at least "
             f"{under['symmetric_width']:.2f} %."
         )
-        tables.append(f'<h3>{title}</h3>\n{table(head, rows, texts=1)}\n<p class="muted">{escape(note)}</p>')
-    return "<h2>What limits the errors</h2>\n" + "\n".join(tables)
+        parts.append(f"<h3>{title}</h3>\n{table(head, rows, texts=1)}\n{_muted(note)}")
+    return "\n".join(parts)
 
 
 def _table1(found: Experiment) -> str:
-    columns = table1(found)
-    head: Row = (
-        "i",
-        "rᵢ (µm)",
-        ("kᵢ (N/m)", "paper's method"),
-        ("fᵢ (N)", "paper's method"),
-        ("kᵢ (N/m)", "whole record"),
-        ("fᵢ (N)", "whole record"),
-    )
+    columns = tables.table1(found)
+    names = ("kᵢ (N/m)", "fᵢ (N)")
+    methods = ((name, method) for method in ("paper's method", "whole record") for name in names)
     formats = ("{:.0f}", "{:.2f}", "{:.0f}", "{:.4f}", "{:.0f}", "{:.4f}")
     numbers = zip(*columns.values(), strict=True)
     rows = [tuple(shape.format(x) for shape, x in zip(formats, row, strict=True)) for row in numbers]
-    ratio, mechanical, electrical = CONSTANTS.values()
+    ratio, mechanical, electrical = tables.CONSTANTS.values()
     note = (
         f"With the paper's T = {ratio:g} N/V, km = {mechanical:.3g} N/m and ke = {electrical:.3g} N/m. The paper's own "
-        f"numbers are not in the readable text. {open_directions(found.trials['record_10'])} So single values, "
+        f"numbers are not in the readable text. {_open_directions(found.trials['record_10'])} So single values, "
         "especially zeros, belong to one of many optima."
     )
-    return (
-        "<h2>Table 1: stiffness and breakaway friction, N = 10</h2>\n"
-        f'<p class="muted">{escape(note, quote=False)}</p>\n{table(head, rows, texts=0)}'
-    )
+    title = "<h2>Table 1: stiffness and breakaway friction, N = 10</h2>"
+    return f"{title}\n{_muted(note)}\n{table(('i', 'rᵢ (µm)', *methods), rows, texts=0)}"
 
 
-def _plate(plate: Plate, caption: str, files: Sequence[str]) -> str:
+def _open_directions(trial: PaperTrial) -> str:
+    """Return the identification's sentence about directions that its records leave open; empty if there are none."""
+    return next((f"{remark.split(';')[0]}." for remark in trial.remarks if "directions" in remark), "")
+
+
+def _figure(plate: Plate, files: Sequence[str]) -> str:
     own = [name for name in files if name.startswith(f"{plate.name}.") or name.startswith(f"{plate.name}-")]
-    title = f"Fig. {plate.number}: {plate.title}"
-    image = plate.drawing.inline.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)
-    links = " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in own)
+    title = escape(f"Fig. {plate.number}: {plate.title}")
+    image = plate.drawing.inline.replace("<svg", f'<svg role="img" aria-label="{title}"', 1)
     return (
-        f'<h2>{escape(title)}</h2>\n<figure class="plate {"two" if plate.wide else "one"}">\n{image}\n'
-        f'<p class="files">{links}</p>\n<figcaption>{_typeset(caption)}</figcaption>\n</figure>'
+        f'<h2>{title}</h2>\n<figure class="plate {"two" if plate.wide else "one"}">\n{image}\n'
+        f'<p class="files">{_links(own)}</p>\n<figcaption>{_typeset(plate.caption)}</figcaption>\n</figure>'
     )
+
+
+def _links(files: Sequence[str]) -> str:
+    return " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in files)
 
 
 def _typeset(sentence: str) -> str:
     return re.sub(r"(?<![\w.-])-(?=\d)", MINUS, escape(sentence, quote=False))
 
 
-def _reproduce(files: Sequence[str]) -> str:
-    others = [name for name in files if not name.startswith("fig")]
-    links = " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in others)
-    return (
-        "<h2>How to reproduce</h2>\n<pre>dehyst paper -o DIR</pre>\n"
-        '<p class="muted">Everything is seeded: the same numbers each time. All of them are in the files beside this '
-        f"page: {links}</p>"
-    )
+def _differences(found: Experiment) -> dict[str, str]:
+    """Return where the experiment differs from the paper, by heading."""
+    p = tables.physical(found, "breakpoints")
+    minor = " and ".join(f"{peak:g}" for name, peak in PEAKS.items() if name != "major")
+    return {
+        "The grid": "Ten chords are wrong where the loop bends after its turning points, also on a parabola "
+        "(Rayleigh's law). The paper's 0.2 % requires a sharper bend, or an error counted at break points only.",
+        "The model class": "At mirrored displacements the branches of a Maxwell-slip model are equally far apart; "
+        "those of this actuator are not, because an asymmetric map follows its loop.",
+        "Open directions": _open_directions(found.trials["record"]) + " Descending tops in the training close them.",
+        "The constants": f"T/km = {1e9 * p.transformer_ratio / p.mechanical_stiffness:.0f} nm/V makes 6 µm of 200 V, "
+        "not 16.152: keq x is much too stiff, and g comes out strongly negative. An element as long as half of the "
+        "range, k₁₀, never slides over all of it and acts as part of the spring.",
+        "Chosen here": f"Peaks of the minor loops ({minor} V), {CYCLES} cycles in one run with one zero of the sensor, "
+        "errors in % of the major loop, and the share of plays that gives the paper's error of the nominal ratio.",
+        "Not simulated": "Creep, lag, inertia, temperature. Tracking errors are against the truth, the paper's against "
+        "its sensor.",
+    }

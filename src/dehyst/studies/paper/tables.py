@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,20 +11,8 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.model import Physical
-from dehyst.studies.paper.experiment import (
-    CYCLES,
-    DRIVE,
-    PEAKS,
-    PLANS,
-    PRE_ENERGISED,
-    Experiment,
-    PaperPlan,
-    PaperTrial,
-    chord_error,
-    parabola_chord_error,
-    symmetric_width_floor,
-)
-from dehyst.virtual import PlayActuator
+from dehyst.studies.paper import experiment
+from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, PaperPlan
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
 CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
@@ -46,24 +34,28 @@ MODELS = {
     "goldfarb_energised": ("Goldfarb and Celanovic", "N = 10, pre-energised"),
 }
 _NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
+_ACTUATOR = "highest_V=highest width asymmetry bend plays"
 
 
 @dataclass(frozen=True)
 class Quantity:
     """A row of the summary.
 
-    `paper`: the paper's number, if it gives one. `actuator`: what was measured on the virtual actuator, where no model
-    is needed. `models`: value by model, where it applies; errors are against the truth. `against_noise`: the same
-    against the noisy measurement.
+    `actuator`: what was measured on the virtual actuator, where no model is needed. `models`: value by model, where it
+    applies; errors are against the truth. `against_noise`: the same against the noisy measurement.
     """
 
     key: str
     words: str
     unit: str
-    paper: float | None
-    actuator: float | None
-    models: Mapping[str, float]
-    against_noise: Mapping[str, float]
+    actuator: float | None = None
+    models: Mapping[str, float] = field(default_factory=dict)
+    against_noise: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def paper(self) -> float | None:
+        """The paper's number, if it gives one."""
+        return PAPER.get(self.key)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -101,30 +93,28 @@ class Limit:
 def summary(found: Experiment) -> tuple[Quantity, ...]:
     """Return the paper's numbers beside those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
-    rows = [
+    errors = [
         Quantity(
             loop,
             f"Model error, {loop} loop ({peak:g} V)",
             "%",
-            PAPER[loop],
-            None,
-            {key: trial.errors[loop].true for key, trial in trials.items()},
-            {key: trial.errors[loop].measured for key, trial in trials.items()},
+            models={key: trial.errors[loop].true for key, trial in trials.items()},
+            against_noise={key: trial.errors[loop].measured for key, trial in trials.items()},
         )
         for loop, peak in PEAKS.items()
     ]
     tracked = {key: trial.tracking.largest for key, trial in trials.items()}
-    rows.append(Quantity("tracking", "Tracking error, inverse control", "%", PAPER["tracking"], None, tracked, {}))
-    rows.append(
-        Quantity("nominal", "Tracking error, nominal ratio", "%", PAPER["nominal"], found.nominal.largest, {}, {})
-    )
     spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items() if "gold" not in key}
-    rows.append(Quantity("spacing", "Spacing of break points", "µm", PAPER["spacing"], None, spacing, {}))
-    rows.append(Quantity("range", "Range of the major loop", "µm", PAPER["range"], 1e6 * found.loops[0].range, {}, {}))
     moved = {key: 1e6 * trial.shift for key, trial in trials.items() if key != "goldfarb_energised"}
-    words = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
-    rows.append(Quantity("shift", words, "µm", None, 1e6 * found.shift.loop, moved, {}))
-    return tuple(rows)
+    shift = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
+    return (
+        *errors,
+        Quantity("tracking", "Tracking error, inverse control", "%", models=tracked),
+        Quantity("nominal", "Tracking error, nominal ratio", "%", found.nominal.largest),
+        Quantity("spacing", "Spacing of break points", "µm", models=spacing),
+        Quantity("range", "Range of the major loop", "µm", 1e6 * found.loops[0].range),
+        Quantity("shift", shift, "µm", 1e6 * found.shift.loop, models=moved),
+    )
 
 
 def limits(found: Experiment) -> tuple[Limit, ...]:
@@ -139,9 +129,10 @@ def limits(found: Experiment) -> tuple[Limit, ...]:
 
 def floors(found: Experiment) -> dict[str, float]:
     """Return lower bounds of the error of any model [% of the range]; see `dehyst.studies.paper.experiment`."""
-    chords = {f"chords_{n}": chord_error(found.exact, n) for n in (10, 20, 40)}
-    parabola = parabola_chord_error(PAPER["nominal"], 10)
-    return {"symmetric_width": symmetric_width_floor(found.exact), **chords, "parabola_chords_10": parabola}
+    symmetric = experiment.symmetric_width_floor(found.exact)
+    chords = {f"chords_{n}": experiment.chord_error(found.exact, n) for n in (10, 20, 40)}
+    parabola = experiment.parabola_chord_error(PAPER["nominal"], 10)
+    return {"symmetric_width": symmetric, **chords, "parabola_chords_10": parabola}
 
 
 def physical(found: Experiment, key: str) -> Physical:
@@ -162,21 +153,12 @@ def table1(found: Experiment) -> dict[str, Array]:
     }
 
 
-def open_directions(trial: PaperTrial) -> str:
-    """Return the identification's sentence about directions that its records leave open; empty if there are none."""
-    return next((f"{remark.split(';')[0]}." for remark in trial.remarks if "directions" in remark), "")
-
-
-def subscript(i: int) -> str:
-    """Write a number as a subscript."""
-    return str(i).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
-
-
 def as_dict(found: Experiment) -> dict[str, Any]:
     """Return all results of one actuator as JSON values."""
-    moved = found.shift
+    truth, moved = found.truth, found.shift
+    noise = {"noise_nm": 1e9 * truth.noise, "seed": truth.seed}
     return {
-        "actuator": actuator(found.truth),
+        "actuator": {"stroke_um": 1e6 * truth.stroke, **json_values(truth, _ACTUATOR), **noise},
         "summary": [row.as_dict() for row in summary(found)],
         "limits": [row.as_dict() for row in limits(found)],
         "floors_percent": floors(found),
@@ -185,12 +167,6 @@ def as_dict(found: Experiment) -> dict[str, Any]:
         "remarks": {key: list(trial.remarks) for key, trial in found.trials.items()},
         "clamped_samples": {key: trial.tracking.clamped for key, trial in found.trials.items()},
     }
-
-
-def actuator(truth: PlayActuator) -> dict[str, Any]:
-    """Return the parameters of the virtual actuator as JSON values."""
-    shape = json_values(truth, "highest_V=highest width asymmetry bend plays")
-    return {"stroke_um": 1e6 * truth.stroke, **shape, "noise_nm": 1e9 * truth.noise, "seed": truth.seed}
 
 
 def protocol() -> dict[str, Any]:

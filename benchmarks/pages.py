@@ -1,0 +1,550 @@
+"""Put the figures of the benchmarks' JSON files between the markers of the README and of the documentation's pages.
+
+    python benchmarks/pages.py [--check]
+
+A page has a line `<!-- figures: NAME -->` for each entry of `BLOCKS`. With --check nothing is written; the exit status
+is 0 if all pages contain their figures already.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from statistics import median
+
+from strangers.command import table as strangers_table
+
+from dehyst.identification.rules import DecisionRules
+
+ROOT = Path(__file__).resolve().parents[1]
+LINEAR = "linear ratio"
+OURS = ("dehyst", "dehyst, paper's", "dehyst, told the voltage only")
+Row = Sequence[str]
+
+
+@cache
+def data(name: str) -> dict:
+    """Return the results of a benchmark."""
+    return json.loads((ROOT / "benchmarks" / f"{name}.json").read_text())
+
+
+def table(head: Row, rows: Iterable[Row]) -> list[str]:
+    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
+
+
+def both(error: dict | None) -> str:
+    """Largest and RMS error."""
+    return "-" if error is None else f"{error['largest_percent']:.2f}, {error['rms_percent']:.3f}"
+
+
+def worst(row: dict | None) -> dict | None:
+    """Errors of the seed with the largest error."""
+    tracked = [] if row is None else row["tracking"].values()
+    return max(tracked, key=lambda one: (one["largest_percent"], one["rms_percent"]), default=None)
+
+
+def held_out(row: dict | None) -> dict | None:
+    errors = [] if row is None else [one for one in row["errors"] if one["role"] == "validation"]
+    return errors[0] if errors else None
+
+
+# README
+
+
+def readme() -> list[str]:
+    """Largest and RMS error of a straight scale factor, the best other model, and dehyst."""
+    compared, strangers = data("accuracy")["compared"], data("strangers")["cases"]
+    tracked = {truth: figures(rows, worst) for truth, rows in compared["tracking"].items()}
+    return table(
+        ("Largest (RMS) error, % of the stroke", "straight scale factor", "best other model", "dehyst"),
+        (
+            best("Virtual actuator, asymmetric loops, creep: a random path", tracked["creep"]),
+            best("Virtual Bouc-Wen actuator with a resonance: a random path", tracked["boucwen"]),
+            best("Measured PICMA stage: held-out record, predicted", figures(compared["measured"], held_out)),
+            best(f"{len(strangers)} virtual stages of other kinds, disturbed records: median", medians(strangers)),
+        ),
+    )
+
+
+def figures(rows: dict, of: Callable[[dict], dict | None]) -> dict[str, tuple[float, float]]:
+    found = {name: of(row) for name, row in rows.items()}
+    return {name: (one["largest_percent"], one["rms_percent"]) for name, one in found.items() if one is not None}
+
+
+def medians(cases: list[dict]) -> dict[str, tuple[float, float]]:
+    scored = [case for case in cases if "crashed" not in case and not case["refused"]]
+    found = {}
+    for name in dict.fromkeys(name for case in scored for name in case["methods"]):
+        rows = [case["methods"][name] for case in scored if "rms" in case["methods"].get(name, {})]
+        # A model that fails on many records has no median worth its name.
+        if 2 * len(rows) > len(scored):
+            key = {"auto": "dehyst", "plain": "dehyst, paper's"}.get(name, name)
+            found[key] = median(row["largest"] for row in rows), median(row["rms"] for row in rows)
+    return found
+
+
+def best(what: str, errors: dict[str, tuple[float, float]]) -> Row:
+    others = {name: pair for name, pair in errors.items() if name not in (*OURS, LINEAR)}
+    other = min(others, key=lambda name: others[name])
+    cells = {name: "{:.2f} ({:.2f})".format(*errors[name]) for name in (LINEAR, other, "dehyst")}
+    first = min(other, "dehyst", key=lambda name: errors[name])
+    cells[first] = f"**{cells[first]}**"
+    return what, cells[LINEAR], f"{cells[other]}, {other}", cells["dehyst"]
+
+
+# docs/benchmarks.md
+
+
+def accuracy() -> list[str]:
+    virtual, measured = data("accuracy")["virtual"], data("accuracy")["measured"]
+    paper = virtual["paper"]
+    theirs = f"{paper['linear_largest_percent']:.2f}, {paper['compensated_largest_percent']:.2f}"
+    rows = table(
+        ("Largest error, in % of the stroke", "linear feedforward", "dehyst", "the paper: linear, inverse control"),
+        [
+            (
+                "following a path with nine reversals, virtual actuator",
+                f"{virtual['linear']['largest_percent']:.2f}",
+                f"**{virtual['compensated']['largest_percent']:.2f}**",
+                f"{theirs} (their actuator, one raised cosine)",
+            )
+        ],
+    )
+    names = {
+        "record": "trained on both",
+        "held out": "trained on major and 4500 rows of ramps",
+        "breakpoints": "the paper's method, both",
+    }
+    found = [
+        (
+            f"{error['record']}{'' if error['role'] == 'training' else ' (validation)'}, {what}",
+            f"{error['largest_percent']:.2f}",
+            f"{error['rms_percent']:.3f}",
+            f"{error['largest_with_drift_percent']:.2f}, {error['rms_with_drift_percent']:.3f}",
+        )
+        for key, what in names.items()
+        for error in (measured[key]["errors"] if measured else ())
+    ]
+    stage = "Measured: a PICMA stack in a micromanipulator, 1 Hz"
+    head = (stage, "largest %", "RMS %", "with its drift: largest, RMS %")
+    return [*rows, "", *table(head, found)] if measured else rows
+
+
+def baselines() -> list[str]:
+    """Every model on every virtual actuator, the worst of its paths, and its prediction of the measured stage."""
+    compared, truths = data("accuracy")["compared"], ("play", "creep", "preisach", "boucwen")
+    head = (
+        *("Largest and RMS error, % of the stroke", "plays, asymmetric", "the same, creeping", "Preisach"),
+        *("Bouc-Wen, resonating", "measured, predicted"),
+    )
+    rows = [["asked of dehyst", *(both(compared["asked"][one]) for one in (*truths, "measured"))]]
+    names = dict.fromkeys([*compared["tracking"]["play"], *compared["measured"]])
+    for name in sorted(names, key=lambda name: not name.startswith("dehyst")):
+        errors = [worst(compared["tracking"][truth].get(name)) for truth in truths]
+        cells = map(both, [*errors, held_out(compared["measured"].get(name))])
+        shown = (f"**{cell}**" if name == "dehyst" else cell for cell in cells)
+        rows.append([name.replace("told", "given"), *shown])
+    return table(head, rows)
+
+
+def strangers() -> list[str]:
+    """Medians over truths, protocols and disturbances that dehyst was not made for."""
+    return ["```text", *strangers_table(data("strangers")["cases"]).strip().splitlines(), "```"]
+
+
+def paper() -> list[str]:
+    head = (
+        *("The paper's experiment on a virtual actuator, largest error in % of the range", "paper"),
+        *("its method, N = 10", "whole record, the same loops", "whole record, descending tops added"),
+        "Goldfarb and Celanovic, relaxed",
+    )
+    rows = []
+    for key, what in (("asymmetric", ""), ("symmetric", ", a loop of symmetric width")):
+        for row in data("paper")[key]["summary"]:
+            if row["unit"] == "%" and row["key"] != "nominal":
+                models = ("paper", "breakpoints", "record", "record_tops", "goldfarb")
+                rows.append([f"{row['quantity']}{what}", *(f"{row[name]:.2f}" for name in models)])
+    nominal = next(row for row in data("paper")["asymmetric"]["summary"] if row["key"] == "nominal")
+    return [
+        *table(head, rows),
+        f"| Nominal ratio, no model | {nominal['paper']:.2f} | {nominal['actuator']:.2f} | | | |",
+    ]
+
+
+def speed() -> list[str]:
+    swept, noisy = "swept loops", "the same, a reversal at every other sample"
+    wider = "with a transformer and 8 branches of creep"
+    jobs = [
+        (path, f"{job}, {what}", job)
+        for path, what in (("slow", swept), ("noisy", noisy), ("random", "uniformly distributed samples"))
+        for job in ("compensate", "simulate")
+    ]
+    jobs += [
+        (path, f"{job} {wider}, {what}", f"{job} with transformer and 8 creep")
+        for path, what in (("slow", swept), ("noisy", noisy))
+        for job in ("compensate", "simulate")
+    ]
+    paths = data("speed")["paths"]
+    rows = ([what, *(f"{paths[path][f'{key} {n}']['ratio']:.2f}" for n in (10, 100, 1000))] for path, what, key in jobs)
+    return table(("Time a sample, in units of `numpy.interp` on the same array", "N = 10", "N = 100", "N = 1000"), rows)
+
+
+def steps() -> list[str]:
+    """Time of a step in a loop: N = 10, from Python, in C and on a microcontroller."""
+    head = (
+        *("A step of the loop, N = 10", "from Python", "in C", "of `run`", "`numpy.interp` a sample"),
+        "C over `numpy.interp`",
+    )
+    rows = []
+    for path, what in (("swept", "swept"), ("reversing", "reversing at every step")):
+        one = data("latency")["plain"]["paths"][path]
+        times = [f"{one[key]:.0f} ns" for key in ("step_ns", "c_step_ns", "run_ns")]
+        rows.append([what, *times, f"{one['interp_ns']:.1f} ns", f"{one['c_ratio']:.1f}"])
+    firmware = [
+        [f"{one['number']}, {one['processor']}", *(str(one[key]) for key in ("flash", "ram", "stack"))]
+        for one in data("size")["firmware"]
+        if one["structure"] == "plain" and one["flags"].startswith("-Os -flto")
+    ]
+    sizes = table(("Bytes of firmware, N = 10, `-Os -flto`", "flash", "RAM", "stack"), firmware)
+    return [*table(head, rows), "", *sizes]
+
+
+def banks() -> list[str]:
+    """Many actuators at once: nanoseconds an actuator and sample, a mirror, bits."""
+    found = data("banks")
+    head = (
+        *("Nanoseconds an actuator and sample", "compensate", "over `numpy.interp`", "simulate"),
+        "over `numpy.interp`",
+    )
+    rows = []
+    for name in ("21 knots", "2 knots", "100 elements", "transformer and 8 creep"):
+        for build, what in (("avx2", "AVX2"), ("baseline", "without AVX2")):
+            pair = [found["speed"][f"{do} {name}, {build}"] for do in ("compensate", "simulate")]
+            rows.append(
+                [f"{name}, {what}", *(cell for one in pair for cell in (f"{one['ns']:.1f}", f"{one['ratio']:.2f}"))]
+            )
+    lines = table(head, rows)
+    bits, scaling = found["bits"], found["scaling"]
+    wrong = sum(count for name, count in bits.items() if "other than" in name)
+    for knots, mirror in found["mirror"].items():
+        lines += [
+            "",
+            f"A mirror of {mirror['actuators']} actuators with springs of {knots}, one core, {mirror['steps']} steps "
+            f"from Python: {mirror['median us']:.0f} us a step (median), {mirror['99.9 % us']:.0f} us in 99.9 %, "
+            f"{mirror['worst us']:.0f} us at worst; {mirror['cores at 1000 Hz']:.2f} of a core at 1 kHz.",
+        ]
+    return [
+        *lines,
+        "",
+        f"Of {bits['steps']:.0e} steps, {bits['clamped']} of them clamped, and of as many beside a compiled export, "
+        f"{wrong} differ in a bit.",
+        "",
+        f"Two threads are {scaling['compensate']:.2f} times as fast as one (compensate), {scaling['simulate']:.2f} "
+        "times (simulate).",
+    ]
+
+
+def saturation() -> list[str]:
+    """Errors after clamped voltages."""
+    found = data("saturation")
+    volts = f"{found['allowed_V'][1]:.0f} V allowed, {found['needed_V']:.0f} V needed"
+    rows = ([name, f"{percent:.2f}"] for name, percent in found["after_saturation_percent"].items())
+    return table((volts, "largest error after saturation, %"), rows)
+
+
+def calibrations() -> list[str]:
+    """Calibrations on emulated instruments."""
+    links = {"pi": "a controller's text protocol over TCP", "epics": "an IOC over Channel Access"}
+    names = {
+        "play": "plays, asymmetric",
+        "creep": "the same, creeping",
+        "preisach": "Preisach",
+        "boucwen": "Bouc-Wen, resonating",
+    }
+    rows = []
+    for one in data("calibration")["calibrations"]:
+        fast = "" if one["speed"] == 1 else f" (instrument {one['speed']:g} times as fast)"
+        errors = [f"{one[kind]['largest_percent']:.2f}" for kind in ("nominal", "compensated")]
+        what = f"{names[one['actuator']]}, {links[one['link']]}"
+        rows.append([what, f"{one['seconds']:.0f}{fast}", *errors, f"{one['compensated']['rms_percent']:.3f}"])
+    what = "`dehyst calibrate` over a socket, virtual actuators"
+    return table((what, "seconds", "constant ratio, largest %", "compensated, largest %", "RMS %"), rows)
+
+
+# docs/how_to/fleet.md
+
+
+def fleet() -> list[str]:
+    found = data("fleet")
+    plain, auto = found["found"], found["auto_found"]
+    words = {
+        "dead": lambda one: f"{one['dead_refused_with_reason']} refused with a reason",
+        "noisy": lambda one: f"{one['listed'].get('noisy', 0)} listed",
+        "drifting": lambda one: f"{one['listed'].get('drifting', 0)} listed",
+        "duplicate": lambda one: f"{one['duplicates_found']} found",
+        "healthy": lambda one: f"{one['listed'].get('healthy', 0)} listed: {one['false_alarm_percent']:.2g} %",
+    }
+    listed = ([kind, str(plain["kinds"][kind]), of(plain), of(auto)] for kind, of in words.items())
+    aged = (
+        [
+            f"`{name}`",
+            f"{one['ageing_found']} of {one['ageing_serials']}",
+            f"{one['healthy_to_recalibrate']} of {one['healthy_serials']}",
+        ]
+        for name, one in (("plain", found["aged"]), ("auto", found["auto_aged"]))
+    )
+    return [
+        *table(("of", "number", "found by `plain`", "found by `--structure auto`"), listed),
+        "",
+        *table(("to recalibrate", "serials that age", "healthy serials"), aged),
+        "",
+        *table(("killed (`kill -9`)", "the table"), fleet_kills(found)),
+        "",
+        *fleet_costs(found),
+    ]
+
+
+def fleet_kills(found: dict) -> list[Row]:
+    names = {
+        "killed_workers": "four workers, one after another",
+        "killed_client": "the client, then `--resume`",
+        "killed_scheduler": "the scheduler of `dask scheduler`, then another one and `--resume`",
+    }
+    rows = [
+        [words, "each row once, and the same" if found[name]["exactly_once"] else "ROWS DIFFER"]
+        for name, words in names.items()
+        if name in found
+    ]
+    one = found["rehearsal"]
+    words = (
+        f"{one['kills']} times at any moment, `--resume` on records that were added, removed or changed, with names of "
+        f"any bytes; {one['double_starts']} double starts"
+    )
+    return [*rows, [words, f"{len(one['faults'])} tables with a fault"]]
+
+
+def fleet_costs(found: dict) -> list[str]:
+    head = (
+        *("run", "records", "time", "processor time a record", "over the sum of tasks", "in processor time"),
+        "a worker",
+    )
+    rows = []
+    for name, words in (("processes", "processes"), ("auto", "processes, `--structure auto`")):
+        one = found[name]
+        costs = [f"{one['wall_s']:.0f} s", f"{one['task_cpu_s']['mean']:.2f} s"]
+        costs += [f"{one[f'overhead_{kind}_percent']:.1f} %" for kind in ("wall", "cpu")]
+        rows.append([words, str(one["records"]), *costs, f"{one['worker_MB']:.0f} MB"])
+    one = found["paper"]
+    return [
+        *table(head, rows),
+        "",
+        "A million records, calculated from these figures:",
+        "",
+        f"- {one['plain_core_hours']:.0f} core hours (`plain`), {one['cores_for_a_day']:.1f} cores for a day; "
+        f"{one['auto_core_hours']:.0f} core hours (`auto`);",
+        f"- {one['dataset_GB']:.0f} GB of records in Parquet, {one['table_GB']:.1f} GB of table; "
+        f"the index takes {60 * one['index_minutes']:.0f} s;",
+        f"- it breaks first at the footer of a single Parquet file, which every worker holds: "
+        f"{one['footer_memory_bytes_a_row_group'] / 1e3:.1f} kB of memory a row group, so about "
+        f"{round(one['row_groups_a_file_at_most'], -4):,} records a file within 350 MB a worker. Split a larger "
+        "dataset into a folder of Parquet files.",
+    ]
+
+
+# docs/how_to/control.md
+
+
+def loop() -> list[str]:
+    """Followed in three ways: errors on lines and sines, bandwidth, disturbances."""
+    found = data("loop")
+    head = (
+        *("", "lines at 5 Hz, largest, RMS error %", "sines of 0.7 to 17 Hz together, largest, RMS error %"),
+        *("bandwidth, sines of 0.5 % of the stroke", "of 20 % of the stroke", "disturbances taken away up to"),
+        "gain of the integral",
+    )
+    names = {"feedback": "integral feedback", "feedforward": "feedforward (dehyst)", "both": "both"}
+    rows = []
+    for kind, name in names.items():
+        cells = [both(found["tracking"][path][kind]) for path in ("triangle", "tones")]
+        cells += [bandwidth(found["bandwidth"][size][kind]) for size in ("small", "large")]
+        away, gain = found["rejecting_to_Hz"][kind], found["integral"].get(kind)
+        cells += [f"{away:.2g} Hz" if away else "none", "-" if gain is None else f"{gain['gain_per_s']:.0f} /s"]
+        rows.append([name, *cells])
+    model, true = found["identified"], found["stage"]
+    alone, together = (pushed(found["larger_gains"][kind]) for kind in ("feedback", "both"))
+    return [
+        *table(head, rows),
+        "",
+        f"Identified: {model['resonance_Hz']:.1f} Hz ({true['resonance_Hz']:g}), damping {model['damping']:.4f} "
+        f"({true['damping']:g}), delay {1e3 * model['delay_s']:.3f} ms ({1e3 * true['delay_s']:g}), steepest branch "
+        f"{model['steepest']:.2f} times the mean slope; the path is known {model['samples_ahead']} samples ahead.",
+        "",
+        f"On the lines the integral alone swings with {alone[0]} that gain (best before: {alone[1]:.2f} %), both with "
+        f"{together[0]} theirs (best before: {together[1]:.2f} %).",
+    ]
+
+
+def pushed(rows: list[dict]) -> tuple[str, float]:
+    """How many times its gain a loop swings with, and the least largest error of smaller ones."""
+    words = f"{rows[-1]['times']} times" if rows[-1]["swings"] else f"more than {rows[-1]['times']} times"
+    return words, min(row["largest_percent"] for row in rows if not row["swings"])
+
+
+def bandwidth(found: dict) -> str:
+    """-3 dB, and where the gain rises above +3 dB before that."""
+    down, up = found["down_3_dB_Hz"], found["up_3_dB_Hz"]
+    words = f"{down:.3g} Hz" if down is not None else f"above {found['swept_to_Hz']:g} Hz"
+    return words if up is None or (down is not None and up > down) else f"{words} (up at {up:.3g} Hz)"
+
+
+# docs/explanation/safety.md
+
+
+def faults() -> list[str]:
+    found = data("faults").values()
+    head = ("fault", "message", "exit status", "ended after", "voltage", "samples from the device, on disk")
+    rows = [
+        (one["words"], message(one), status(one), f"{one['seconds']:.1f} s", voltage(one), samples(one))
+        for one in found
+    ]
+    put = [one["put_out"] for one in found if one["put_out"]]
+    lowest, highest = min(one["lowest"] for one in put), max(one["highest"] for one in put)
+    longest = max(one["seconds"] for one in found if one["status"])
+    return [
+        *table(head, rows),
+        "",
+        f"{len(found)} faults: the emulator, whose limits are 0 to 200 V, put out {lowest:g} to {highest:g} V. Seconds "
+        f"are counted from the fault on, where it comes while the command runs. Every command that was stopped ended "
+        f"within {longest:.0f} s; those that took 5 s or more waited for an answer or a sample that did not come.",
+    ]
+
+
+def message(one: dict, longest: int = 150) -> str:
+    """Return the first sentence, without the controller's name, shortened if it is long."""
+    if not one["said"]:
+        return "-"
+    words = one["said"][0].replace("dehyst,emulated piezo controller,0,0.1.0 at ", "")
+    if len(words) > longest:
+        words = words[:longest].rsplit(" ", 1)[0] + " ..."
+    return "`" + words.replace("|", "\\|").replace("`", "'") + "`"
+
+
+def status(one: dict) -> str:
+    words = "killed" if one["status"] < 0 else str(one["status"])
+    return words if one["again"] is None else f"{words}; once more: {one['again']['status']}"
+
+
+def voltage(one: dict) -> str:
+    """Return what happened to the voltage, as the command or else the emulator reports it."""
+    put, notes = one["put_out"], " ".join(one["said"])
+    if put is None:
+        return "nothing was sent"
+    if "could not be brought" in notes:
+        return f"left to the device: {put['now']:g} V"
+    if put["highest"] == 0:
+        return "nothing was put out"
+    if one["again"] is not None and one["status"] < 0:
+        return f"its wave went on; the next call brought it to {put['now']:g} V"
+    return f"brought to {put['now']:g} V"
+
+
+def samples(one: dict) -> str:
+    put = one["put_out"]
+    if one["again"] is None:
+        return "-" if not put else f"{put['told']}, {one['on_disk']}"
+    return f"{one['came']} written by then, {one['on_disk']}; in the end {one['again']['on_disk']}"
+
+
+# docs/explanation/trust.md
+
+
+def coverage() -> list[str]:
+    """Coverage of bands."""
+    truths = {
+        "relays": "Preisach's relays, asymmetric",
+        "bouc-wen": "Bouc and Wen",
+        "domains": "Jiles and Atherton's domains",
+        "stribeck": "Stribeck friction",
+        "voigt": "Rayleigh's branches, creeping",
+        "bristles": "Dahl's bristles before a resonance",
+    }
+    head = (
+        *("truth", "use", "class of the model", "repeats", "in the 90 % band", "records of tops / random turns"),
+        *("in the band by noise alone", "half width, % of the stroke", "90 % of the errors within"),
+    )
+    rows = []
+    for row in data("coverage")["bands"]:
+        shares = {key: f"{100 * row[key]:.1f} %" for key in ("held", "held_tops", "held_random", "held_by_noise")}
+        ways = f"{shares['held_tops']} / {shares['held_random']}"
+        cells = shares["held"], ways, shares["held_by_noise"], f"{row['half']:.2f}", f"{row['error']:.2f} %"
+        rows.append([truths[row["truth"]], row["use"], row["class"], str(row["repeats"]), *cells])
+    return table(head, rows)
+
+
+# docs/reference/decision_rules.md
+
+
+def rules() -> list[str]:
+    """Return the fields of the class of the rules."""
+    # The first rule of each table, and its heading.
+    headings = {
+        "longest_lag": "Delay and lag",
+        "datum_gain": "Sensor zero, drift and creep",
+        "slowest_cycle": "Inertia",
+        "part_gain": "Structure",
+        "quiet": "Noise",
+        "check_risk": "Checks and remarks",
+        "useless": "Verdict",
+    }
+    lines, heading = [], table(("Rule", "Value", "Unit", "Reason"), ())
+    for rule in fields(DecisionRules):
+        if rule.name in headings:
+            lines += ["", f"## {headings[rule.name]}", "", *heading]
+        row = f"`{rule.name}`", f"{rule.default:g}", rule.metadata["unit"], rule.metadata["reason"]
+        lines.append(f"| {' | '.join(row)} |")
+    return lines[1:]
+
+
+# Page, name of its markers, and the function that returns the lines between them.
+BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
+    "README.md": {"benchmarks": readme},
+    "docs/benchmarks.md": {
+        one.__name__: one
+        for one in (accuracy, baselines, strangers, paper, speed, steps, banks, saturation, calibrations)
+    },
+    "docs/how_to/fleet.md": {"fleet": fleet},
+    "docs/how_to/control.md": {"loop": loop},
+    "docs/explanation/safety.md": {"faults": faults},
+    "docs/explanation/trust.md": {"coverage": coverage},
+    "docs/reference/decision_rules.md": {"rules": rules},
+}
+
+
+def filled(page: str) -> str:
+    """Return the text of a page with its present figures."""
+    text = (ROOT / page).read_text()
+    for name, lines in BLOCKS[page].items():
+        block = re.compile(rf"(<!-- figures: {name} -->\n).*?(<!-- end of figures -->)", re.DOTALL)
+        if not block.search(text):
+            raise SystemExit(f"{page} has lost its markers of {name}")
+        inside = "\n".join([*lines(), ""])
+        text = block.sub(lambda found, inside=inside: found[1] + inside + found[2], text)
+    return text
+
+
+def main() -> int:
+    """Fill all pages, or compare them."""
+    stale = [page for page in BLOCKS if filled(page) != (ROOT / page).read_text()]
+    if "--check" in sys.argv:
+        print(*(f"{page} has other figures: run benchmarks/pages.py" for page in stale), sep="\n")
+        return len(stale)
+    for page in stale:
+        (ROOT / page).write_text(filled(page))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
