@@ -99,7 +99,7 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     t = np.arange(0, 5, 0.02)
     write_columns(folder / "o.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
     words = ["compensate", folder / "stage.json", folder / "o.csv", "--json"]
-    homed = json.loads(run(*words, "--home", "--slew-rate", "300", "-o", folder / "homed.csv"))
+    homed = result_of(run(*words, "--home", "--slew-rate", "300", "-o", folder / "homed.csv"))
     assert homed["start"]["y"]["largest_difference_percent"] < 1e-6
     table = read_table(folder / "homed.csv")
     steps = np.diff(table.column("time"))

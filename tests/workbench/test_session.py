@@ -148,7 +148,7 @@ async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     assert stage.session.state()["log"] == []
     assert entry.columns == []
     stage.session.read_record(entry.id, {"voltage": "U:V"})
-    await stage.next()
+    await stage.next(Finished(SHOWN))
     assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
 
 
@@ -256,7 +256,6 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
     begun = len(stage.session.jobs.entries)
     for request in (
         {"scan": {"kind": "rm"}},
-        {"scan": {"kind": "triangle", "output": "x"}},
         {"scan": {"kind": "triangle", "low": "1; rm"}},
         {"scan": {"kind": "triangle", "low": True}},
         {"scan": {"kind": "triangle", "rounding": "--force"}},

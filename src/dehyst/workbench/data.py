@@ -32,16 +32,16 @@ def number_of(value: Any, name: str) -> float:
     """Return a finite number from a request."""
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and isfinite(value):
         return float(value)
-    raise RequestError(f"{name}: got {str(value)[:40]!r}, need a number")
+    raise RequestError(argument=name, got=repr(str(value)[:40]), need="a number")
 
 
 def limits_of(value: Any) -> tuple[float, float]:
     """Return voltage limits [V] from a request."""
     if not isinstance(value, list | tuple) or len(value) != 2:
-        raise RequestError("limits: need the lowest and the highest voltage (V)")
+        raise RequestError(argument="limits", need="the lowest and the highest voltage (V)")
     low, high = (number_of(one, "limits") for one in value)
     if not low < high:
-        raise RequestError(f"limits: got {low:g} to {high:g} V, need the lower one first")
+        raise RequestError(argument="limits", got=f"{low:g} to {high:g} V", need="the lower one first")
     return low, high
 
 
@@ -59,13 +59,12 @@ def written_path(file: Path, points: Any, rate: Any) -> None:
     each = {"displacement_um": points} if not isinstance(points, Mapping) else {f"{k}_um": v for k, v in points.items()}
     corners = {name: _corners(one) for name, one in each.items()}
     if not corners:
-        raise RequestError("points: need those of an axis at least")
+        raise RequestError(argument="points", need="those of an axis at least")
     first = max(one[0, 0] for one in corners.values())
     seconds = max(one[-1, 0] for one in corners.values()) - first
     if not 1 <= seconds * hertz <= _MOST_SAMPLES:
-        raise RequestError(
-            f"rate: {hertz:g} Hz gives {seconds * hertz:.4g} samples, need 1 to {_MOST_SAMPLES:g}; give another rate"
-        )
+        got = f"{hertz:g} Hz, {seconds * hertz:.4g} samples"
+        raise RequestError(argument="rate", got=got, need=f"1 to {_MOST_SAMPLES:g} samples", hint="give another rate")
     sampled = first + np.arange(round(seconds * hertz) + 1) / hertz
     moved = {name: np.interp(sampled, *one.T) for name, one in corners.items()}
     write_columns(file, {"time_s": sampled, **moved}, digits=12)
@@ -75,11 +74,11 @@ def _corners(points: Any) -> Array:
     try:
         corners = np.array(points, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise RequestError("points: need pairs of a time (s) and a displacement (um)") from error
+        raise RequestError(argument="points", need="pairs of a time (s) and a displacement (um)") from error
     if corners.ndim != 2 or corners.shape[0] < 2 or corners.shape[1] != 2 or not np.isfinite(corners).all():
-        raise RequestError("points: need two at least, each a time (s) and a displacement (um)")
+        raise RequestError(argument="points", need="two at least, each a time (s) and a displacement (um)")
     if not (np.diff(corners[:, 0]) > 0).all():
-        raise RequestError("points: their times do not rise; move the points apart")
+        raise RequestError("their times do not rise", argument="points", hint="move the points apart")
     return corners
 
 
@@ -100,10 +99,8 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     values.pop("output")
     path = scan_of(kind, values, hertz).path(axis)
     if len(path) * cycles > _MOST_DRAWN:
-        raise RequestError(
-            f"rate: {hertz:g} Hz gives {len(path) * cycles} samples, need {_MOST_DRAWN} at most to draw them; give "
-            "a lower rate"
-        )
+        got = f"{hertz:g} Hz, {len(path) * cycles} samples"
+        raise RequestError(argument="rate", got=got, need=f"{_MOST_DRAWN} at most to draw them")
     whole = path.repeated(cycles) if path.periodic else path
     return np.arange(len(whole)) / hertz, whole.displacement * _MICRO
 
