@@ -15,7 +15,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.tx
 
 .PHONY: demo test nightly check docs wasm pictures wheel bench clean
 
-demo: $(VENV)/.report
+demo: $(VENV)/.demo
 	$(BIN)/dehyst demo
 
 test: $(VENV)/.test
@@ -73,21 +73,21 @@ bench: $(VENV)/.test
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.report: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[report]'
+$(VENV)/.demo: $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet .
 	touch $@
 
 $(VENV)/.test: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test]'
-	touch $@ $(VENV)/.report
+	touch $@ $(VENV)/.demo
 
 $(VENV)/.check: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[test,check]'
-	touch $@ $(VENV)/.test $(VENV)/.report
+	touch $@ $(VENV)/.test $(VENV)/.demo
 
 $(VENV)/.docs: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[docs]'
-	touch $@ $(VENV)/.report
+	touch $@ $(VENV)/.demo
 
 $(VENV)/.release: $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet '.[release]'

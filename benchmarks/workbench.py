@@ -75,7 +75,7 @@ DRAWING = """async samples => {
 }"""
 # Presses an arrow key at a point of the path, and waits until the plan is drawn.
 REPLANNING = """async () => {
-    const path = await import("/page/path.js");
+    const path = await import("/page/path_step.js");
     return path.lastPlan();
 }"""
 
@@ -137,8 +137,7 @@ def replanned(person: Visitor) -> float:
     """Return the median time of a replanned path [ms] while one of its points is moved."""
     person.page.get_by_label("Draw points").check()
     person.sees("The path can be followed", within="#path")
-    person.page.locator('#path canvas[tabindex="0"]').first.focus()
-    person.page.keyboard.press("n")
+    person.page.locator("#path [role=slider]").nth(1).focus()
     times = []
     for key in ("ArrowUp", "ArrowDown") * 10:
         person.page.keyboard.press(key)

@@ -1,7 +1,7 @@
 // Two virtual actuators of one kind follow one motion, live: one by a straight scale factor, one by dehyst.
+import { Chart } from "./chart.js";
 import { Compensator, load } from "./dehyst.js";
-import { PlayActuator } from "./play_actuator.js";
-import { Plot, short } from "./plot.js";
+import { length, short } from "./numbers.js";
 
 const RANGE = 16; // um, of the pictures
 const KEPT = 6000; // samples of the picture of errors
@@ -14,20 +14,14 @@ const SHAPES = {
 };
 
 class Side {
-  constructor(canvas, number, colour, voltage) {
-    this.plot = new Plot(canvas, "wanted (\u00b5m)", "reached (\u00b5m)");
-    this.number = number;
-    this.colour = colour;
-    this.voltage = voltage;
-    this.actuator = new PlayActuator();
-    this.wanted = [];
-    this.reached = [];
+  constructor(holder, number, colour, voltage) {
+    this.chart = new Chart(holder, { label: holder.dataset.label });
+    Object.assign(this, { number, colour, voltage, actuator: new PlayActuator(), wanted: [], reached: [] });
   }
 
   step(wanted) {
-    const reached = this.actuator.play(this.voltage(wanted));
     this.wanted.push(1e6 * wanted);
-    this.reached.push(1e6 * reached);
+    this.reached.push(1e6 * this.actuator.play(this.voltage(wanted)));
     if (this.wanted.length > KEPT) {
       this.wanted.shift();
       this.reached.shift();
@@ -41,24 +35,24 @@ class Side {
   draw(samples) {
     const from = Math.max(0, this.wanted.length - samples);
     const range = [-0.03 * RANGE, 1.03 * RANGE];
-    this.plot.draw({
-      x: range,
-      y: range,
-      lines: [
-        { x: range, y: range, colour: "line", width: 1, dash: [4, 4] },
-        { x: this.wanted.slice(from), y: this.reached.slice(from), colour: this.colour, width: 2 },
+    const [x, y] = [this.wanted.slice(from), this.reached.slice(from)];
+    this.chart.set({
+      x: { label: "wanted (\u00b5m)", unit: "\u00b5m", range },
+      y: { label: "reached (\u00b5m)", unit: "\u00b5m", range },
+      series: [
+        { colour: "line", x: range, y: range, width: 1, dash: [4, 4], silent: true },
+        { colour: this.colour, x, y, width: 2 },
       ],
     });
     const largest = this.errors.slice(from).reduce((most, one) => Math.max(most, Math.abs(one)), 0);
-    const length = largest < 0.1 ? `${short(1000 * largest)} nm` : `${short(largest)} \u00b5m`;
-    this.number.textContent = `${length}, ${short((100 * largest) / RANGE)} %`;
+    this.number.textContent = `${length(largest)}, ${short((100 * largest) / RANGE)} %`;
   }
 }
 
 class Playground {
   constructor(root, compensator) {
     const find = (name) => root.querySelector(`[name="${name}"]`);
-    const canvases = root.querySelectorAll("canvas");
+    const holders = root.querySelectorAll(".chart");
     const numbers = root.querySelectorAll("output");
     const { limits, reach, period } = compensator.about;
     const slope = (limits[1] - limits[0]) / (reach[1] - reach[0]);
@@ -67,21 +61,24 @@ class Playground {
     this.inputs = { size: find("size"), frequency: find("frequency"), shape: find("shape") };
     this.button = find("run");
     this.sides = [
-      new Side(canvases[0], numbers[0], "without", (y) => within(limits[0] + (y - reach[0]) * slope)),
-      new Side(canvases[1], numbers[1], "simulated", (y) => compensator.step(y)),
+      new Side(holders[0], numbers[0], "without", (y) => within(limits[0] + (y - reach[0]) * slope)),
+      new Side(holders[1], numbers[1], "simulated", (y) => compensator.step(y)),
     ];
-    this.errors = new Plot(canvases[2], "time (s)", "error (\u00b5m)");
+    this.errors = new Chart(holders[2], { label: holders[2].dataset.label });
     this.size = Number(this.inputs.size.value);
     this.phase = 0.75;
     this.seconds = 0;
-    this.running = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.button.addEventListener("click", () => this.run(!this.running));
     for (const input of Object.values(this.inputs)) {
-      input.addEventListener("input", () => !this.running && this.play(2 / Number(this.inputs.frequency.value)));
+      input.addEventListener("input", () => !this.running && this.play(2 / this.frequency));
     }
     // So that the first picture has whole loops.
-    this.play(2 / Number(this.inputs.frequency.value));
-    this.run(this.running);
+    this.play(2 / this.frequency);
+    this.run(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
+  }
+
+  get frequency() {
+    return Number(this.inputs.frequency.value);
   }
 
   run(on) {
@@ -100,37 +97,35 @@ class Playground {
   }
 
   play(seconds) {
-    const frequency = Number(this.inputs.frequency.value);
     const shape = SHAPES[this.inputs.shape.value];
     for (let i = 0; i < Math.round(seconds / this.period); i += 1) {
       this.size += EASE * (Number(this.inputs.size.value) - this.size);
-      this.phase += frequency * this.period;
+      this.phase += this.frequency * this.period;
       this.seconds += this.period;
       const share = 0.5 + 0.005 * this.size * shape(this.phase);
       for (const side of this.sides) side.step(1e-6 * RANGE * share);
     }
-    this.draw(Math.round(1 / frequency / this.period));
+    this.draw();
   }
 
-  draw(samples = Math.round(1 / Number(this.inputs.frequency.value) / this.period)) {
-    for (const side of this.sides) side.draw(samples);
+  draw() {
+    for (const side of this.sides) side.draw(Math.round(1 / this.frequency / this.period));
     const [straight, own] = this.sides.map((side) => side.errors);
     const x = straight.map((_, i) => this.seconds + (i + 1 - straight.length) * this.period);
-    this.errors.draw({
-      x: [this.seconds - KEPT * this.period, this.seconds],
-      y: [-0.15 * RANGE, 0.15 * RANGE],
-      levels: [0],
-      lines: [
-        { x, y: straight, colour: "without" },
-        { x, y: own, colour: "simulated", width: 1.8 },
+    this.errors.set({
+      x: { label: "time (s)", unit: "s", range: [this.seconds - KEPT * this.period, this.seconds] },
+      y: { label: "error (\u00b5m)", unit: "\u00b5m", range: [-0.15 * RANGE, 0.15 * RANGE] },
+      levels: [{ value: 0, colour: "line" }],
+      series: [
+        { colour: "without", x, y: straight, rising: true },
+        { colour: "simulated", x, y: own, rising: true, width: 1.8 },
       ],
     });
   }
 }
 
-const root = document.getElementById("playground");
-if (root) {
-  const playground = new Playground(root, new Compensator(await load(MODULE)));
-  root.classList.add("ready");
-  window.addEventListener("resize", () => playground.draw());
+const playground = document.getElementById("playground");
+if (playground) {
+  new Playground(playground, new Compensator(await load(MODULE)));
+  playground.classList.add("ready");
 }

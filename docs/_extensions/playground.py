@@ -1,15 +1,12 @@
 """The page that runs a model in the browser: its script, with a model that is identified while the site is built."""
 
 import base64
-import re
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 PERIOD = 1e-3
-# One classic script, so that the page works from a folder too: a browser loads no module from there.
-_MODULES = re.compile(r"^import .*\n|^export ", re.MULTILINE)
 
 
 def model() -> bytes:
@@ -28,14 +25,14 @@ def model() -> bytes:
 
 def script() -> str:
     """Return the page's script, with the model inside."""
-    from dehyst.exports.naming import shipped
-    from dehyst.report.html import asset
+    from dehyst.web import files
 
-    own = ((HERE / name).read_text(encoding="utf-8") for name in ("play_actuator.js", "playground.js"))
-    source = _MODULES.sub("", "\n".join([shipped("compensator.js"), asset("plot.js"), *own]))
+    own = "\n".join((HERE / name).read_text(encoding="utf-8") for name in ("play_actuator.js", "playground.js"))
+    # One classic script, so that the page works from a folder too: a browser loads no module from there.
+    source = files.script(own).replace("import.meta.url", "document.baseURI")
     code = base64.b64encode(model()).decode("ascii")
     bytes_ = f'const MODULE = Uint8Array.from(atob("{code}"), (letter) => letter.charCodeAt(0));\n'
-    return f"(async () => {{\n{bytes_}{source.replace('import.meta.url', 'document.baseURI')}\n}})();\n"
+    return f"(async () => {{\n{bytes_}{source}\n}})();\n"
 
 
 def write(app: Sphinx, error: Exception | None) -> None:

@@ -20,6 +20,8 @@ Every error states what was got, what is needed and what to try: as fields, from
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
 
 from dehyst._text import escaped
 
@@ -123,3 +125,11 @@ class DeviceError(RigError):
 
 class SensorError(RigError):
     """A reading that cannot be the displacement: it does not follow the voltage, or saturates."""
+
+
+def library(module: str, purpose: str, extra: str) -> Any:
+    """Return a `module` of an optional package; raise MissingExtraError, with the `purpose`, if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], extra, purpose) from error

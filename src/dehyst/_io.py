@@ -71,14 +71,11 @@ def is_draft(name: str) -> bool:
 
 def unwritten(path: PathLike, error: OSError) -> FileFormatError:
     """Return the error for a file or a folder that cannot be written, with advice that fits."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        advice = "make room there, or name a place that has some"
-    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        advice = "check the folder's rights"
-    elif error.errno == errno.ENAMETOOLONG:
-        advice = "give a shorter name"
-    else:
-        advice = "check the name, and the folder's room and rights"
+    advice = {
+        **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room there, or name a place that has some"),
+        **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "check the folder's rights"),
+        errno.ENAMETOOLONG: "give a shorter name",
+    }.get(error.errno or 0, "check the name, and the folder's room and rights")
     return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
 
 
@@ -86,16 +83,12 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
     """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
 
     Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode; in a
-    command only if it begins as the new one (`demand_alike`).
-
-    Raises
-    ------
-    FileFormatError
-        The folder is missing or not writable, or the path is a folder.
+    command only if it begins as the new one (`demand_alike`). Raise `FileFormatError` if the folder is missing or not
+    writable, or the path is a folder.
     """
     content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
     try:
-        mode = mode_of(path)
+        mode = _mode_of(path)
         if mode is not None and stat.S_ISDIR(mode):
             raise FileFormatError(f"{path}: this is a folder; add a file name")
         # A device such as /dev/null, or a pipe, is written to, never replaced.
@@ -107,38 +100,30 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
         target = Path(os.path.realpath(path))
         if not target.parent.is_dir():
             raise FileFormatError(f"{path}: the folder {Path(path).parent} does not exist; create it first")
-        _replace(target, content, mode)
+        draft = draft_of(target)
+        try:
+            with draft.open("xb") as stream:
+                if mode is not None:
+                    # Not every file system has modes.
+                    with suppress(OSError):
+                        draft.chmod(stat.S_IMODE(mode))
+                stream.write(content)
+                stream.flush()
+                settle(stream.fileno())
+            draft.replace(target)
+        finally:
+            draft.unlink(missing_ok=True)
+        settle_folder(target.parent)
     except OSError as error:
         raise unwritten(path, error) from error
 
 
-def mode_of(path: PathLike) -> int | None:
+def _mode_of(path: PathLike) -> int | None:
     """Return type and mode of what lies at a path; None if there is nothing."""
     try:
         return Path(path).stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
         return None
-
-
-def _replace(target: Path, content: bytes, mode: int | None) -> None:
-    draft = draft_of(target)
-    try:
-        _write_through(draft, content, mode)
-        draft.replace(target)
-    finally:
-        draft.unlink(missing_ok=True)
-    settle_folder(target.parent)
-
-
-def _write_through(draft: Path, content: bytes, mode: int | None) -> None:
-    with draft.open("xb") as stream:
-        if mode is not None:
-            # Not every file system has modes.
-            with suppress(OSError):
-                draft.chmod(stat.S_IMODE(mode))
-        stream.write(content)
-        stream.flush()
-        settle(stream.fileno())
 
 
 def settle(descriptor: int) -> None:
@@ -151,12 +136,7 @@ def settle(descriptor: int) -> None:
 
 
 def settle_file(path: Path) -> None:
-    """Wait until a file that another process may have written, and its name, are on the disk.
-
-    Raises
-    ------
-    FileFormatError
-    """
+    """Wait until a file that another process may have written, and its name, are on the disk; raise FileFormatError."""
     try:
         descriptor = os.open(path, os.O_RDWR)
         try:
@@ -200,14 +180,10 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
     """Refuse to replace a file that does not begin as its new content does; an empty file may be replaced.
 
     Without `content`, which is not known before a computation, any file is accepted that begins as an output may. Only
-    the commands protect files, see `protecting`.
-
-    Raises
-    ------
-    FileFormatError
+    the commands protect files, see `protecting`. Raise `FileFormatError`.
     """
     try:
-        mode = mode_of(path)
+        mode = _mode_of(path)
         if mode is not None and stat.S_ISBLK(mode):
             raise FileFormatError(f"{path}: is a disk; give the name of a file")
         if not _PROTECTS.get() or mode is None or not stat.S_ISREG(mode) or not Path(path).stat().st_size:
@@ -231,20 +207,15 @@ def format_of(path: PathLike) -> str | None:
 def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
     """Refuse a folder that is neither new, nor empty, nor one whose `marker` is JSON of the format `kind`.
 
-    `option` is that of the command by which the folder is given.
-
-    Raises
-    ------
-    FileFormatError
+    `option` is that of the command by which the folder is given. Raise `FileFormatError`.
     """
     try:
         names = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
     except FileNotFoundError:
         return
     except NotADirectoryError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder (it is a file); give another one with {option}"
-        ) from error
+        words = f"cannot be made a folder (it is a file); give another one with {option}"
+        raise FileFormatError(f"{folder}: {words}") from error
     except OSError as error:
         raise unwritten(folder, error) from error
     if names and format_of(Path(folder) / marker) != kind:
@@ -261,9 +232,8 @@ def make_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another one with {option}"
-        ) from error
+        words = f"cannot be made a folder ({error.strerror}); give another one with {option}"
+        raise FileFormatError(f"{folder}: {words}") from error
     return Path(folder)
 
 
@@ -312,15 +282,11 @@ def named(path: object, what: str = "path") -> Path:
     """Return the name of a file as a path; raise FileFormatError if it cannot be one."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
-    kind = type(path).__name__
+    kind, need = type(path).__name__, "the name of a file"
     if kind in _TABLES:
-        raise FileFormatError(
-            argument=what,
-            got=kind,
-            need="the name of a file",
-            hint=f"make a record of it with dehyst.Record.{_TABLES[kind]}",
-        )
-    raise FileFormatError(argument=what, got=repr(path), need="the name of a file, as 'loops.csv' or a pathlib.Path")
+        hint = f"make a record of it with dehyst.Record.{_TABLES[kind]}"
+        raise FileFormatError(argument=what, got=kind, need=need, hint=hint)
+    raise FileFormatError(argument=what, got=repr(path), need=f"{need}, as 'loops.csv' or a pathlib.Path")
 
 
 @contextmanager
@@ -345,11 +311,8 @@ def reading_errors(path: Path, kind: str) -> Iterator[None]:
 def read_json(path: PathLike) -> dict[str, Any]:
     """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
-    Raises
-    ------
-    FileFormatError
-        No name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no valid JSON, no object, a
-        key that is there twice in one object, NaN, Infinity, or a number too large for a float.
+    Raise `FileFormatError` for no name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no
+    valid JSON, no object, a key that is there twice in one object, NaN, Infinity, or a number too large for a float.
     """
     path = named(path)
 
@@ -370,7 +333,14 @@ def read_json(path: PathLike) -> dict[str, Any]:
         raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
 
     with reading_errors(path, "JSON"):
-        _demand_regular(path, _MOST_JSON)
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError
+        if not stat.S_ISREG(status.st_mode):
+            raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
+        if status.st_size > _MOST_JSON:
+            size, most = f"{status.st_size / 1e6:.0f} MB", f"{_MOST_JSON / 1e6:g} MB at most"
+            raise FileFormatError(f"{path}: has {size}, need {most}; check the name")
         try:
             text = path.read_bytes().decode("utf-8-sig")
             data = json.loads(
@@ -410,19 +380,6 @@ def finite(value: Any) -> Any:
     if isinstance(value, list):
         return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not abs(value) <= sys.float_info.max else value
-
-
-def _demand_regular(path: Path, most: int) -> None:
-    """Refuse a device or a pipe before it is opened, and a file of more bytes than `most`."""
-    status = path.stat()
-    if stat.S_ISDIR(status.st_mode):
-        raise IsADirectoryError
-    if not stat.S_ISREG(status.st_mode):
-        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
-    if status.st_size > most:
-        raise FileFormatError(
-            f"{path}: has {status.st_size / 1e6:.0f} MB, need {most / 1e6:g} MB at most; check the name"
-        )
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:

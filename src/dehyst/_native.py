@@ -21,30 +21,12 @@ class Core:
 
     Equations and names: `core/include/dehyst.h`. Pickled and copied as the numbers from which they were computed.
 
-    Parameters
-    ----------
-    rho, kappa : (N,) array
-        Breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements; kappa is not read where
-        there are grades.
-    knots, values : (K,) array
-        The parallel spring: displacement [m] and voltage [V], both strictly increasing, K >= 2.
-    grade_knots : (M + 1,) array
-        Knots [m] of the graded elements; empty: the elements are plain.
-    grades : (N M,) array
-        Their stiffnesses kappa_im [V/m], a row an element.
-    voltages, drives : (L,) array
-        The transformer tau; empty: none.
-    creep : (J,) array
-        Stiffnesses c_j [V/m] of the creep branches.
-    inertia : (2,) array
-        beta [V/m] and theta; empty: none.
-    lengths, closings, smooth : (L,) array
-        Smooth elements and their stiffnesses k_l [V/m]. In `strains` (J + L) their elongations follow creep's.
-
-    Raises
-    ------
-    ModelError
-        If the core refuses the numbers.
+    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements, not read
+    where there are grades. `knots`, `values` (K,): the parallel spring, displacement [m] and voltage [V], both strictly
+    increasing, K >= 2. Empty if there is no such part: `grade_knots` (M + 1,) [m] and `grades` (N M,) [V/m], a row an
+    element; `voltages`, `drives` (L,), the transformer tau; `creep` (J,), stiffnesses c_j [V/m] of the branches;
+    `inertia` (2,), beta [V/m] and theta; `lengths`, `closings`, `smooth` (L,), smooth elements and their stiffnesses
+    k_l [V/m], whose elongations follow the strains of creep. Raise `ModelError` if the core refuses the numbers.
     """
 
     __slots__ = ("_core", "_made_from")
@@ -118,16 +100,9 @@ class Core:
     ) -> compiled.Loop:
         """Return a loop with the coefficients of one step, from a state; see `dehyst_model`.
 
-        Parameters
-        ----------
-        pace : StepCoefficients
-        tap : (M,) array
-        numbers : (7,) array
-            Lowest and highest voltage, largest change, lag in periods, and the amplifier's three.
-        on_clamp : callable
-            Called at the first clamp of each kind, before its voltage is committed, with: whether it is the slew rate,
-            the wanted displacement [m], and the voltage [V].
-        start : CoreState
+        `tap` (M,). `numbers` (7,): lowest and highest voltage, largest change, lag in periods, and the amplifier's
+        three. `on_clamp` is called at the first clamp of each kind, before its voltage is committed, with: whether it
+        is the slew rate, the wanted displacement [m], and the voltage [V].
         """
         decay, gain, transition = (table[0] for table in pace[1:])
         loop: compiled.Loop = checked(compiled.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)
@@ -144,14 +119,8 @@ class Core:
 class BankCore:
     """Tables of many actuators in C, which are computed in lanes; see `core/include/dehyst_bank.h`.
 
-    Parameters
-    ----------
-    cores : sequence of M Core
-        Each `in_lanes`.
-    decay, gain : (B,) array
-        Coefficients of a step of all creep branches, one actuator after the other.
-    limits : (3, M) array
-        Lowest and highest voltages [V], and largest changes in a step [V].
+    `cores`: M cores, each `in_lanes`. `decay`, `gain` (B,): coefficients of a step of all creep branches, one actuator
+    after the other. `limits` (3, M): lowest and highest voltages [V], and largest changes in a step [V].
     """
 
     __slots__ = ("_bank", "rows")

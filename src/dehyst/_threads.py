@@ -18,14 +18,6 @@ _solvers = 0
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit every BLAS library to one thread; usable as a decorator, nested, and in several threads at once."""
-    _enter()
-    try:
-        yield
-    finally:
-        _leave()
-
-
-def _enter() -> None:
     global _limit, _solvers  # noqa: PLW0603
     # Only loaded libraries can be limited, and SciPy brings a BLAS of its own.
     import scipy.linalg  # noqa: F401
@@ -35,12 +27,11 @@ def _enter() -> None:
         if not _solvers:
             _limit = threadpoolctl.threadpool_limits(1, user_api="blas")
         _solvers += 1
-
-
-def _leave() -> None:
-    global _limit, _solvers  # noqa: PLW0603
-    with _lock:
-        _solvers -= 1
-        if not _solvers:
-            _limit.restore_original_limits()
-            _limit = None
+    try:
+        yield
+    finally:
+        with _lock:
+            _solvers -= 1
+            if not _solvers:
+                _limit.restore_original_limits()
+                _limit = None

@@ -29,23 +29,25 @@ UNITS = {
     **_named("N/m", "load_stiffness, mechanical_stiffness, electrical_stiffness"),
     "transformer_ratio": "N/V",
     "load": "N",
+    "temperature": "degC",
     "velocity": "m/s",
     "speed": "m/s",
     "acceleration": "m/s**2",
     **_named("V/s", "slew_rate, recorded_slew_rate"),
     "sample_rate": "Hz",
 }
-# Units that need no library, by the unit that they convert to: how many of each make one of it.
+# Units that need no library, by the unit that they convert to: how many of each make one of it, and zeros of scales.
 COUNTS = {
     "m": {"m": 1.0, "mm": 1e3, "um": 1e6, "µm": 1e6, "μm": 1e6, "nm": 1e9, "pm": 1e12},
     "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9, "min": 1 / 60},
     "V": {"V": 1.0, "mV": 1e3, "kV": 1e-3},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0},
+    "N": {"N": 1.0, "mN": 1e3, "uN": 1e6, "µN": 1e6, "μN": 1e6, "kN": 1e-3},
 }
-# SI units in one of each unit of a quantity.
-FACTORS = {
-    quantity: {unit: 1 / count for unit, count in COUNTS[si].items()}
-    for quantity, si in {"time": "s", "voltage": "V", "displacement": "m"}.items()
-}
+_ZEROS = {"K": 273.15}
+# The quantities and their units: SI units (degrees Celsius) in one of each.
+SI = {"time": "s", "voltage": "V", "displacement": "m", "temperature": "degC", "load": "N"}
+FACTORS = {quantity: {unit: 1 / count for unit, count in COUNTS[si].items()} for quantity, si in SI.items()}
 # The words for the units, in lower case; a symbol counts more.
 _WORDS = {
     word: symbol
@@ -63,6 +65,10 @@ _WORDS = {
         "um": "micrometer micrometers micrometre micrometres micron microns mikrometer",
         "nm": "nanometer nanometers nanometre nanometres",
         "pm": "picometer picometers picometre picometres",
+        "degC": "celsius centigrade degc",
+        "K": "kelvin",
+        "N": "newton newtons",
+        "mN": "millinewton millinewtons",
     }.items()
     for word in words.split()
 }
@@ -76,27 +82,21 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
     and quantities have.
 
     `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default that
-    of the name in `UNITS`.
-
-    Raises
-    ------
-    error
-        If the unit cannot be converted, none is known for the name, or a value is masked.
+    of the name in `UNITS`. Raise `error` if it cannot be converted, none is known for the name, or a value is masked.
     """
     kind = type(values)
     if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind != "O"):
         return values
     unit = UNITS.get(what) if unit is None else unit
     if isinstance(values, list | tuple):
-        return (
-            values
-            if _PLAIN.issuperset(map(type, values))
-            else [plain(value, what, unit, error=error) for value in values]
-        )
+        plain_already = _PLAIN.issuperset(map(type, values))
+        return values if plain_already else [plain(value, what, unit, error=error) for value in values]
     _refuse_masked(values, what, error)
-    quantity = _quantity(values)
-    if quantity is not None:
-        return _converted(quantity, what, unit, error)
+    # What has units is the object or what it wraps, but not the memory of an array, which is called `data` too.
+    inner = None if isinstance(values, np.ndarray) else getattr(values, "data", None)
+    for candidate in (inner, values):
+        if _unit_of(candidate):
+            return _converted(candidate, what, unit, error)
     if getattr(getattr(values, "dtype", None), "kind", "") == "O":
         objects = np.asarray(values)
         return plain(objects.tolist(), what, unit, error=error) if objects.ndim else values
@@ -108,13 +108,6 @@ def _refuse_masked(values: Any, what: str, error: type[DehystError]) -> None:
     # That of a table or a series of pandas is a method.
     if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
         raise error(argument=what, got="an array with masked values", need="all of them")
-
-
-def _quantity(values: Any) -> Any:
-    """Return the object that has units: the values or what they wrap; None if there is none."""
-    # Not the memory of an array, which is called `data` too.
-    inner = None if isinstance(values, np.ndarray) else getattr(values, "data", None)
-    return next((candidate for candidate in (inner, values) if _unit_of(candidate)), None)
 
 
 def _unit_of(values: Any) -> str:
@@ -129,9 +122,17 @@ def symbol_of(unit: str) -> str:
 
 
 def quantity_of(unit: str) -> str:
-    """Return the quantity of a unit, "time", "voltage" or "displacement"; "" if it is unknown."""
+    """Return the quantity of a unit, as in `SI`; "" if it is unknown."""
     symbol = symbol_of(unit)
     return next((quantity for quantity, known in FACTORS.items() if symbol in known), "")
+
+
+def in_si(values: Any, unit: str) -> Any:
+    """Return values in a symbol of `COUNTS` in SI units, or degrees Celsius."""
+    factor = next(known[unit] for known in FACTORS.values() if unit in known)
+    # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
+    scaled = values * factor if factor >= 1 else values / round(1 / factor)
+    return scaled - _ZEROS[unit] if unit in _ZEROS else scaled
 
 
 def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:
@@ -140,12 +141,6 @@ def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:
         known = ", ".join(f"'{name}'" for name in COUNTS["m"] if name.isascii())
         raise error(f"units: got {units!r}, need a unit of length: one of {known}")
     return COUNTS["m"][units]
-
-
-def _counts(got: str, unit: str) -> float | None:
-    """Return how many of a unit make one of another, if both are words of `COUNTS`; None if not."""
-    known = next((counts for counts in COUNTS.values() if got in counts and unit in counts), None)
-    return None if known is None else known[got] / known[unit]
 
 
 def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystError]) -> Any:
@@ -157,11 +152,11 @@ def _converted(quantity: Any, what: str, unit: str | None, error: type[DehystErr
     if convert is None and got == unit:
         return plain(np.asarray(getattr(quantity, "values", quantity)), what, unit, error=error)
     refusal = f"{what}: got a quantity in {got}, need one that can be converted to {unit}, or plain numbers in {unit}"
-    counts = _counts(got, unit)
-    if convert is None and counts and isinstance(getattr(quantity, "attrs", None), Mapping):
-        # An array of xarray, whose unit is a word among its attributes.
-        return plain(np.asarray(quantity.values) / counts, what, unit, error=error)
     if convert is None:
+        known = next((counts for counts in COUNTS.values() if got in counts and unit in counts), {})
+        if known and not {got, unit} & _ZEROS.keys() and isinstance(getattr(quantity, "attrs", None), Mapping):
+            # An array of xarray, whose unit is a word among its attributes.
+            return plain(np.asarray(quantity.values) / (known[got] / known[unit]), what, unit, error=error)
         raise error(refusal)
     try:
         converted = convert(unit)

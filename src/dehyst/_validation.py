@@ -55,10 +55,7 @@ def untimely(time: Array, samples: int) -> str:
 def vector(values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Array:
     """Return `values` as a contiguous one-dimensional array of finite doubles; quantities in `unit`, see `plain`.
 
-    Raises
-    ------
-    error
-        If it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
+    Raise `error` if it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
     """
     return spanned(values, what, unit, error=error)[0]
 
@@ -101,13 +98,7 @@ def _doubles(values: ArrayLike, what: str, unit: str | None, error: type[DehystE
 
 
 def number(value: object, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> float:
-    """Return `value` as a finite float; a quantity in `unit`, see `plain`.
-
-    Raises
-    ------
-    error
-        If it is no number, has another unit, or is NaN or infinite.
-    """
+    """Return `value` as a finite float, a quantity in `unit`, see `plain`; raise `error` for anything else."""
     bare = plain(value, what, unit, error=error)
     if isinstance(bare, Real) and not isinstance(bare, bool):
         try:
@@ -120,13 +111,7 @@ def number(value: object, what: str, unit: str | None = None, *, error: type[Deh
 
 
 def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) -> tuple[float, float]:
-    """Return voltage limits [V] as two floats.
-
-    Raises
-    ------
-    error
-        If they are not two finite numbers, the lower one first.
-    """
+    """Return voltage limits [V] as two floats; raise `error` unless they are finite, the lower one first."""
     pair = plain(limits, "limits", error=error)
     ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
@@ -200,43 +185,24 @@ def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception
 def demand_magnitudes(
     values: ArrayLike, what: str, most: float = MOST, *, error: type[DehystError] = ModelError
 ) -> None:
-    """Refuse numbers that are too large to compute with.
-
-    Raises
-    ------
-    error
-        If a magnitude is above `most`.
-    """
+    """Raise `error` for numbers that are too large to compute with: a magnitude above `most`."""
     _demand(values, what, -np.inf, most, error)
 
 
 def demand_divisors(values: ArrayLike, what: str) -> None:
-    """Refuse numbers that are too small or too large to divide by.
-
-    Raise `ModelError` if a magnitude is not between 1e-30 and 1e30.
-    """
+    """Raise ModelError for numbers that cannot be divided by: a magnitude that is not between 1e-30 and 1e30."""
     _demand(values, what, LEAST, MOST)
 
 
 def demand_curve(knots: Array, values: Array, what: str) -> None:
-    """Refuse a rising curve (M,) that has a slope, or an inverse of a slope, too large to compute with.
-
-    Raises
-    ------
-    ModelError
-    """
+    """Raise ModelError for a rising curve (M,) with a slope, or an inverse of a slope, too large to compute with."""
     for numbers, axis in ((knots, "knots"), (values, "values")):
         demand_magnitudes(numbers, f"{what} {axis}")
         demand_divisors(np.diff(numbers), f"{what}: steps between {axis}")
 
 
 def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
-    """Refuse a result that is not finite, or is larger than `most`.
-
-    Raises
-    ------
-    ModelError
-    """
+    """Raise ModelError for a result that is not finite, or is larger than `most`."""
     if not values.size or (values.min() >= -most and values.max() <= most):
         return
     first = int(np.argmax(~(np.abs(values) <= most)))

@@ -54,7 +54,7 @@ def test_a_history_is_kept_printed_and_drawn(folder):
     assert "Gain: average or cumulative sum of the checks has been outside" in out
     assert re.search(r"^\d{4}-\d\d-\d\d gain +1\.\d{3} +\+\d+\.\d\d +\d+\.\d\d!", out, re.M), out
     assert "Picture: checks" in out
-    assert (folder / "checks" / "history.svg").read_text().startswith("<?xml")
+    assert (folder / "checks" / "history.html").read_text().startswith("<!DOCTYPE html>")
     _, out, _ = run("check", "model.json", "same.csv", "--history", "checks", "--json", cwd=folder)
     assert json.loads(out)["history"]["checks"] == 3
     data = json.loads(next((folder / "checks").glob("check-*.json")).read_text())
@@ -113,12 +113,12 @@ def test_a_damaged_marker_of_a_history_is_named(kept, content, words):
 
 
 def test_a_picture_of_others_is_not_replaced(kept):
-    picture = kept / "checks" / "history.svg"
-    picture.write_text('<?xml version="1.0"?><svg xmlns="http://www.w3.org/2000/svg"><title>dehyst</title></svg>')
+    picture = kept / "checks" / "history.html"
+    picture.write_text("<!DOCTYPE html>\n<html><body>dehyst</body></html>")
     before = {path.name: path.read_bytes() for path in (kept / "checks").iterdir()}
     status, out, err = run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)
     assert (status, out) == (2, "")
-    assert "history.svg: is there already" in err and "--force" in err
+    assert "history.html: is there already" in err and "--force" in err
     assert {path.name: path.read_bytes() for path in (kept / "checks").iterdir()} == before
     assert run("check", "model.json", "gain.csv", "--history", "checks", "--force", cwd=kept)[0] == 1
     assert (

@@ -50,7 +50,7 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
     assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
     verdict, *_ = out.splitlines()
     assert re.match(r"(Ready|Usable, with care): .*\d\.\d+ %", verdict)
-    assert "<svg" in (folder / "r.html").read_text()
+    assert "data-chart=" in (folder / "r.html").read_text()
     brief = run("identify", "loops.csv", *rare(elements=8), cwd=folder)[1].splitlines()
     assert len(brief) <= 12 < len(out.splitlines()) and re.search(r"\d\.\d+ %", brief[0])
     assert err == ""  # beside a terminal, progress is for longer work only
@@ -246,7 +246,7 @@ def test_insight_of_loops_that_tell_all_warns_of_nothing_but_its_precision(folde
     names = ("lowest_um", "wanted_um", "highest_um")
     lowest, wanted, highest = (band.column("displacement", name) for name in names)
     assert np.all((lowest < wanted) & (wanted < highest))
-    assert "<svg" in (folder / "i.html").read_text()
+    assert "data-chart=" in (folder / "i.html").read_text()
 
 
 def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agree(folder):
@@ -261,12 +261,13 @@ def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agre
     status, out, _ = run(*arguments, *rare(repeats=20), "--all", cwd=folder)
     sentence = "3 of 3 stiffnesses and 4 of 4 spring segments are known within 20 %."
     assert (status, "WARNING" in out, sentence in out) == (0, False, True)
-    assert f'outcome green"><strong>Known</strong> {sentence}' in (folder / "exact.html").read_text()
+    page = (folder / "exact.html").read_text()
+    assert 'class="outcome green"' in page and sentence in page
     status, out, _ = run(*arguments, *rare(repeats=20, precision=1e-12), "--json", cwd=folder)
     found = json.loads(out)
     assert (status, found["known"]["all"], found["known"]["precision"]) == (1, False, 1e-12)
     assert any(found["known"]["sentence"] in warning for warning in found["warnings"])
-    assert 'outcome amber"><strong>Warning</strong>' in (folder / "exact.html").read_text()
+    assert 'class="outcome amber"' in (folder / "exact.html").read_text()
 
 
 def test_the_newcomers_trap_is_caught(folder):

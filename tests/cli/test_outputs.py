@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from command_line import run
 
 from dehyst import Compensator, FileFormatError, Record, write_record
-from dehyst._io import GENERATOR, demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
+from dehyst._io import demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
 from dehyst.cli import main
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
 from dehyst.operations import find
@@ -18,7 +18,6 @@ from dehyst.operations.declaration import Role
 from dehyst.operations.registry import ENTRIES
 from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
-from dehyst.report.plots import svg_file
 from dehyst.studies import demo
 
 
@@ -26,7 +25,6 @@ def outputs(model, folder):
     """Write a file of every kind."""
     model.save(folder / "model")
     (folder / "report").write_text(document("A title", ["<p>text</p>"]))
-    (folder / "checks").write_text(svg_file("checks", lambda *_: None, creator=GENERATOR))
     write_columns(folder / "table.tsv", {"time_s": [0.0, 1.0], "voltage_V": [1e16, 2]})
     write_record(folder / "record.csv", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
     write_record(folder / "record.npz", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
@@ -39,7 +37,7 @@ def test_a_file_that_begins_as_the_new_one_is_replaced(tmp_path, model, monkeypa
     monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
     outputs(model, tmp_path)
     contents = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert len(contents) == 10
+    assert len(contents) == 9
     with protecting(force=False):
         for path, content in contents.items():
             demand_alike(path)

@@ -1,6 +1,7 @@
 """Files on the command line: what a message prints works, `dehyst show`, scales in the model, the zero of a path."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -67,7 +68,7 @@ def test_show_prints_and_draws(monitor):
     assert "'Monitor [mV]', 100 V/V  0 to 100 V, 4 cycles" in done.stdout
     assert sum("*" in line for line in done.stdout.split("\n")) == 16
     page = (monitor / "page.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("data-chart=") == 3
     assert "100 V/V" in page
 
 
@@ -86,6 +87,15 @@ def test_show_prints_the_ends_of_columns_and_marks_guesses(monitor):
     (monitor / "kept.csv").unlink(missing_ok=True)
     run("show", "regler.csv", *options, "-o", "kept.csv")
     assert "guessed, verify" in run("show", "kept.csv").stdout
+
+
+def test_show_lists_further_channels(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k / 10},{50 - 50 * math.cos(k / 10)},{k % 9},{20 + k / 100},{k}\n" for k in range(200))
+    Path("a.csv").write_text("time_s,voltage_V,displacement_um,temperature_C,spare_N\n" + rows)
+    assert "temperature:  'temperature_C'    20 to 21.99 °C\n" in run("show", "a.csv").stdout
+    assert json.loads(run("show", "a.csv", "--json").stdout)["others"] == {"temperature_C": [20.0, 21.99]}
+    assert "temperature" not in run("show", "a.csv", "--columns", "time:s,voltage:V,displacement:um,-,-").stdout
 
 
 def test_a_column_that_is_nowhere_may_be_in_a_second_file(monitor):

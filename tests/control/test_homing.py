@@ -24,7 +24,7 @@ from rest_states import (
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, identify
 from dehyst.control import shortest_homing
-from dehyst.control.planning.bounds import least_range
+from dehyst.control.planning.states import MajorLoop
 
 BENCH_LIMITS = [
     ((0, 200), 0, None),
@@ -184,7 +184,7 @@ def test_too_narrow_limits_in_words():
         r"[\d.]+ V above 100 V, or [\d.]+ V below 0 V, would suffice",
         homing.remarks[0],
     )
-    assert homing.width == pytest.approx(plain_records.STROKE - least_range(PLANT, 0, 100), rel=1e-9)
+    assert homing.width == pytest.approx(plain_records.STROKE - MajorLoop(PLANT).least_range(0, 100), rel=1e-9)
 
 
 def test_an_element_without_stiffness_is_homed_where_the_limits_allow_it():
@@ -228,7 +228,7 @@ def test_the_full_excursion_is_enough_whatever_rounding_says():
         assert homing.certified
         assert homing.unknown == ()
         assert homing.turns == pytest.approx((low, high, low), rel=1e-9, abs=1e-9)
-        missing.append(2 * actuator.slip.breakaway[-1] - least_range(actuator, low, high))
+        missing.append(2 * actuator.slip.breakaway[-1] - MajorLoop(actuator).least_range(low, high))
     assert min(missing) <= 0 < max(missing) < EXACT * plain_records.STROKE
 
 

@@ -13,57 +13,36 @@ from rest_states import EXACT, PLANT, SOME, carts_along, drives, equilibrium, me
 from dehyst import ModelError
 from dehyst._native import slip_elongations
 from dehyst.control import StateBounds, shortest_homing
-from dehyst.control.planning.bounds import first_move_error, known_by_displacement, least_range
+from dehyst.control.planning.states import MajorLoop, first_known_by_displacement, least_width
 
 
 @given(our.motions(bank=our.actuators(0, 30)))
-def test_widths_from_a_known_displacement_are_exact(motion):
-    """The widths are those between the extreme elongations, and no elongation lies outside."""
+def test_elements_are_known_from_a_displacement_once_their_extremes_meet(motion):
+    """The interval of an elongation is exactly as wide as that between its extremes: max(0, 2 rho - R)."""
     actuator, _, path = motion
     rho = actuator.slip.breakaway
-    known = known_by_displacement(actuator, path)
-    assert known.widths.shape == (path.size, rho.size)
     if not path.size:
         return
     lowest, _ = slip_elongations(rho, path[0] + rho, path)
     highest, _ = slip_elongations(rho, path[0] - rho, path)
+    widths = np.maximum(0.0, 2 * rho - (np.maximum.accumulate(path) - np.minimum.accumulate(path))[:, None])
     allowance = metres(actuator, path)
-    np.testing.assert_allclose(highest - lowest, known.widths, rtol=0, atol=allowance)
+    np.testing.assert_allclose(highest - lowest, widths, rtol=0, atol=allowance)
     between, _ = slip_elongations(rho, path[0] + np.random.default_rng(path.size).uniform(-rho, rho), path)
     assert np.all((between >= lowest - allowance) & (between <= highest + allowance))
-
-
-@given(our.motions(bank=SOME))
-def test_unknown_counts_the_widths(motion):
-    actuator, _, path = motion
-    known = known_by_displacement(actuator, path)
-    counted = np.count_nonzero(known.widths > known.tolerance, axis=1)
-    # A width within rounding of the tolerance may count either way.
-    close = np.any(np.abs(known.widths - known.tolerance) < 1e-3 * known.tolerance, axis=1)
-    np.testing.assert_array_equal(known.unknown[~close], counted[~close])
-    assert np.all(np.diff(known.unknown) <= 0)
-    first = known.first_known
-    assert first is None or (known.unknown[first] == 0 and np.all(known.unknown[:first] > 0))
-    assert first is not None or np.all(known.unknown > 0)
+    first = first_known_by_displacement(rho, path)
+    unknown = (widths > 2e-12 * 2 * rho.max(initial=0.0)).any(axis=1)
+    assert unknown.all() if first is None else not unknown[first:].any()
+    assert first is None or np.all((widths > 0).any(axis=1)[:first])
 
 
 @pytest.mark.parametrize("elements", [1, 3, 7, 10, 19, 20, 33])
 @pytest.mark.parametrize("offset", [0.0, -0.3, 1.0, 17.0])
-def test_one_excursion_of_just_two_rho_tells_all(elements, offset):
+def test_one_excursion_of_just_two_rho_shows_all(elements, offset):
     """The usual case, rho_N half the range: rounding must not leave the last element unknown."""
-    actuator = plain_records.plant(elements)
-    known = known_by_displacement(actuator, plain_records.path((offset, offset + 1), 10))
-    assert known.first_known == 10
-    short = known_by_displacement(actuator, plain_records.path((offset, offset + 0.999), 10))
-    assert (short.first_known, short.unknown[-1]) == (None, 1)
-
-
-def test_breakaway_alone_will_do():
-    path = plain_records.path((0, 0.3, 0.1, 0.6))
-    by_actuator, by_rho = (known_by_displacement(a, path) for a in (PLANT, PLANT.slip.breakaway.tolist()))
-    np.testing.assert_array_equal(by_actuator.widths, by_rho.widths)
-    # Element i has 2 rho_i = i/10 of the stroke.
-    np.testing.assert_array_equal(by_actuator.unknown[[0, 100, 200, 300]], [10, 7, 7, 4])
+    rho = plain_records.plant(elements).slip.breakaway
+    assert first_known_by_displacement(rho, plain_records.path((offset, offset + 1), 10)) == 10
+    assert first_known_by_displacement(rho, plain_records.path((offset, offset + 0.999), 10)) is None
 
 
 @given(drives(bank=our.actuators(0, 15)))
@@ -123,7 +102,7 @@ def test_the_widest_bracket_in_closed_form(drive):
     known = StateBounds.at_rest(actuator, start).propagate(actuator, path)
     visited = np.concatenate([[start], path])
     extremes = zip(np.minimum.accumulate(visited)[1:], np.maximum.accumulate(visited)[1:], strict=True)
-    least = np.array([least_range(actuator, low, high) for low, high in extremes])
+    least = np.array([MajorLoop(actuator).least_range(low, high) for low, high in extremes])
     expected = np.maximum(0.0, 2 * actuator.slip.breakaway[-1] - least)
     np.testing.assert_allclose(known.width, expected, rtol=0, atol=metres(actuator, known.lowest, known.highest))
 
@@ -137,7 +116,7 @@ def test_every_state_covers_the_least_range(drive):
     state = equilibrium(actuator, start, np.random.default_rng(seed))
     y = actuator.simulate(path, state=state, extrapolate=True).displacement
     covered = np.ptp(np.append(y, state.displacement))
-    assert covered >= least_range(actuator, visited.min(), visited.max()) - metres(actuator, y)
+    assert covered >= MajorLoop(actuator).least_range(visited.min(), visited.max()) - metres(actuator, y)
 
 
 @given(drives(), st.integers(0, 60))
@@ -167,23 +146,14 @@ def test_long_records_and_their_turning_points_say_the_same():
 
 def test_the_first_sample_at_which_all_is_known():
     voltage = np.concatenate([np.linspace(0, 230, 100), np.linspace(230, 0, 100)])
-    known = StateBounds.at_rest(PLANT).propagate(PLANT, voltage)
-    assert known.first_known is not None
-    assert known.unknown[0] == 10
-    assert np.all(known.unknown[known.first_known :] == 0)
-    assert known.unknown[known.first_known - 1] > 0
-    assert known.bounds.known(metres(PLANT))
-    assert StateBounds.at_rest(PLANT).propagate(PLANT, [10.0, 0.0]).first_known is None
-    assert not StateBounds.at_rest(PLANT).known(1e-9)
-
-
-def test_looser_tolerances_know_earlier():
-    counts = [
-        StateBounds.at_rest(PLANT).propagate(PLANT, [180.0, 0.0], tolerance=t).unknown[-1] for t in (1e-18, 1e-6, 1e-5)
-    ]
-    assert counts[0] == 10
-    assert counts[2] == 0
-    assert sorted(counts, reverse=True) == counts
+    known, least = StateBounds.at_rest(PLANT).propagate(PLANT, voltage), least_width(PLANT)
+    first = known.first_known(least)
+    assert first > 0
+    assert np.all(known.width[first:] <= least)
+    assert known.width[first - 1] > least
+    assert known.bounds.width <= metres(PLANT)
+    assert known.first_known(1e-6) < first
+    assert StateBounds.at_rest(PLANT).propagate(PLANT, [10.0, 0.0]).first_known(least) is None
 
 
 @given(SOME, our.SEEDS)
@@ -199,7 +169,7 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
     ]
     allowance = metres(actuator, *readings)
     final = [reading[-1] for reading in readings]
-    assert np.ptp(final) == pytest.approx(first_move_error(bracket), abs=allowance)
+    assert np.ptp(final) == pytest.approx(bracket.move_error, abs=allowance)
     known = bracket.propagate(actuator, homing.turns)
     for reading in readings:
         assert np.all(reading >= known.lowest - bracket.upper.displacement - allowance)
@@ -209,18 +179,13 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
 def test_the_error_bar_in_closed_form():
     friction = PLANT.slip.friction.sum()
     ends = [PLANT.core.spring_inverse(60 + sign * friction) for sign in (-1, 1)]
-    assert first_move_error(StateBounds.at_rest(PLANT, 60)) == pytest.approx(ends[1] - ends[0])
-    assert first_move_error(StateBounds(PLANT.relaxed(), PLANT.relaxed())) == 0.0
+    assert StateBounds.at_rest(PLANT, 60).move_error == pytest.approx(ends[1] - ends[0])
+    assert StateBounds(PLANT.relaxed(), PLANT.relaxed()).move_error == 0.0
 
 
 def test_refusals_of_wrong_types():
     rest = StateBounds.at_rest(PLANT)
-    for call in (
-        shortest_homing,
-        StateBounds.at_rest,
-        lambda a: rest.propagate(a, [0.0]),
-        lambda a: least_range(a, 0, 1),
-    ):
+    for call in (shortest_homing, StateBounds.at_rest, lambda a: rest.propagate(a, [0.0])):
         with pytest.raises(ModelError, match="actuator: got str, need an Actuator"):
             call("plant")
 
@@ -239,22 +204,13 @@ def test_brackets_refuse():
         rest.propagate(PLANT, [0.0, np.inf])
     with pytest.raises(ModelError, match="this actuator has 3 elements"):
         rest.propagate(plain_records.plant(3), [0.0])
-    with pytest.raises(ModelError, match="tolerance: got -1"):
-        rest.propagate(PLANT, [0.0], tolerance=-1)
     with pytest.raises(ModelError, match="tolerance: got 0"):
-        rest.known(0)
-    with pytest.raises(ModelError, match="highest: got inf"):
-        least_range(PLANT, 0, np.inf)
+        least_width(PLANT, 0)
 
 
-def test_known_by_displacement_refuses():
+def test_a_displacement_that_is_no_array_of_numbers_is_refused():
+    rho = PLANT.slip.breakaway
     with pytest.raises(ModelError, match="displacement: 1 of 2 values are not finite"):
-        known_by_displacement(PLANT, [0.0, np.nan])
+        first_known_by_displacement(rho, [0.0, np.nan])
     with pytest.raises(ModelError, match="displacement: got an array of shape"):
-        known_by_displacement(PLANT, [[0.0]])
-    with pytest.raises(ModelError, match="must be positive and strictly increasing"):
-        known_by_displacement([2e-6, 1e-6], [0.0])
-    with pytest.raises(ModelError, match="breakaway elongations: got str"):
-        known_by_displacement("plant", [0.0])
-    with pytest.raises(ModelError, match="tolerance: got 0"):
-        known_by_displacement(PLANT, [0.0], tolerance=0)
+        first_known_by_displacement(rho, [[0.0]])

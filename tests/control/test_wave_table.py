@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dehyst import Creep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
 from dehyst.control import Compensator, wave_table
-from dehyst.control.planning.steady_cycle import follow, steady_state
+from dehyst.control.planning.steady_cycle import steady_state, timed
 from dehyst.control.planning.wave_table import approach_to
 from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
 
@@ -101,17 +101,26 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
     assert errors[1] <= errors[0] / 8
 
 
+def followed(compensator, path, state):
+    """The state after a path."""
+    return compensator.trajectory(path.displacement, **timed(path), state=state).state
+
+
+def after_two_cycles(compensator, path):
+    return followed(compensator, path.repeated(2), compensator.actuator.turned(2 * UM))
+
+
 @pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("name", ["creep", "smooth", "creep and smooth"])
 def test_the_steady_state_is_what_cycles_tend_to(name, scan):
     actuator, path = ACTUATORS[name], SCANS[scan].path()
     compensator, state = Compensator(actuator), ACTUATORS[name].turned(2 * UM)
     for _ in range(120):
-        state = follow(compensator, path.repeated(1), state).state
-    found = steady_state(actuator, path, follow(compensator, path.repeated(2), actuator.turned(2 * UM)).state)
+        state = followed(compensator, path.repeated(1), state)
+    found = steady_state(actuator, path, after_two_cycles(compensator, path))
     assert np.allclose(found.creep, state.creep, rtol=0, atol=1e-9 * UM)
     assert np.allclose(found.smooth, state.smooth, rtol=0, atol=1e-9 * UM)
-    again = follow(compensator, path.repeated(1), found).state
+    again = followed(compensator, path.repeated(1), found)
     assert np.allclose(again.creep, found.creep, rtol=0, atol=1e-12 * UM)
     assert np.allclose(again.smooth, found.smooth, rtol=0, atol=1e-12 * UM)
     assert np.array_equal(again.carts, found.carts)
@@ -120,7 +129,7 @@ def test_the_steady_state_is_what_cycles_tend_to(name, scan):
 def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
     slow = replace(PLAIN, creep=Creep([500.0], [2e6]))
     path = TRIANGLE.path()
-    state = steady_state(slow, path, follow(Compensator(slow), path.repeated(2), slow.turned(2 * UM)).state)
+    state = steady_state(slow, path, after_two_cycles(Compensator(slow), path))
     # Over a cycle the strain of a slow branch follows the displacement less its mean.
     assert state.creep[0] == pytest.approx(path.displacement[0] - path.displacement.mean(), rel=1e-3)
 

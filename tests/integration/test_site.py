@@ -118,7 +118,7 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 def test_an_example_runs_draws_and_leaves_no_file(example, tmp_path, monkeypatch):
-    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed; pip install 'dehyst[report]'")
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed; pip install 'dehyst[plot]'")
     matplotlib.use("agg")
     from matplotlib import pyplot
 

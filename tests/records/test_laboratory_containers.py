@@ -86,10 +86,12 @@ def test_a_guess_is_kept_by_record_files(suffix, tmp_path):
     assert "guesses" not in read(path).meta
 
 
-@pytest.mark.parametrize("line", ["[1]", '{"voltage": 1}', "{" * 3000, "\xff", ""])
+@pytest.mark.parametrize(
+    "line", ["[1]", '{"guesses": {"voltage": 1}, "others": 3}', '{"guesses": [1]}', "{" * 3000, "\xff", ""]
+)
 def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
     rows = "".join(f"{k},{k % 5},{k % 7}\n" for k in range(40))
-    table = f"# dehyst-guesses: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
+    table = f"# dehyst-record: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
     (tmp_path / "a.csv").write_text(table, "latin-1")
     assert "guesses" not in read(tmp_path / "a.csv").meta
 

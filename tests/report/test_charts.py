@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from dehyst.report.html import Axis, Chart, ChartData, Series, legend
+from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, steps
 
 
 def chart(*series, **kwargs):
@@ -61,10 +61,27 @@ def test_names_cannot_end_the_data():
     assert json.loads(text)["charts"][0]["series"][0]["name"] == "</script><b>&"
 
 
-def test_a_legend_names_each_colour_once():
-    x = np.zeros(2)
-    series = (Series("rising", x, x, "rising"), Series("mean, rising", x, x, "rising"), Series("", x, x, "ink"))
-    assert legend(chart(*series, keys=(("noise", "band"),))) == [("rising", "rising"), ("noise", "band")]
+def test_a_logarithmic_axis_stores_exponents():
+    data = ChartData()
+    axes = Axis("time", "s", (1e-2, 1e3), log=True), Axis("creep", "%")
+    data.add(Chart("", "", "creep", *axes, (Series("", np.geomspace(1e-2, 1e3, 6), np.ones(6), "measured"),)))
+    stored, _ = columns(data)
+    assert stored == pytest.approx(np.arange(-2.0, 4.0), abs=1e-3)
+    assert json.loads(data.json())["charts"][0]["x"] == {
+        "label": "time (s)",
+        "unit": "s",
+        "log": True,
+        "range": [-2, 3],
+    }
+
+
+def test_stems_and_steps_are_curves():
+    (line,) = stems("stiffness", np.array([1.0, 2.0]), np.array([5.0, 6.0]), "measured", base=np.array([0.0, 4.0]))
+    assert line.x.tolist() == [1, 1, 1, 2, 2, 2]
+    assert np.array_equal(line.y, [0, 5, np.nan, 4, 6, np.nan], equal_nan=True)
+    assert stems("none", np.zeros(0), np.zeros(0), "measured") == ()
+    x, y = steps(np.array([0.0, 1.0, 3.0]), np.array([7.0, 8.0]))
+    assert (x.tolist(), y.tolist()) == ([0, 1, 1, 3], [7, 7, 8, 8])
 
 
 @pytest.mark.parametrize("values", [[], [2.0], [2.0, 2.0], [np.nan, np.nan]])

@@ -66,24 +66,25 @@ def middle(canvas):
 
 
 def test_every_chart_is_drawn(page):
-    canvases = page.locator("canvas").all()
-    assert len(canvases) == 4
-    assert all(drawn(canvas) > 20 for canvas in canvases)
+    charts = page.locator(".chart canvas:first-child")
+    # Before and after, a loop, two residuals, turning points; slip elements and spring.
+    assert charts.count() == 9
+    assert all(drawn(canvas) > 20 for canvas in charts.all())
 
 
 def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
-    canvas = page.locator("canvas").first
-    button = page.get_by_role("button", name="Whole range").first
+    canvas = page.locator("canvas[tabindex]").first
+    button = page.get_by_role("button", name="Show all").first
     x, y = middle(canvas)
-    before = canvas.screenshot()
+    figure = page.locator(".figure").first
+    before = figure.screenshot()
     assert not button.is_visible()
     page.mouse.move(x - 100, y - 60)
     page.mouse.down()
     page.mouse.move(x + 100, y + 60)
     page.mouse.up()
     assert button.is_visible()
-    enlarged = canvas.screenshot()
-    assert enlarged != before
+    assert figure.screenshot() != before
     button.click()
     assert not button.is_visible()
     canvas.focus()
@@ -91,10 +92,30 @@ def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
     assert button.is_visible()
     page.mouse.dblclick(x, y)
     assert not button.is_visible()
+    # The wheel enlarges a chart that was clicked at, and otherwise moves the page.
+    page.mouse.wheel(0, -200)
+    button.wait_for()
+    canvas.evaluate("one => one.blur()")
+    button.click()
+    canvas.evaluate("one => one.blur()")
+    page.mouse.move(x, y)
+    page.mouse.wheel(0, 200)
+    page.wait_for_timeout(300)
+    assert not button.is_visible()
+
+
+def test_a_series_is_taken_out_by_its_name_in_the_legend(page):
+    figure = page.locator(".figure").first
+    key = figure.get_by_role("button", name="straight scale factor")
+    before = figure.locator(".chart").screenshot()
+    key.click()
+    assert key.get_attribute("aria-pressed") == "false"
+    page.wait_for_timeout(200)
+    assert figure.locator(".chart").screenshot() != before
 
 
 def test_the_pointer_reads_out_a_sample(page):
-    canvas = page.locator("canvas").first
+    canvas = page.locator("canvas[tabindex]").first
     x, y = middle(canvas)
     page.mouse.move(x, y)
     words = page.locator("output").first.inner_text()
@@ -109,6 +130,8 @@ def test_the_dark_page_has_light_curves(browser, file):
     for scheme in ("light", "dark"):
         page = browser.new_page(color_scheme=scheme)
         page.goto(file.as_uri())
+        page.locator(".chart canvas").first.wait_for()
+        page.wait_for_timeout(200)
         shown[scheme] = page.evaluate("getComputedStyle(document.body).backgroundColor")
         assert drawn(page.locator("canvas").first) > 20
         page.close()

@@ -137,5 +137,5 @@ def test_without_matplotlib_it_says_what_to_install(things, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"needs matplotlib.*pip install 'dehyst\[report\]'"):
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib.*pip install 'dehyst\[plot\]'"):
         things["record"].plot()

@@ -276,7 +276,7 @@ def test_a_folder_that_cannot_be_made_is_refused(result, tmp_path):
 
 def test_without_matplotlib_nothing_is_written(monkeypatch, result, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"dehyst\[report\]"):
+    with pytest.raises(MissingExtraError, match=r"dehyst\[plot\]"):
         paper.write(result, tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []
 

@@ -21,7 +21,7 @@ FACES = {
             main
         """,
         "control": """
-            Bank BankClamps BankState ClampWarning Command Compensator HomedPath Homing PossibleStart
+            Bank ClampWarning Command Compensator HomedPath Homing PossibleStart
             Snapshot StageCompensator StartError StateBounds VoltageLimits WaveTable plan_path
             plan_voltage shortest_homing wave_table
         """,

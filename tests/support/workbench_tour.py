@@ -30,7 +30,7 @@ def tour(visitor, csv, address, look):
     look("verdict")
     visitor.click("button", "How far to trust it")
     visitor.click("button", "Assess the model")
-    visitor.sees("etermined", within="#trust-insight")
+    visitor.sees("Where the records turned", within="#trust-insight")
     look("trust")
     visitor.step("Path")
     visitor.page.get_by_label("Draw points").check()

@@ -12,7 +12,8 @@ import structured_records
 from dehyst import ModelError, Record, identify
 from dehyst.identification import Structure
 from dehyst.report import render, write_insight
-from dehyst.report.uncertainty_section import sections
+from dehyst.report.html import document
+from dehyst.report.trust_section import sections
 from dehyst.trust import insight
 from dehyst.trust.bootstrap import resample
 from dehyst.trust.evidence import Evidence
@@ -147,11 +148,12 @@ def test_a_look_at_a_wider_model(name):
     assert found.loop.off < 0.01 * plain_records.STROKE
     assert found.knowledge[0].by_displacement is not None
     assert found.knowledge[0].judged == (name == "graded, transformer")
-    text = "\n".join(sections(found))
+    text = document("", sections(found))
     for words in (
         "What the records determine of each part",
         "How accurate the parts are",
-        "The trajectory",
+        "The promise along the path",
+        "Where the records turned",
         "Not judged",
         "When the state becomes known",
     ):

@@ -11,7 +11,8 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst.report.uncertainty_section import sections
+from dehyst.report.html import document
+from dehyst.report.trust_section import sections
 from dehyst.trust import insight
 from dehyst.trust.bootstrap import resample
 from dehyst.trust.evidence import Evidence
@@ -117,7 +118,7 @@ def test_the_band_is_in_all_outputs_and_holds_a_strangers_path():
     told = json.loads(json.dumps(found.as_dict()))["band"]
     assert told["level"] == found.intervals.level == band.level
     assert told["half_width_m"] == pytest.approx(0.5 * np.mean(high - low))
-    assert told["sentence"] in "\n".join(sections(found)).replace("&#x27;", "'")
+    assert told["sentence"] in document("", sections(found)).replace("&#x27;", "'")
     np.testing.assert_allclose(band.columns()["likely_lowest_um"], 1e6 * low)
 
 

@@ -236,7 +236,7 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     person.sees("Read the report", within="#model")
     person.step("Trust")
     person.click("button", "Assess the model")
-    person.sees("etermined", within="#trust-insight")
+    person.sees("Where the records turned", within="#trust-insight")
     person.step("Export")
     assert person.download("link", "Model (JSON)")[1].lstrip().startswith(b"{")
     assert list((bench.folder / "calibrations").glob("*/report.html"))

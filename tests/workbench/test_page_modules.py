@@ -1,6 +1,7 @@
-"""The page's modules that draw and compute, run by node: thinning, inking, paths, numbers."""
+"""Modules that draw and compute, run by node: thinning, inking, paths, numbers; and how they become one script."""
 
 import json
+import re
 import shutil
 import subprocess
 
@@ -8,16 +9,18 @@ import numpy as np
 import places
 import pytest
 
-PAGE = places.SOURCES / "workbench" / "page"
+from dehyst.web import files
+
+FOLDERS = places.SOURCES / "web", places.SOURCES / "workbench" / "page"
 HEAD = """
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { inkLines } from "./raster.js";
-import { before, nearest, thinPath, thinTime } from "./thinning.js";
-import { inserted, moved, parsedPath, removed, sampled } from "./path_points.js";
+import { before, inkLines, nearest, thinPath, thinTime } from "./thinning.js";
+import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
+import { parsedPath } from "./path_file.js";
 import { inPage } from "./labels.js";
 import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
-import { ticks, whole } from "./numbers.js";
+import { limitsFrom, numberFrom, ticks, whole } from "./numbers.js";
 const column = (name) => {
   const bytes = readFileSync(new URL(name, import.meta.url));
   return new Float32Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
@@ -32,8 +35,9 @@ FRAME = "const frame = { x0: 0, kx: 4, y0: 12, ky: -12.5, width: 400, height: 30
 def modules(tmp_path_factory):
     if shutil.which("node") is None:
         pytest.skip("node is not installed: the page's modules cannot be run (Debian: nodejs)")
-    folder = tmp_path_factory.mktemp("modules") / "page"
-    shutil.copytree(PAGE, folder)
+    folder = tmp_path_factory.mktemp("modules")
+    for sources in FOLDERS:
+        shutil.copytree(sources, folder, dirs_exist_ok=True)
     (folder / "package.json").write_text('{"type": "module"}')
     return folder
 
@@ -196,6 +200,29 @@ def test_points_stay_in_their_order(run):
 
 
 @pytest.mark.parametrize(
+    ("values", "turns"),
+    [
+        ([0, 5, 9, 3, 7, 0], [0, 9, 3, 7, 0]),
+        ([4, 9, 0, 9], [9, 0, 9]),
+        ([9, 9, 4, 4.05, 4, 6], [9, 4, 6]),
+        ([2, 2, 2], [2, 2]),
+    ],
+)
+def test_turning_points_are_where_a_voltage_goes_back(run, values, turns):
+    assert run(f"print(turningPoints({values}, 0.1));") == turns
+
+
+def test_modules_become_one_script_without_two_names_that_are_equal(modules):
+    for names in (["report.js"], ["path_trial.js"], ["report.js", "path_trial.js"]):
+        script = files.script(*names)
+        assert re.search(r"^(import|export) ", script, re.M) is None
+        assert len(re.findall(r"^class Chart ", script, re.M)) == 1
+        (modules / "one.mjs").write_text(script)
+        done = subprocess.run(["node", "--check", "one.mjs"], cwd=modules, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "time_s,displacement_um\n0,1\n0.5,2\n1,1.5\n",
@@ -246,8 +273,13 @@ def test_numbers_are_written_for_people(run):
         assert.deepEqual(typed.map(parsed), [1.5, 1000, -2, null, NaN, NaN]);
         assert.deepEqual(extent([[1, 3], [NaN, 2]]), [1, 3]);
         assert.deepEqual(extent([[5, 5]]), [4, 6]);
-        const { values: places } = ticks(0, 1, 5);
-        assert.deepEqual(places.map((one) => one.toFixed(1)), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
+        assert.deepEqual(ticks([0, 1], 5).map(([, text]) => text), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
+        assert.deepEqual(ticks([-3, 1], 4, true).map(([, text]) => text), ["0.001", "0.01", "0.1", "1", "10"]);
+        assert.equal(ticks([0, 1], 5, true).length, 4);
+        assert.equal(numberFrom("", "Goal", { optional: true }), null);
+        assert.equal(numberFrom("0", "Rounds", { least: 0 }), 0);
+        assert.throws(() => numberFrom("0", "Goal", { above: 0 }), /Goal: got 0, need a number above 0/);
+        assert.throws(() => limitsFrom("5", "5"), /not below/);
     """)
 
 

@@ -10,7 +10,7 @@ from dehyst.workbench.data import RequestError, written_path
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Finished
 from dehyst.workbench.server import Events
-from dehyst.workbench.session import ModelEntry, SessionError, WorkbenchSession, brief_insight
+from dehyst.workbench.session import ModelEntry, SessionError, WorkbenchSession
 
 SHOWN = {
     "samples": 100,
@@ -331,16 +331,8 @@ async def test_a_calibration_brings_its_model(stage):
     stage.session.insight(entry.id)
     await asyncio.sleep(0.01)
     files = {"model": "calibrations/rig/model.json", "records": ["calibrations/rig/records/look.h5"]}
+    files["report"] = "reports/model-insight.html"
     assert (stage.step.operation, stage.step.parameters) == ("insight", files)
-
-
-def test_what_is_known_is_not_repeated_as_a_warning():
-    result = {
-        "warnings": ["4 of 7 are known. 3 are not.", "The limits go beyond."],
-        "known": {"sentence": "4 of 7 are known."},
-    }
-    assert brief_insight(result)["warnings"] == ["The limits go beyond."]
-    assert brief_insight({"warnings": ["The limits go beyond."]})["warnings"] == ["The limits go beyond."]
 
 
 def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):

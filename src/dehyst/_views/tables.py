@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import MissingExtraError, RecordError
+from dehyst._errors import RecordError, library
 from dehyst._text import escaped
 from dehyst._types import Array
 
@@ -21,29 +21,22 @@ def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
 
     Raise `MissingExtraError` if pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise MissingExtraError.of("pandas", "tables", "A DataFrame") from error
+    pandas = library("pandas", "A DataFrame", "tables")
     made = pandas.DataFrame({name: np.array(values) for name, values in columns.items()})
     made.attrs.update(attributes)
     return made
 
 
-def dataset(time: Array, variables: Mapping[str, tuple[Array, str]], **attributes: Any) -> Dataset:
-    """Return variables over time [s] as an xarray Dataset; each is an array and its unit, kept as attribute `units`.
+def dataset(time: Array, variables: Mapping[str, tuple[Array, dict[str, str]]], **attributes: Any) -> Dataset:
+    """Return variables over time [s] as an xarray Dataset; each is an array and its attributes, such as `units`.
 
     Raise `MissingExtraError` if xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise MissingExtraError.of("xarray", "tables", "A Dataset") from error
-    return xarray.Dataset(
-        {name: ("time", np.array(values), {"units": unit}) for name, (values, unit) in variables.items()},
-        coords={"time": ("time", np.array(time), {"units": "s"})},
-        attrs=attributes,
-    )
+    xarray = library("xarray", "A Dataset", "tables")
+    arrays = {name: ("time", np.array(values), own) for name, (values, own) in variables.items()}
+    coordinates = {"time": ("time", np.array(time), {"units": "s"})}
+    made: Dataset = xarray.Dataset(arrays, coords=coordinates, attrs=attributes)
+    return made
 
 
 class TableColumn(NamedTuple):
@@ -92,6 +85,16 @@ def variable(container: Any, name: str) -> Any:
             hint=f"it holds {known or 'none'}. Rename yours with .rename(name='{name}')",
         ) from error
     return seconds(found.values) if found.values.dtype.kind in "mM" else found
+
+
+def further_variables(container: Any, but: Iterable[str]) -> dict[str, tuple[Any, Mapping[str, Any]]]:
+    """Return the variables of numbers in one dimension, but for those named, with their attributes."""
+    found = getattr(container, "data_vars", {})
+    return {
+        str(name): (variable.values, variable.attrs)
+        for name, variable in found.items()
+        if name not in but and variable.ndim == 1 and variable.dtype.kind in "iuf"
+    }
 
 
 def seconds(values: Any) -> Any:

@@ -355,15 +355,10 @@ def _default_times(training: Training) -> Array:
 
 def low_pass(piece: Record, times: Array) -> Array:
     """Return low-passes (n, K) of a voltage (n,) [V]: linear between samples, at rest at its first value before it."""
-    v = piece.voltage
-    ratio = np.diff(piece.time)[:, None] / times
-    kept, taken = np.exp(-ratio), 1 + np.expm1(-ratio) / ratio
-    pushed = v[:-1, None] * (1 - kept) + np.diff(v)[:, None] * taken
-    out = np.empty((v.size, times.size))
-    out[0] = v[0]
-    for t in range(v.size - 1 if times.size else 0):
-        out[t + 1] = kept[t] * out[t] + pushed[t]
-    return out
+    v, alone = piece.voltage, np.ones(1)
+    start = PlayState(float(v[0]), EMPTY, v[:1])
+    banks = (PlayBank(EMPTY, (), (), 0.0, time, alone) for time in times[:, None])
+    return np.column_stack([np.zeros((v.size, 0)), *(bank.simulate(v, start, piece.time)[0] for bank in banks)])
 
 
 def with_unknown_start(training: Training, times: Array) -> Training:

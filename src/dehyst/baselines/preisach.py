@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -86,12 +85,6 @@ class Preisach(AbstractBaseline):
         n = len(self.everett) - 1
         return n * (n + 1) // 2 + 1
 
-    @cached_property
-    def _numbers(self) -> Array:
-        low, high = self.limits
-        mean = float(self.everett[-1, 0]) / (high - low)
-        return np.array([low, (high - low) / (len(self.everett) - 1), self.bottom, mean, mean])
-
     def _run(
         self, drive: Array, state: PreisachState, time: ArrayLike | None, *, inverse: bool
     ) -> tuple[Array, PreisachState]:
@@ -99,9 +92,12 @@ class Preisach(AbstractBaseline):
             raise ModelError(
                 "state: got turns that are not nested, need a PreisachState that a motion of this model returned"
             )
-        turns, cells = np.ascontiguousarray(state.turns).ravel(), len(self.everett) - 1
+        (low, high), cells = self.limits, len(self.everett) - 1
+        mean = float(self.everett[-1, 0]) / (high - low)
+        numbers = np.array([low, (high - low) / cells, self.bottom, mean, mean])
+        turns, table = np.ascontiguousarray(state.turns).ravel(), self.everett.ravel()
         out, turns, v, y = rivals.preisach(
-            self._numbers, self.everett.ravel(), cells, turns, state.voltage, state.displacement, drive, inverse
+            numbers, table, cells, turns, state.voltage, state.displacement, drive, inverse
         )
         return out, PreisachState(v, y, turns.reshape(-1, 2))
 

@@ -1,21 +1,19 @@
 """Control: from a wanted displacement to the voltage that produces it."""
 
-from dehyst.control.bank import Bank, BankClamps, BankState
+from dehyst.control.bank import Bank
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import ClampWarning, VoltageLimits
 from dehyst.control.loop import Snapshot
-from dehyst.control.planning.bounds import StateBounds
 from dehyst.control.planning.homing import Homing, shortest_homing
 from dehyst.control.planning.path import HomedPath, plan_path, plan_voltage
 from dehyst.control.planning.start import PossibleStart, StartError
+from dehyst.control.planning.states import StateBounds
 from dehyst.control.planning.wave_table import WaveTable, wave_table
 from dehyst.control.stage_compensator import StageCompensator
 from dehyst.control.trajectory import Command
 
 __all__ = [
     "Bank",
-    "BankClamps",
-    "BankState",
     "ClampWarning",
     "Command",
     "Compensator",

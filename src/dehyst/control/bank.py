@@ -6,7 +6,7 @@ import hashlib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import BankCore, BankMemory, CoreState, Loop, checked, has_avx2
+from dehyst._native import BankCore, BankMemory, CoreState, checked, has_avx2
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control.compensator import Compensator
-from dehyst.control.limits import ClampWarning, VoltageLimits, stray_sentence
-from dehyst.control.loop import make_loop, step_numbers
+from dehyst.control.limits import ClampWarning, stray_sentence
+from dehyst.control.loop import step_numbers
 from dehyst.model import Actuator, State
 
-_TAP = np.ones(1)
+_COLUMNS = ("displacement", "carts", "creep", "voltage")
 
 
 class BankClamps(NamedTuple):
@@ -53,7 +53,7 @@ class BankState:
     alone : mapping of int to array
         Of each actuator that the bank computes by itself, all numbers that decide what comes next.
     actuators : str
-        A digest of the actuators, which tells a state of others; empty: not checked.
+        A digest of the actuators, by which a state of others is refused; empty: not checked.
     """
 
     displacement: Array
@@ -65,35 +65,8 @@ class BankState:
 
     def copy(self) -> BankState:
         """Return a copy that no longer changes with the bank."""
-        return BankState(
-            self.displacement.copy(),
-            self.carts.copy(),
-            self.creep.copy(),
-            self.voltage.copy(),
-            {i: row.copy() for i, row in self.alone.items()},
-            self.actuators,
-        )
-
-    def demand_like(self, other: BankState) -> None:
-        """Raise `ModelError` unless the arrays have the shapes of those of the `other`, and finite numbers."""
-        for name in ("displacement", "carts", "creep", "voltage"):
-            mine, theirs = getattr(self, name), getattr(other, name)
-            if np.shape(mine) != theirs.shape:
-                raise ModelError(f"state: {name} has the shape {np.shape(mine)}, this bank needs {theirs.shape}")
-            if not np.isfinite(mine).all():
-                raise ModelError(f"state: {name} holds a value that is not finite")
-        if set(self.alone) != set(other.alone) or self.actuators not in ("", other.actuators):
-            raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
-
-    def demand_carts(self, actuators: Sequence[Actuator], columns: NDArray[np.intp]) -> None:
-        """Raise `ModelError` if a cart of `actuators` in `columns` is farther from its displacement than possible."""
-        for i in columns:
-            actuator = actuators[i]
-            far = np.abs(self.displacement[i] - self.carts[: len(actuator.slip), i]) - actuator.slip.breakaway
-            if np.any(far > 1e-12 * actuator.slip.breakaway + 1e-14 * abs(self.displacement[i])):
-                raise ModelError(
-                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
-                )
+        alone = {i: row.copy() for i, row in self.alone.items()}
+        return replace(self, alone=alone, **{name: getattr(self, name).copy() for name in _COLUMNS})
 
 
 class Bank:
@@ -148,16 +121,31 @@ class Bank:
         states: State | Sequence[State] | None = None,
         threads: int = 1,
     ) -> None:
-        self.actuators = tuple(listed(actuators, "actuators"))
+        self.actuators = tuple(_listed(actuators, "actuators"))
         if not self.actuators:
             raise ModelError("actuators: got none, need one at least")
-        self.period, self.threads = period, positive(threads)
-        makers = compensators(self.actuators, limits, slew_rate, period, states)
-        self._limits = [VoltageLimits(*one.limits, one.slew_rate) for one in makers]
-        self._starts = [one.start() for one in makers]
-        self.alone = {i: reason for i, one in enumerate(self.actuators) if (reason := reason_alone(one))}
-        self._laned = np.array([i for i in range(len(makers)) if i not in self.alone], dtype=np.intp)
-        self._whole = self._laned.size == len(makers)
+        many = number(threads, "threads")
+        if many < 1 or many != int(many):
+            raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
+        self.period, self.threads, size = period, int(many), len(self.actuators)
+        one_limit = limits is None or np.ndim(limits) == 1
+        columns = zip(
+            self.actuators,
+            _for_each(limits, size, "limits", single=one_limit),
+            _for_each(slew_rate, size, "slew_rate", single=slew_rate is None or np.ndim(slew_rate) == 0),
+            _for_each(states, size, "states", single=states is None or isinstance(states, State)),
+            strict=True,
+        )
+        # They check what was given. Their own warnings would not say which actuator it is.
+        self._each: list[Compensator] = []
+        for i, (actuator, bounds, slew, state) in enumerate(columns):
+            try:
+                self._each.append(Compensator(actuator, bounds, slew, period=period, state=state))
+            except ModelError as error:
+                raise ModelError(f"actuator {i}: {error}") from error
+        self.alone = {i: reason for i, one in enumerate(self.actuators) if (reason := _reason_alone(one))}
+        self._laned = np.array([i for i in range(size) if i not in self.alone], dtype=np.intp)
+        self._whole = self._laned.size == size
         self._core = self._lanes() if self._laned.size else None
         self._warned: set[str] = set()
         self.reset()
@@ -196,12 +184,14 @@ class Bank:
             raise ModelError(
                 argument="displacement", got=f"the shape {row.shape}", need=f"one for each of {len(self)} actuators"
             )
-        wanted = table_of(row[None], "displacement", len(self))
-        result = np.empty((1, len(self))) if out is None else fitting(out, len(self))[None]
-        self._run(wanted, result, plays=False)
+        wanted = _table(row[None], "displacement", len(self))
+        result: Array = np.empty(len(self)) if out is None else out
+        fits = isinstance(result, np.ndarray) and result.shape == (len(self),) and result.dtype == np.float64
+        if not (fits and result.flags.c_contiguous and result.flags.writeable):
+            raise ModelError(f"out: need a writeable array of {len(self)} float64 in a row")
+        self._run(wanted, result[None], plays=False)
         self._report(wanted)
-        voltage: Array = result[0] if out is None else out
-        return voltage
+        return result
 
     def compensate(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n, M) [V] of n steps to wanted displacements, and commit them.
@@ -222,7 +212,7 @@ class Bank:
         ClampWarning
             As `step`.
         """
-        wanted = table_of(displacement, "displacement", len(self))
+        wanted = _table(displacement, "displacement", len(self))
         self._refuse_strays(wanted)
         result = np.empty(wanted.shape)
         self._run(wanted, result, plays=False)
@@ -243,7 +233,7 @@ class Bank:
             If the shape is wrong or a value not finite: the memory is unchanged. If a voltage leads farther than can
             be computed with: it moved nothing.
         """
-        played = table_of(voltage, "voltage", len(self))
+        played = _table(voltage, "voltage", len(self))
         result = np.empty(played.shape)
         before = self._memory.counts[2].sum()
         self._run(played, result, plays=True)
@@ -272,10 +262,7 @@ class Bank:
 
         Raise `ModelError` if it does not fit: the memory is unchanged.
         """
-        if not isinstance(state, BankState):
-            raise ModelError(f"state: got {type(state).__name__}, need the state of a bank")
-        state.demand_like(self.state)
-        state.demand_carts(self.actuators, self._laned)
+        self._demand_fitting(state)
         before = {i: loop.row() for i, loop in self._loops.items()}
         try:
             for i, loop in self._loops.items():
@@ -289,10 +276,39 @@ class Bank:
         for mine, theirs in ((memory.carts, state.carts), (memory.strains, state.creep)):
             mine[:] = theirs[: mine.shape[0], columns]
 
+    def _demand_fitting(self, state: BankState) -> None:
+        if not isinstance(state, BankState):
+            raise ModelError(f"state: got {type(state).__name__}, need the state of a bank")
+        own = self.state
+        for name in _COLUMNS:
+            given, shape = getattr(state, name), getattr(own, name).shape
+            if np.shape(given) != shape:
+                raise ModelError(f"state: {name} has the shape {np.shape(given)}, this bank needs {shape}")
+            if not np.isfinite(given).all():
+                raise ModelError(f"state: {name} holds a value that is not finite")
+        if set(state.alone) != set(own.alone) or state.actuators not in ("", own.actuators):
+            raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
+        for i in self._laned:
+            rho, y = self.actuators[i].slip.breakaway, state.displacement[i]
+            if np.any(np.abs(y - state.carts[: rho.size, i]) - rho > 1e-12 * rho + 1e-14 * abs(y)):
+                raise ModelError(
+                    f"state: a cart of actuator {i} lies farther from its displacement than its breakaway elongation"
+                )
+
     def reset(self) -> None:
         """Go back to the states of the construction, with no clamps counted."""
-        self._memory = self._begun()
-        self._loops = {i: self._loop(i) for i in self.alone}
+        elements, branches = self._core.rows if self._core else (0, 0)
+        m = self._laned.size
+        self._memory = BankMemory(
+            np.zeros(m), np.zeros((elements, m)), np.zeros((branches, m)), np.zeros(m), np.zeros((3, m), dtype=np.int64)
+        )
+        for k, i in enumerate(self._laned):
+            one, start = self._each[i], self._each[i].start()
+            self._memory.w[k] = start.w
+            self._memory.carts[: start.carts.size, k] = start.carts
+            self._memory.strains[: start.strains.size, k] = start.strains
+            self._memory.sent[k] = one.bounds.nearest(one.actuator.core.voltage(start))
+        self._loops = {i: self._each[i].new_loop() for i in self.alone}
         self._warned.clear()
         self._reported = (0, 0)
 
@@ -307,29 +323,11 @@ class Bank:
 
     def _lanes(self) -> BankCore:
         """Return the tables of the actuators that are computed in lanes."""
-        steps = [step_numbers(self.actuators[i], self._limits[i], self.period) for i in self._laned]
+        each = [self._each[i] for i in self._laned]
+        steps = [step_numbers(one.actuator, one.bounds, self.period) for one in each]
         decay, gain = (np.concatenate([np.ravel(one[0][part]) for one in steps]) for part in (1, 2))
         limits = np.array([numbers[:3] for _, numbers in steps]).T
-        cores = [self.actuators[i].model.core for i in self._laned]
-        return BankCore(cores, decay, gain, np.ascontiguousarray(limits))
-
-    def _begun(self) -> BankMemory:
-        elements, branches = self._core.rows if self._core else (0, 0)
-        m = self._laned.size
-        memory = BankMemory(
-            np.zeros(m), np.zeros((elements, m)), np.zeros((branches, m)), np.zeros(m), np.zeros((3, m), dtype=np.int64)
-        )
-        for k, i in enumerate(self._laned):
-            start = self._starts[i]
-            memory.w[k] = start.w
-            memory.carts[: start.carts.size, k] = start.carts
-            memory.strains[: start.strains.size, k] = start.strains
-            memory.sent[k] = self._limits[i].nearest(self.actuators[i].model.core.voltage(start))
-        return memory
-
-    def _loop(self, i: int) -> Loop:
-        # Its own warnings would not say which actuator it is.
-        return make_loop(self.actuators[i], self._limits[i], self.period, _TAP, self._starts[i])
+        return BankCore([one.actuator.core for one in each], decay, gain, np.ascontiguousarray(limits))
 
     def _run(self, values: Array, out: Array, *, plays: bool, build: str = "") -> None:
         if self._whole and self._core:
@@ -374,107 +372,66 @@ class Bank:
         return state
 
     def _refuse_strays(self, displacement: Array) -> None:
-        low, high = self._plausible()
+        low, high = self._plausible
         if not displacement.size or (displacement.min() >= low.max() and displacement.max() <= high.min()):
             return
         for i in np.flatnonzero((displacement.min(axis=0) < low) | (displacement.max(axis=0) > high)):
-            sentence = stray_sentence(self.actuators[i], self._limits[i], displacement[:, i])
+            sentence = stray_sentence(self.actuators[i], self._each[i].bounds, displacement[:, i])
             if sentence:
                 raise ModelError(f"actuator {i}: {sentence}")
 
+    @cached_property
     def _plausible(self) -> tuple[Array, Array]:
-        """Return displacements (M,) beyond which a model is not meant."""
-        if not hasattr(self, "_ranges"):
-            ranges = [one.plausible for one in self.actuators]
-            low, high = np.array([one.low for one in ranges]), np.array([one.high for one in ranges])
-            self._ranges = low - (high - low), high + (high - low)
-        return self._ranges
+        """Displacements (M,) beyond which a model is not meant."""
+        low, high = np.array([(one.plausible.low, one.plausible.high) for one in self.actuators]).T
+        return low - (high - low), high + (high - low)
 
-    def _clamped(self) -> tuple[int, int]:
+    def _report(self, wanted: Array) -> None:
+        """Warn of the first clamped samples of each kind; those of `wanted` (n, M) are not yet reported."""
         limited, slewed = (int(n) for n in self._memory.counts[:2].sum(axis=1))
         for loop in self._loops.values():
             counts = loop.counts()
             limited, slewed = limited + counts[0], slewed + counts[1]
-        return limited, slewed
-
-    def _report(self, wanted: Array) -> None:
-        """Warn of the first clamped samples of each kind; those of `wanted` (n, M) are not yet reported."""
-        before, self._reported = self._reported, self._clamped()
+        before, self._reported = self._reported, (limited, slewed)
         if self._reported == before:
             return
         kinds = ("at a limit", "by the slew rate")
-        for kind, now, then, counts in zip(kinds, self._reported, before, self.clamps, strict=True):
+        for kind, now, then, each in zip(kinds, self._reported, before, self.clamps, strict=True):
             if now == then or kind in self._warned:
                 continue
             self._warned.add(kind)
-            i = int(np.argmax(counts))
-            sentence = stray_sentence(self.actuators[i], self._limits[i], wanted[:, i])
+            i = int(np.argmax(each))
+            sentence = stray_sentence(self.actuators[i], self._each[i].bounds, wanted[:, i])
             more = f". {sentence}" if sentence else ""
-            warnings.warn(
-                f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}",
-                ClampWarning,
-                3,
-            )
+            words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
+            warnings.warn(words, ClampWarning, 3)
 
 
-def reason_alone(actuator: Actuator) -> str:
+def _reason_alone(actuator: Actuator) -> str:
     """Return the part for which an actuator must be computed alone, or nothing."""
-    model = actuator.model
-    if model.core.in_lanes and not model.lag:
-        return ""
-    if model.lag:
+    if actuator.lag:
         return "an amplifier that lags"
-    if model.dynamics is not None:
+    if actuator.core.in_lanes:
+        return ""
+    if actuator.dynamics is not None:
         return "a mass"
-    return "smooth elements" if model.smooth is not None else "graded elements"
+    return "smooth elements" if actuator.smooth is not None else "graded elements"
 
 
-def compensators(
-    actuators: tuple[Actuator, ...],
-    limits: Any,
-    slew_rate: Any,
-    period: float | None,
-    states: State | Sequence[State] | None,
-) -> list[Compensator]:
-    """Return a compensator for each: they check what was given."""
-    m = len(actuators)
-    low_high = _for_each(limits, m, "limits", single=limits is None or np.ndim(limits) == 1)
-    slews = _for_each(slew_rate, m, "slew_rate", single=slew_rate is None or np.ndim(slew_rate) == 0)
-    starts = _for_each(states, m, "states", single=states is None or isinstance(states, State))
-    made = []
-    for i in range(m):
-        try:
-            made.append(Compensator(actuators[i], low_high[i], slews[i], period=period, state=starts[i]))
-        except ModelError as error:
-            raise ModelError(f"actuator {i}: {error}") from error
-    return made
-
-
-def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
-    if single:
-        return [values] * m
-    each = listed(values, what)
-    if len(each) != m:
-        raise ModelError(argument=what, got=f"{len(each)} for {m} actuators", need="one for each, or one for all")
-    return each
-
-
-def listed(values: Any, what: str) -> list[Any]:
-    """Return `values` as a list; raise `ModelError` if they are none."""
+def _listed(values: Any, what: str) -> list[Any]:
     if not isinstance(values, Iterable):
         raise ModelError(argument=what, got=type(values).__name__, need="a list with one for each actuator")
     return list(values)
 
 
-def positive(threads: int) -> int:
-    """Return a number of `threads`; raise `ModelError` if it is none."""
-    count = number(threads, "threads")
-    if count < 1 or count != int(count):
-        raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
-    return int(count)
+def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
+    each = [values] * m if single else _listed(values, what)
+    if len(each) != m:
+        raise ModelError(argument=what, got=f"{len(each)} for {m} actuators", need="one for each, or one for all")
+    return each
 
 
-def table_of(values: ArrayLike, what: str, count: int) -> Array:
+def _table(values: ArrayLike, what: str, count: int) -> Array:
     """Return samples (n, count); raise `ModelError` if they have another shape, or one is no finite number."""
     given = np.asarray(values)
     if given.dtype.kind not in "iuf":
@@ -487,11 +444,3 @@ def table_of(values: ArrayLike, what: str, count: int) -> Array:
         t, i = np.argwhere(~np.isfinite(table))[0]
         raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
     return table
-
-
-def fitting(out: Array, count: int) -> Array:
-    """Return `out`, into which a sample (count,) can be written; raise `ModelError` if it cannot."""
-    fits = isinstance(out, np.ndarray) and out.shape == (count,) and out.dtype == np.float64
-    if not (fits and out.flags.c_contiguous and out.flags.writeable):
-        raise ModelError(f"out: need a writeable array of {count} float64 in a row")
-    return out

@@ -392,7 +392,7 @@ class Compensator(ReadOnly):
         control.NonlinearIOSystem
             In discrete time, of `period`; without one, of an unspecified period.
         """
-        loop = self._new_loop()
+        loop = self.new_loop()
         set_memory(loop, *memory_of(self._loop))
         return compensator_block(loop, labels(self.actuator.model, self._preview[0].size), self.period, name)
 
@@ -446,9 +446,10 @@ class Compensator(ReadOnly):
     @cached_property
     def _loop(self) -> Loop:
         """The loop in C, made when it is first needed: a trajectory needs none."""
-        return self._new_loop()
+        return self.new_loop()
 
-    def _new_loop(self) -> Loop:
+    def new_loop(self) -> Loop:
+        """Return a loop in C that is in the state of the construction or the last reset."""
         return make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
 
 

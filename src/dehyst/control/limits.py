@@ -186,7 +186,8 @@ def warn_of_sample(
     """
     head = f"axis {axis}: " if axis else ""
     reason = "the slew rate allows no more" if slewed else "that is a limit"
-    reason += _after_stop(stray_sentence(actuator, limits, np.array([displacement if target is None else target])))
+    if stray := stray_sentence(actuator, limits, np.array([displacement if target is None else target])):
+        reason += f". {stray}"
     words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
     warnings.warn(words, ClampWarning, _caller())
 
@@ -194,7 +195,8 @@ def warn_of_sample(
 def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array) -> None:
     """Warn the caller of `Compensator.run` that some of the voltages are clamped."""
     reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
-    reason += _after_stop(stray_sentence(actuator, limits, displacement))
+    if stray := stray_sentence(actuator, limits, displacement):
+        reason += f". {stray}"
     warnings.warn(f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}", ClampWarning, _caller())
 
 
@@ -228,7 +230,3 @@ def _caller() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("dehyst."):
         level, frame = level + 1, frame.f_back
     return level
-
-
-def _after_stop(sentence: str) -> str:
-    return f". {sentence}" if sentence else ""

@@ -29,7 +29,7 @@ _ANY = float(np.finfo(np.float64).max)
 _NOT_CLAMPED = 1
 _ROUNDING = 1e-12
 # Share of the range of the spring's knots: a larger miss gives a warning.
-_WORTH = 1e-3
+_LARGE_MISS = 1e-3
 # Most runs of equal steps for which a loop is set up.
 _FEW = 64
 
@@ -128,7 +128,9 @@ def follow(
         time = period * np.arange(wanted.size)
     steps = limits.steps(wanted.size, time, period)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
-    _ = path.clock  # raises if the time is missing or does not fit
+    # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
+    # voltages before, what comes after a clamped sample is stepped through.
+    steps_on = path.clock[1].size <= _FEW and not actuator.model.has_dynamics
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
@@ -149,41 +151,32 @@ def follow(
         voltage[i], clamped[i] = allowed[count], True
         reached[i], state = path.simulate_sample(voltage, i, state)
         i, chunk = i + 1, _CHUNK
-        if path.steps_on:
+        if steps_on:
             # After a clamped sample others follow soon: sample by sample, then, to the end.
             voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
-    if path.moves_on:
-        motion = path.simulate(voltage, start)
+    if actuator.model.has_dynamics:
+        motion = actuator.simulate(voltage, time=time, load=load, state=start, extrapolate=True)
         reached, state = motion.displacement, motion.state
     missed = float(np.abs(wanted - reached).max(initial=0.0))
-    followed = not clamped.any() and missed <= _WORTH * float(np.ptp(actuator.spring.displacement))
-    warnings = [*_clamp_warning(limits, voltage, missed, clamped)]
-    if not followed and not clamped.any():
-        warnings.append(_miss_warning(missed))
+    followed = not clamped.any() and missed <= _LARGE_MISS * float(np.ptp(actuator.spring.displacement))
+    warnings = []
+    if clamped.any():
+        count = int(np.count_nonzero(clamped))
+        at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
+        warnings.append(
+            f"CLAMPED: {count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} "
+            f"by the slew rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to "
+            f"{missed * 1e6:.4g} um"
+        )
+    elif not followed:
+        # Then only a mass or an amplifier can be left behind.
+        warnings.append(
+            f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
+            "actuator's state, or moves too fast for its sample rate"
+        )
     warnings += outside_identified(actuator, voltage, refuse=False).warnings
     return Command(voltage, reached, clamped, state, tuple(warnings), missed, followed)
-
-
-def _miss_warning(missed: float) -> str:
-    """Return the warning if nothing was clamped: then only a mass or an amplifier can be left behind."""
-    return (
-        f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
-        "actuator's state, or moves too fast for its sample rate"
-    )
-
-
-def _clamp_warning(limits: VoltageLimits, voltage: Array, missed: float, clamped: Mask) -> tuple[str, ...]:
-    count = int(np.count_nonzero(clamped))
-    if not count:
-        return ()
-    at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
-    first = int(np.flatnonzero(clamped)[0])
-    reasons = f"{at_limit} at the limits {limits.words}, {count - at_limit} by the slew rate"
-    return (
-        f"CLAMPED: {count} of {voltage.size} voltages ({reasons}), the first at sample {first}; the path is missed by "
-        f"up to {missed * 1e6:.4g} um",
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,16 +189,6 @@ class _Path:
     load: ArrayLike | None
     velocity: ArrayLike | None
     acceleration: ArrayLike | None
-
-    @property
-    def moves_on(self) -> bool:
-        """Whether a mass or an amplifier still responds to voltages that were clamped before."""
-        return self.actuator.model.moves_on
-
-    @property
-    def steps_on(self) -> bool:
-        """Whether nothing moves on, and the time has few runs of equal steps."""
-        return not self.moves_on and self.clock[1].size <= _FEW
 
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
@@ -235,11 +218,22 @@ class _Path:
             voltage = self._piece(i, stop + 1, start).voltage[:-1]
         return voltage[i - self._first(i) :], motion.state
 
+    def _piece(self, i: int, stop: int, start: State) -> Motion:
+        first, path = self._first(i), self.wanted[self._first(i) : stop]
+        if first < i:
+            path = np.concatenate([[start.displacement - self.lead[first]], path[1:]])
+        data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
+        return self.actuator.compensate(path, **data, state=start, extrapolate=True)
+
+    def _first(self, i: int) -> int:
+        """Return the first sample of a piece from sample i on."""
+        return max(i - 1, 0) if self.actuator.needs_time else i
+
     def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
         """Return displacement and state after the voltage of sample i."""
-        first = self._first(i)
-        forced = {name: values for name, values in self._cut(first, i + 1).items() if name in ("time", "load")}
-        motion = self.actuator.simulate(voltage[first : i + 1], **forced, state=start, extrapolate=True)
+        piece = slice(self._first(i), i + 1)
+        data: dict[str, Any] = {name: self.data[name][piece] for name in ("time", "load") if name in self.data}
+        motion = self.actuator.simulate(voltage[piece], **data, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
 
     def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
@@ -254,8 +248,8 @@ class _Path:
                 continue
             change = _ANY if limits.slew_rate is None else limits.slew_rate * seconds
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
-            pace = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
-            loop = model.core.loop(pace, np.ones(1), numbers, lambda *_: None, model.core_state(state))
+            coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
+            loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
             loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
             voltage[run], reached_w[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
@@ -263,20 +257,3 @@ class _Path:
         clamped &= np.abs(reached_w - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
         reached = np.where(clamped, reached_w[first:] - self.lead[first:], self.wanted[first:])
         return voltage[first:], reached, clamped, state
-
-    def simulate(self, voltage: Array, start: State) -> Motion:
-        """Simulate the whole command."""
-        return self.actuator.simulate(voltage, time=self.time, load=self.load, state=start, extrapolate=True)
-
-    def _piece(self, i: int, stop: int, start: State) -> Motion:
-        first, path = self._first(i), self.wanted[self._first(i) : stop]
-        if first < i:
-            path = np.concatenate([[start.displacement - self.lead[first]], path[1:]])
-        return self.actuator.compensate(path, **self._cut(first, stop), state=start, extrapolate=True)
-
-    def _first(self, i: int) -> int:
-        """Return the first sample of a piece from sample i on."""
-        return max(i - 1, 0) if self.actuator.needs_time else i
-
-    def _cut(self, first: int, stop: int) -> dict[str, Any]:
-        return {name: values[first:stop] for name, values in self.data.items()}

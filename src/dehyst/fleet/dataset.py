@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import DehystError, FileFormatError
+from dehyst._errors import DehystError, FileFormatError, library
 from dehyst._io import PathLike, named, reading_errors
 from dehyst.records import Record, read
 from dehyst.records.files import record_of
 from dehyst.records.formats.columns import Column, Table, listed, without_groups
 from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
-from dehyst.records.formats.file_content import library
 from dehyst.records.formats.reader_process import LOADERS
 from dehyst.records.tables import Choice
 

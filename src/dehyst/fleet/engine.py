@@ -15,10 +15,9 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any
 
-from dehyst._errors import DehystError, LinkError
+from dehyst._errors import DehystError, LinkError, library
 from dehyst.fleet.dataset import Task
 from dehyst.fleet.task import TaskRunner
-from dehyst.records.formats.file_content import library
 
 # Seconds to wait for the scheduler and its first worker, to close, and between looks at the scheduler.
 _PATIENCE, _CLOSING, _GLANCE = 30, 3, 0.5

@@ -9,9 +9,11 @@ import numpy as np
 from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.html import escape
 from dehyst.fleet.drift import Drifts
 from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
 from dehyst.report import html
+from dehyst.report.charts import Axis, Chart, Series
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40
@@ -37,11 +39,11 @@ def write_fleet_page(
         for reason, names in findings.refused
     ]
     parts = [
-        f"<h1>Fleet of {total}</h1>\n<p>{html.escape(f'{fleet.path.name}: {counts}.')}</p>",
+        f"<h1>Fleet of {total}</h1>\n<p>{escape(f'{fleet.path.name}: {counts}.')}</p>",
         "" if drifts is None else _recalibrate(drifts),
         _listed(findings),
         _section("Without a model", "", ("records", "reason", "which"), refused, 3) if refused else "",
-        html.bullets("Same samples", [html.escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
+        html.bullets("Same samples", [escape(" = ".join(group)) for group in findings.duplicates[:_MOST]]),
         _distributions(findings),
         _map(findings),
         html.reproduction(command),
@@ -51,7 +53,7 @@ def write_fleet_page(
 
 def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[html.Row], texts: int) -> str:
     """Return a heading, a sentence, and the first rows of a table whose first columns are `texts`."""
-    parts = [f"<h2>{title}</h2>", f"<p>{html.escape(words)}</p>" if words else ""]
+    parts = [f"<h2>{title}</h2>", f"<p>{escape(words)}</p>" if words else ""]
     parts += [html.table(head, rows[:_MOST], texts)] if rows else []
     return "\n".join(part for part in parts if part)
 
@@ -89,9 +91,9 @@ def _distributions(findings: Findings) -> html.Charts | str:
     charts = []
     for quantity, values in findings.distributions().items():
         if values.size > 1:
-            series = html.Series("records", *_histogram(values), "measured")
-            axes = html.Axis(quantity.name, quantity.unit), html.Axis("records", "")
-            charts.append(html.Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
+            series = Series("records", *_histogram(values), "measured")
+            axes = Axis(quantity.name, quantity.unit), Axis("records", "")
+            charts.append(Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
     if not charts:
         return ""
     caption = "Records over each quantity; of many records the outermost 0.2 % on either side are in the tables only."
@@ -122,9 +124,9 @@ def _map(findings: Findings) -> html.Charts | str:
         y, title = quantity.values(rows), f"{quantity.name} over stroke"
         seen = tuple(name for name in names if name in listed)
         series = (
-            html.Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
-            html.Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
+            Series("records", x[~far], y[~far], "measured", kind="points", width=usual, opacity=0.6),
+            Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
         )
-        axes = html.Axis("stroke", "um"), html.Axis(quantity.name, quantity.unit)
-        charts.append(html.Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
+        axes = Axis("stroke", "um"), Axis(quantity.name, quantity.unit)
+        charts.append(Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
     return html.Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))

@@ -49,10 +49,10 @@ class Evaluator:
     @property
     def needs_time(self) -> bool:
         """Whether the answer depends on time."""
-        return self.creep is not None or self.moves_on
+        return self.creep is not None or self.has_dynamics
 
     @property
-    def moves_on(self) -> bool:
+    def has_dynamics(self) -> bool:
         """Whether a mass or an amplifier still responds to earlier samples."""
         return self.dynamics is not None or self.lag > 0
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from dehyst._errors import FileFormatError, MissingExtraError, ModelError
+from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import demand_alike
 from dehyst._text import escaped
 from dehyst._types import Array
@@ -162,7 +162,7 @@ def check(
     """
     known = AxesModel.read(run, model)
     (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
-    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.svg" for axis in known.axes]
+    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.html" for axis in known.axes]
     if history is not None:
         demand_folder(history)
         for drawing in filter(None, pictures):
@@ -197,7 +197,7 @@ def _drawn(run: Run, history: CheckHistory, picture: Path) -> Path | None:
     """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
     try:
         write_check_history(picture, history)
-    except (FileFormatError, MissingExtraError) as error:
+    except FileFormatError as error:
         run.note(error)
         return None
     return picture

@@ -123,6 +123,9 @@ class _Axis:
             "displacement": f"{y0 * 1e6:.5g} to {y1 * 1e6:.5g} um: {record.stroke * 1e6:.4g} um, "
             f"noise {record.noise * 1e9:.2g} nm",
         }
+        for one in record.others:
+            unit = one.unit.replace("degC", "°C")
+            ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {unit}"
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:
@@ -177,6 +180,7 @@ class _Axis:
             "duration_s": float(record.time[-1] - record.time[0]),
             "voltage_V": list(record.voltage_range),
             "displacement_um": [1e6 * value for value in record.displacement_range],
+            "others": {one.column: [float(one.values.min()), float(one.values.max())] for one in record.others},
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),
             "problems": self.problems(),

@@ -87,7 +87,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     voltages = [table.column("voltage", one and one.voltage) for one in pairs]
     moved = [one and one.displacement for one in pairs]
     computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
-    measured = all(table.has("displacement") if one is None else one in table.names for one in moved)
+    measured = all(table.fitting("displacement") == 1 if one is None else one in table.names for one in moved)
     own = set(computed) <= set(table.names)
     measured = measured and not own
     if start.began and not measured:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,11 +19,11 @@ from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
 from dehyst.records import hdf5
 from dehyst.records.formats.columns import TEXT, Selected, Table, listed
-from dehyst.records.formats.containers import MEMBER, line_of, stated
-from dehyst.records.formats.file_content import MOST, bytes_allowed, content_of
+from dehyst.records.formats.containers import LINE, MEMBER
+from dehyst.records.formats.file_content import MOST, content_of
+from dehyst.records.formats.notation import SIGNS
 from dehyst.records.formats.reader_process import LOADERS, load
-from dehyst.records.formats.table_layout import SIGNS
-from dehyst.records.record import Record
+from dehyst.records.record import Record, further_channels
 from dehyst.records.tables import AxisColumns, Choice, ColumnsError, axis_columns, chosen, joined, renamed
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
@@ -51,6 +51,9 @@ def read(
 ) -> Record:
     """Read a record from a file whose kind follows from its suffix.
 
+    Temperatures and loads in further columns, as temperature_C or "Force [mN]", are the record's `others`; one that
+    cannot be is left out with a remark.
+
     Parameters
     ----------
     path : path
@@ -61,12 +64,11 @@ def read(
         ``meta["guesses"]``.
     sample_rate : float, optional
         Samples a second [Hz], for a file without a time column.
-    voltage_scale : str, optional
-        What one volt of the voltage's column means, as "100 V/V" for an amplifier's monitor.
-    displacement_scale : str, optional
-        What one volt of the displacement's column means, as "10 um/V" for a sensor.
+    voltage_scale, displacement_scale : str, optional
+        What one volt of the column means, as "100 V/V" for an amplifier's monitor, "10 um/V" for a sensor.
     columns : str, optional
-        Names and units of all columns in their order, as "time:s,voltage:V,displacement:um"; "-" leaves one out.
+        Names and units of all columns in their order, as "time:s,voltage:V,displacement:um,temperature:C"; "-" leaves
+        one out. Further columns with a unit, as "humidity:%", are kept in the record's `others`.
     join : path, optional
         A second file of the same measurement. Its columns are aligned on time, or on the sample if one of the files
         has no time.
@@ -99,9 +101,8 @@ def read(
     demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
     several = () if axes is None else axis_columns(axes)
     if several and (voltage or displacement or units):
-        raise FileFormatError(
-            "got it with voltage, displacement or units", argument="axes", hint="columns and units are those in axes"
-        )
+        hint = "columns and units are those in axes"
+        raise FileFormatError("got it with voltage, displacement or units", argument="axes", hint=hint)
     table, stored = _load(path, max_bytes, decimal, with_meta=True)
     first = several[0].displacement if several else displacement
     choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
@@ -117,43 +118,51 @@ def read(
 
 def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns] = ()) -> Record:
     """Return the record in a table, see `read`; of several axes if there are `axes`."""
-    if axes:
-        return _record_of_axes(table, choice, name, axes)
     timed = ("time",) if choice.sample_rate is None else ()
-    found = chosen(table, choice, (*timed, *_MEASURED))
-    voltage, displacement = (found[quantity].values for quantity in _MEASURED)
-    time = found["time"].values if timed else time_of(table, len(voltage), choice.time, choice.sample_rate)
-    return Record(time, voltage, displacement, name, _meta(table, found, choice.sample_rate))
-
-
-def _record_of_axes(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns]) -> Record:
-    records = []
-    for one in axes:
-        own = choice._replace(voltage=one.voltage, displacement=one.displacement)
+    own = [choice._replace(voltage=one.voltage, displacement=one.displacement) for one in axes]
+    parts: list[dict[str, Selected]] = []
+    for k, selected in enumerate(own or [choice]):
         try:
-            records.append(record_of(table, own, f"{name} ({one.name})"))
+            parts.append(chosen(table, selected, (*timed, *_MEASURED)))
         except ColumnsError as error:
+            if not axes:
+                raise
             # Options for one voltage and one displacement do not help here.
             raise FileFormatError(
-                f"{error.reason.split(' Select ')[0].rstrip('.')}. Axis {one.name} needs its columns by the names in "
-                "the file, with units; where the file has none, name all columns in their order, as "
+                f"{error.reason.split(' Select ')[0].rstrip('.')}. Axis {axes[k].name} needs its columns by the names "
+                "in the file, with units; where the file has none, name all columns in their order, as "
                 '"time:s,vx_V,vy_V,x_um,y_um"',
                 change=("columns",),
             ) from error
-    guesses = {
-        quantity if quantity == "time" else f"{quantity} of {one.name}": words
-        for one, record in zip(axes, records, strict=True)
-        for quantity, words in record.meta.get("guesses", {}).items()
+    voltages, displacements = ([part[quantity].values for part in parts] for quantity in _MEASURED)
+    samples, found = len(voltages[0]), parts[0]
+    time = found["time"].values if timed else time_of(table, samples, choice.time, choice.sample_rate)
+    used = [one.column for part in parts for one in part.values()]
+    others, remarks = further_channels(table, used, len(time))
+    words = {
+        quantity if quantity == "time" or not axes else f"{quantity} of {axes[k].name}": one.guess
+        for k, part in enumerate(parts)
+        for quantity, one in part.items()
     }
-    meta = {"source": table.source, "sha256": table.sha256, "axes": [one.text for one in axes]}
-    return Record(
-        records[0].time,
-        np.column_stack([record.voltage for record in records]),
-        np.column_stack([record.displacement for record in records]),
-        name,
-        {**meta, **({"guesses": guesses} if guesses else {})},
-        axes=tuple(one.name for one in axes),
-    )
+    words |= {channel.name: column.guessed for channel, column in others}
+    scales = {quantity: one.scale.words for quantity, one in found.items() if one.scale is not None and not axes}
+    columns = {quantity: found[quantity].column.name for quantity in _MEASURED}
+    columns["time"] = found["time"].column.name if timed else f"index / {choice.sample_rate:.9g} Hz"
+    columns |= {channel.name: column.name for channel, column in others}
+    source = f"{table.source}{''.join(f', {quantity} {scale}' for quantity, scale in scales.items())}"
+    origin = {"axes": [one.text for one in axes]} if axes else {"columns": columns}
+    guesses = {quantity: guess for quantity, guess in words.items() if guess}
+    added = {"scales": scales, "guesses": guesses, "remarks": [*table.remarks, *remarks]}
+    meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
+    channels = tuple(channel for channel, _ in others)
+    if not axes:
+        return Record(time, voltages[0], displacements[0], name, meta, others=channels)
+    # Each axis is checked by itself.
+    records = [
+        Record(time, v, y, f"{name} ({one.name})") for one, v, y in zip(axes, voltages, displacements, strict=True)
+    ]
+    voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
+    return Record(time, voltage, displacement, name, meta, axes=tuple(one.name for one in axes), others=channels)
 
 
 def named_and_joined(
@@ -175,18 +184,6 @@ def named_and_joined(
     return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
 
 
-def _meta(table: Table, found: Mapping[str, Selected], sample_rate: float | None) -> dict[str, Any]:
-    """Return the origin of a record: file, hash, columns, and the scales and guesses if there are any."""
-    scales = {quantity: one.scale.words for quantity, one in found.items() if one.scale is not None}
-    words = "".join(f", {quantity} {scale}" for quantity, scale in scales.items())
-    columns = {quantity: found[quantity].column.name for quantity in _MEASURED}
-    columns["time"] = found["time"].column.name if sample_rate is None else f"index / {sample_rate:.9g} Hz"
-    guesses = {quantity: one.guess for quantity, one in found.items() if one.guess}
-    added = {"scales": scales, "guesses": guesses, "remarks": list(table.remarks)}
-    origin = {"source": f"{table.source}{words}", "sha256": table.sha256, "columns": columns}
-    return origin | {name: value for name, value in added.items() if value}
-
-
 def _in_units(table: Table, wanted: str | None, units: str) -> str:
     """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
     per_metre(units, error=FileFormatError)
@@ -203,7 +200,7 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
     """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
     if sample_rate is None:
         return table.column("time", wanted)
-    known = table.select("time") if wanted is None and table.has("time") else None
+    known = table.select("time") if wanted is None and table.fitting("time") == 1 else None
     if wanted is not None or (known and known.usable):
         raise FileFormatError(
             f"{table.source}: got a sample rate and the time column '{known.column.name if known else wanted}'",
@@ -233,7 +230,7 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, bytes_allowed(max_bytes))._replace(decimal=decimal, with_meta=with_meta)
+        content = content_of(path, max_bytes)._replace(decimal=decimal, with_meta=with_meta)
     if decimal is not None and content.suffix not in _WITH_SIGNS:
         raise FileFormatError(
             f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
@@ -241,6 +238,10 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
     columns, stored = load(content)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
+    if stored is not None and stored.others:
+        known = [*hdf5.DATASETS, *stored.others]
+        own = {one.name: replace(one, kept=one.name in stored.others) for one in columns if one.name in known}
+        columns = [own[name] for name in known]
     return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
 
 
@@ -248,9 +249,10 @@ def write_record(path: PathLike, record: Record) -> None:
     """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
     CSV has the columns time_s, voltage_V and displacement_um, a `path` that ends in .npz the arrays time_s, voltage_V
-    and displacement_m; of several axes they are called vx_V, x_um and so on. What was guessed when it was read
-    (``record.meta["guesses"]``) is kept, in a comment above the table or in an array beside the others. An existing
-    file is replaced. The new file is a measurement, not an output: no command replaces it without --force.
+    and displacement_m; of several axes they are called vx_V, x_um and so on. Further channels follow, as temperature_C.
+    What was guessed when it was read (``record.meta["guesses"]``), and which channels are no temperature or load, is
+    kept in a comment above the table or in an array beside the others. An existing file is replaced. The new file is a
+    measurement, not an output: no command replaces it without --force.
 
     Raises
     ------
@@ -258,28 +260,26 @@ def write_record(path: PathLike, record: Record) -> None:
         It is no record, the suffix is not one of text or .npz, or the file cannot be written.
     """
     if not isinstance(record, Record):
-        raise FileFormatError(
-            argument="record", got=type(record).__name__, need="a Record", hint="give the path first, then the record"
-        )
-    of_axes = {
-        f"{'voltage' if one.role == 'drive' else 'displacement'} of {one.axis}": one.name for one in record.channels
-    }
+        need, hint = "a Record", "give the path first, then the record"
+        raise FileFormatError(argument="record", got=type(record).__name__, need=need, hint=hint)
+    of_axes = {f"{'voltage' if one.role == 'drive' else one.role} of {one.axis}": one.name for one in record.channels}
     known = record.meta.get("guesses")
-    guesses = stated({of_axes.get(k, k): v for k, v in known.items()} if isinstance(known, Mapping) else known)
+    known = known if isinstance(known, Mapping) else {}
+    guesses = {of_axes.get(str(quantity), str(quantity)): str(guess) for quantity, guess in known.items()}
+    stated = {"guesses": guesses, "others": [one.column for one in record.others if one.role == "other"]}
+    text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":
-        kept = {MEMBER: np.array(guesses)} if guesses else {}
-        write_atomically(path, packed({**record.columns("m"), **kept}))
-        return
-    lines = _lines(path, record.columns())
-    write_atomically(path, "\n".join([*line_of(guesses), *lines, ""]))
+        write_atomically(path, packed({**record.columns("m"), **({MEMBER: np.array(text)} if text else {})}))
+    else:
+        write_atomically(path, "\n".join([*[LINE + text] * bool(text), *_lines(path, record.columns()), ""]))
 
 
 def write_hdf5(path: PathLike, record: Record) -> None:
     """Write a `record` as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
 
-    The file holds the datasets time_s, voltage_V and displacement_m, as an attribute ``sha256`` the hash of the three,
-    one after the other as little-endian doubles, and as an attribute ``dehyst`` name and meta in JSON. `path` ends in
-    .h5 or .hdf5.
+    The file holds the datasets time_s, voltage_V and displacement_m, and one for each further channel, as
+    temperature_C; as an attribute ``sha256`` the hash of all, one after the other as little-endian doubles; and as an
+    attribute ``dehyst`` name and meta in JSON. `path` ends in .h5 or .hdf5.
 
     Raises
     ------
@@ -292,8 +292,7 @@ def write_hdf5(path: PathLike, record: Record) -> None:
         raise FileFormatError(f"{path}: HDF5 needs the suffix .h5 or .hdf5; rename it")
     if record.axes:
         raise FileFormatError(f"{path}: HDF5 takes a record of one axis; write each of record.by_axis()")
-    columns = record.time, record.voltage, record.displacement
-    write_atomically(path, hdf5.pack(columns, record.name, record.meta, path))
+    write_atomically(path, hdf5.pack(record.columns("m"), record.name, record.meta, path))
 
 
 def write_columns(
@@ -302,13 +301,8 @@ def write_columns(
     """Write named (n,) arrays as CSV.
 
     `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
-    as many as give the same numbers when read; rounding never widens the range of a column. `head`: comments, a line
-    each, above the table.
-
-    Raises
-    ------
-    FileFormatError
-        The suffix is not one of text, the columns differ in length, or the file cannot be written.
+    as many as give the same numbers when read; rounding never widens the range of a column. Raise `FileFormatError` if
+    the suffix is not one of text, the columns differ in length, or the file cannot be written.
     """
     write_atomically(path, "\n".join([*head, *_lines(path, columns, digits), ""]))
 

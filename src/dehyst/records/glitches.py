@@ -8,7 +8,6 @@ cycle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import comb, sqrt
@@ -18,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.records.signals import resolution, white_noise
+from dehyst.records.signals import resolution, runs, white_noise
 
 # Most samples of a glitch, and neighbours on each side that show the slew.
 _WIDEST, _NEAR = 5, 8
@@ -72,33 +71,34 @@ class Glitch:
 
 
 def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, ...]:
-    """Find the isolated glitches of a voltage.
+    """Find the isolated glitches of a voltage, in order; none below 20 samples.
 
     `time`, `voltage`, `displacement` (n,) [s], [V] and any unit; sampled about evenly.
-
-    Returns
-    -------
-    tuple of Glitch
-        In order; empty below 20 samples.
     """
-    bad = np.zeros(len(voltage), dtype=bool)
-    if len(voltage) < _SHORTEST:
-        return ()
-    clean = voltage
-    for _ in range(_PASSES):
+    bad, clean = np.zeros(len(voltage), dtype=bool), voltage
+    for _ in range(_PASSES if len(voltage) >= _SHORTEST else 0):
         scale = _Scale.of(clean, displacement)
         if scale is None:
             break
-        runs = scale.inner(clean, displacement) or scale.long(clean, displacement)
-        runs = runs or list(scale.outer(clean, displacement))
-        if not runs:
+        found = scale.inner(clean, displacement) or scale.long(clean, displacement) or scale.outer(clean, displacement)
+        if not found:
             break
-        for start, stop in runs:
+        for start, stop in found:
             bad[start:stop] = True
         # A straight line in place of the glitches, so that the next pass finds hidden ones.
-        places = np.arange(len(voltage))
-        clean = np.where(bad, np.interp(places, places[~bad], voltage[~bad]), voltage)
-    return tuple(_glitches(time, voltage, clean, bad))
+        clean = _bridged(voltage, bad)
+    items = []
+    for start, stop in runs(bad):
+        far = start + int(np.argmax(np.abs(voltage[start:stop] - clean[start:stop])))
+        beside = tuple(float(voltage[i]) for i in (start - 1, stop) if 0 <= i < len(voltage))
+        items.append(Glitch(start, stop, float(voltage[far]), beside, float(time[start])))
+    return tuple(items)
+
+
+def _bridged(values: Array, bad: Mask) -> Array:
+    """Return values with straight lines in place of the bad ones."""
+    places = np.arange(values.size)
+    return np.where(bad, np.interp(places, places[~bad], values[~bad]), values)
 
 
 def glitch_sentences(items: tuple[Glitch, ...]) -> tuple[str, ...]:
@@ -111,32 +111,13 @@ def glitch_sentences(items: tuple[Glitch, ...]) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _glitches(time: Array, voltage: Array, clean: Array, bad: Mask) -> Iterator[Glitch]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(np.int8), [0]])))
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        far = start + int(np.argmax(np.abs(voltage[start:stop] - clean[start:stop])))
-        beside = tuple(float(voltage[i]) for i in (start - 1, stop) if 0 <= i < len(voltage))
-        yield Glitch(start, stop, float(voltage[far]), beside, float(time[start]))
-
-
 @dataclass(frozen=True)
 class _Scale:
     """The scales of a record: what counts as large.
 
-    Attributes
-    ----------
-    least : float
-        Excursion [V] that noise, resolution or usual excursions explain.
-    gain : float
-        Displacement per volt, over the range.
-    sensor : float
-        Displacement that noise or resolution of the sensor explains.
-    lag : int
-        Samples by which the displacement may lag.
-    span : float
-        Range of the voltage [V].
-    longest : int
-        Samples that an excursion may last.
+    `least`: excursion [V] that noise, resolution or usual excursions explain. `gain`: displacement per volt, over the
+    range. `sensor`: displacement that noise or resolution of the sensor explains. `lag`: samples by which the
+    displacement may lag. `span`: range of the voltage [V]. `longest`: samples that an excursion may last.
     """
 
     least: float
@@ -168,7 +149,11 @@ class _Scale:
             return []
         candidates: list[tuple[float, int, int]] = []
         for width in range(1, _WIDEST + 1):
-            usual = _TIMES * _usual_excursion(v, width)
+            # The 98th percentile of the excursion over windows of this width.
+            steps = np.diff(v)
+            there, back = steps[:-width], steps[width:]
+            far = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+            usual = _TIMES * float(np.quantile(far, 1 - 0.02 / width))
             before = np.intersect1d(jumps, jumps - width, assume_unique=True)
             for begin in range(0, before.size, _BLOCK):
                 candidates += self._not_followed(v, y, before[begin : begin + _BLOCK], width, usual)
@@ -202,6 +187,8 @@ class _Scale:
 
         It follows if its part along the excursion, now or later, exceeds the effect of a nearby corner of the voltage.
         """
+        from scipy.ndimage import median_filter
+
         width, follows = away.shape[1], np.full(before.size, -np.inf)
         power = np.square(away).sum(axis=1)
         for late in range(self.lag + 1):
@@ -209,7 +196,9 @@ class _Scale:
             follows = np.maximum(follows, np.einsum("ij,ij->i", along, away) / power)
         size = np.sqrt(power / width)
         corner = np.minimum(self._corner(v, before, width, beyond=width + 1), 0.5 * (width + 3) * slew)
-        corner = np.maximum(corner, self._corner(_without_pulses(v), before, width))
+        # Without excursions as short as a glitch, but with steps.
+        without_pulses = np.asarray(median_filter(v, 2 * _WIDEST + 1, mode="nearest"), dtype=np.float64)
+        corner = np.maximum(corner, self._corner(without_pulses, before, width))
         return np.asarray(follows * size > self.gain * (_FOLLOWS * size + _STEEP * corner), dtype=np.bool_)
 
     def _corner(self, v: Array, before: Indices, width: int, beyond: int = -1) -> Array:
@@ -244,21 +233,21 @@ class _Scale:
         along = float((side * _from_chord(y, where, width + self.lag)).max())
         return comes_back and large and seen and along <= _FOLLOWS * self.gain * size
 
-    def outer(self, v: Array, y: Array) -> Iterator[tuple[int, int]]:
-        """Yield start and stop of glitches at the record's first or last samples, with neighbours on one side only.
+    def outer(self, v: Array, y: Array) -> list[tuple[int, int]]:
+        """Return start and stop of glitches at the record's first or last samples, with neighbours on one side only.
 
         They exceed all other steps of the record: a step at its end may be one that the displacement, which lags, has
         not followed yet.
         """
-        if _jumps(v, self.least).size:
-            yield from ((0, width) for width in self._at_start(v, y))
-            yield from ((len(v) - width, len(v)) for width in self._at_start(v[::-1], y[::-1]))
+        if not _jumps(v, self.least).size:
+            return []
+        at_start, at_end = self._at_start(v, y), self._at_start(v[::-1], y[::-1])
+        return [(0, at_start)] * bool(at_start) + [(len(v) - at_end, len(v))] * bool(at_end)
 
-    def _at_start(self, v: Array, y: Array) -> list[int]:
-        """Return the number of samples of a glitch at the start, if there is one."""
+    def _at_start(self, v: Array, y: Array) -> int:
+        """Return the number of samples of a glitch at the start; 0 if there is none."""
         steps = np.abs(np.diff(v))
-        first = [int(k) + 1 for k in _jumps(v[: _WIDEST + 1], self.least)]
-        for width in reversed(first):
+        for width in (_jumps(v[: _WIDEST + 1], self.least) + 1)[::-1].tolist():
             usual = float(steps[width + 1 : -_WIDEST].max())
             size = float(np.abs(v[:width] - v[width]).min())
             isolated = size > self.least + _STEPS_AT_END * usual and steps[width] <= _STEPS * usual
@@ -268,8 +257,8 @@ class _Scale:
             moves = np.quantile(np.abs(near[span:] - near[:-span]), 0.75)
             moved = float((np.sign(v[width] - v[0]) * (y[span] - y[:width])).max())
             if large and moved <= _FOLLOWS * self.gain * size + _STEPS * float(moves):
-                return [width]
-        return []
+                return int(width)
+        return 0
 
 
 def _noise(values: Array) -> float:
@@ -287,21 +276,6 @@ def _digit(values: Array) -> float:
 def _jumps(v: Array, least: float) -> Indices:
     """Return the samples from which the voltage steps by more than `least`."""
     return np.flatnonzero(np.abs(np.diff(v)) > least)
-
-
-def _usual_excursion(v: Array, width: int) -> float:
-    """Return the 98th percentile of the excursion over windows of `width` samples."""
-    steps = np.diff(v)
-    there, back = steps[:-width], steps[width:]
-    far: Array = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    return float(np.quantile(far, 1 - 0.02 / width))
-
-
-def _without_pulses(v: Array) -> Array:
-    """Return the voltage with its steps, but without excursions as short as a glitch."""
-    from scipy.ndimage import median_filter
-
-    return np.asarray(median_filter(v, 2 * _WIDEST + 1, mode="nearest"), dtype=np.float64)
 
 
 def _around(before: Indices, after: Indices, size: int) -> Indices:
@@ -361,13 +335,7 @@ _SPIKE_BLOCK = 1 << 19
 
 
 def spikes(voltage: Array, displacement: Array) -> Mask:
-    """Return the samples of a record in spikes of the displacement (n,).
-
-    Parameters
-    ----------
-    voltage, displacement : (n,) array
-        In any unit, sampled about evenly.
-    """
+    """Return the samples (n,) in spikes of a displacement; both are in any unit, and sampled about evenly."""
     found = np.zeros(len(displacement), dtype=bool)
     if len(displacement) <= 2 * _SPIKE_NEAR or not float(np.ptp(displacement)):
         return found
@@ -378,13 +346,13 @@ def spikes(voltage: Array, displacement: Array) -> Mask:
     corner = _SPIKE_STEPS * float(np.quantile(np.abs(np.diff(voltage)), 0.95))
     gain = usual_range / max(float(np.ptp(voltage)), 1e-300)
     moved = np.maximum(np.abs(_beside_median(voltage)) - corner, 0.0) * gain
-    places, clean = np.arange(len(displacement)), displacement
+    clean = displacement
     for _ in range(_SPIKE_PASSES):
         more = _highest(clean, moved, least)
         if not more.any():
             break
         found |= more
-        clean = np.where(found, np.interp(places, places[~found], displacement[~found]), displacement)
+        clean = _bridged(displacement, found)
     return found if np.count_nonzero(found) <= _MOST * found.size else np.zeros_like(found)
 
 
@@ -393,7 +361,7 @@ def _highest(y: Array, moved: Array, least: float) -> Mask:
     found, beside = np.zeros(len(y), dtype=bool), np.abs(_beside_median(y))
     if np.count_nonzero(beside > least) > 2 * _MOST * y.size:
         return found
-    for first, last in _runs(beside > least):
+    for first, last in runs(beside > least):
         start = stop = first + int(np.argmax(beside[first:last]))
         height = float(beside[start])
         while start > first and beside[start - 1] > _CORE * height:
@@ -423,8 +391,3 @@ def _beside_median(values: Array) -> Array:
     windows = sliding_window_view(np.pad(values, _SPIKE_WIDEST, mode="edge"), width)
     parts = [np.median(windows[first : first + _SPIKE_BLOCK], axis=1) for first in range(0, len(windows), _SPIKE_BLOCK)]
     return np.asarray(values - np.concatenate(parts))
-
-
-def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

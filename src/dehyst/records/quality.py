@@ -12,88 +12,19 @@ from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, shortened
+from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
 from dehyst.records.glitches import glitch_sentences, glitches
-from dehyst.records.signals import noise_span, resolution, turning_points, white_noise
-from dehyst.records.transients import transients
+from dehyst.records.signals import noise_span, resolution, runs, turning_points, white_noise
+from dehyst.records.transients import Transient, transients
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Least share of the voltage range that a leg covers to count, and bins of the voltage.
-_WHOLE = 0.9
-_BINS = 32
-# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
-_LEAST, _LOUD = 0.1, 8.0
-
-
-class Butterfly(NamedTuple):
-    """A loop whose displacement both falls and rises with rising voltage, as of a switching ferroelectric.
-
-    Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V].
-    """
-
-    fall: float
-    rise: float
-    low: float
-    high: float
-
-
-def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
-    """Find a fall and a rise on the line midway between the rising and the falling legs; return None without both.
-
-    On that line hysteresis, a delay, creep and a drift from leg to leg take opposite signs and cancel.
-    """
-    span = float(np.ptp(voltage))
-    turns = turning_points(voltage, _WHOLE * span)
-    legs = [slice(begin, end + 1) for begin, end in pairwise([0, *turns.tolist(), len(voltage) - 1])]
-    rises = [float(voltage[leg.stop - 1] - voltage[leg.start]) for leg in legs]
-    edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
-    (up, up_counts), (down, down_counts) = (
-        _means(
-            voltage,
-            displacement,
-            edges,
-            [leg for leg, rise in zip(legs, rises, strict=True) if sign * rise >= _WHOLE * span],
-        )
-        for sign in (1, -1)
-    )
-    filled = (up_counts > 0) & (down_counts > 0)
-    if np.count_nonzero(filled) < _BINS // 2:
-        return None
-    up, down, places = up[filled], down[filled], (0.5 * (edges[1:] + edges[:-1]))[filled]
-    middle = 0.5 * (up + down)
-    noise = white_noise(displacement) / sqrt(min(up_counts[filled].min(), down_counts[filled].min()))
-    least = max(_LEAST * float(np.ptp(displacement)), _LOUD * noise)
-    fall = float(np.max(np.maximum.accumulate(middle) - middle))
-    climbed = middle - np.minimum.accumulate(middle)
-    if min(fall, float(climbed.max())) < least:
-        return None
-    top = int(np.argmax(climbed))
-    bottom = int(np.argmin(middle[: top + 1]))
-    # Before the rise the falling legs turn last, after it the rising ones do.
-    low = float(places[int(np.argmin(down[: top + 1]))]) if bottom else float(voltage.min())
-    last = places.size - 1
-    high = float(places[bottom + int(np.argmax(up[bottom:]))]) if top < last else float(voltage.max())
-    return Butterfly(fall, float(climbed.max()), low, high)
-
-
-def _means(voltage: Array, displacement: Array, edges: Array, legs: list[slice]) -> tuple[Array, Array]:
-    """Return the mean displacement [m] of legs in bins of the voltage, and the number of samples in each bin."""
-    if not legs:
-        return np.zeros(_BINS), np.zeros(_BINS)
-    bins = np.concatenate([np.clip(np.searchsorted(edges, voltage[leg]) - 1, 0, _BINS - 1) for leg in legs])
-    counts = np.bincount(bins, minlength=_BINS).astype(np.float64)
-    sums = np.bincount(bins, np.concatenate([displacement[leg] for leg in legs]), _BINS)
-    return np.divide(sums, counts, out=np.zeros(_BINS), where=counts > 0), counts
-
-
 # Larger numbers [V, m, s] and shorter time steps [s] are no measurement, and computations with them overflow.
 LARGEST, SHORTEST = 1e30, 1e-30
-# A stroke [m] below any sensor's resolution: the size of an atomic nucleus.
-_LEAST_STROKE = 1e-15
-# A stroke [m] of no piezo actuator; amplified ones reach millimetres.
-_LONGEST_STROKE = 0.1
+# Strokes [m] below any sensor's resolution, the size of an atomic nucleus, and of no piezo actuator; amplified ones
+# reach millimetres.
+_LEAST_STROKE, _LONGEST_STROKE = 1e-15, 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
 # Share of the time step up to which the rounding of large times is not reported.
@@ -102,15 +33,59 @@ _ROUNDED = 0.02
 _SHOWN = 5
 
 
-def problems(record: Record) -> tuple[str, ...]:
-    """Return sentences about what is suspicious but allowed, see `Record.problems`."""
-    remarks = record.meta.get("remarks", ())
+def fault_of(values: Array, column: str, unit: str) -> str:
+    """Return which value of a `column` is not finite, or so large that its powers would overflow; empty if none."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        return (
+            f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
+            f"{values[bad[0]]} {unit}; cut these rows out or fill them in"
+        )
+    if (largest := max(-values.min(), values.max())) <= LARGEST:
+        return ""
+    i = int(np.argmax(np.abs(values)))
     return (
-        *guesses(record),
-        *_problems_of_times(record),
-        *_problems_of_samples(record),
-        *_problems_of_units(record),
-        *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
+        f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
+        f"is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
+    )
+
+
+def not_rising(time: Array) -> str:
+    """Return which time [s] is not above the one before; empty if all are."""
+    steps = np.diff(time)
+    bad = np.flatnonzero(steps < SHORTEST)
+    if not len(bad):
+        return ""
+    i = int(bad[0])
+    if steps[i] > 0.0:
+        return (
+            f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {SHORTEST:g} s at "
+            "least; drop one of the two rows, or check the time's unit"
+        )
+    advice = "sort the rows, drop repeated ones, or check the time unit's digits"
+    if (lost := _rounding(time)) > 1e-9:
+        advice = (
+            f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
+            "sample before they are saved, or give a sample rate"
+        )
+    return (
+        f"time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s; "
+        f"{advice}"
+    )
+
+
+def _rounding(time: Array) -> float:
+    """Return the rounding of the largest of these times [s]."""
+    return float(np.spacing(max(-time.min(), time.max())))
+
+
+def other_unit(record: Record) -> str:
+    """Return that the stroke is that of no piezo actuator by orders of magnitude: its unit is another; or empty."""
+    if record.stroke <= _LONGEST_STROKE:
+        return ""
+    return (
+        f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
+        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
     )
 
 
@@ -121,81 +96,76 @@ def guesses(record: Record) -> tuple[str, ...]:
     return tuple(f"The {quantity} is guessed, verify: {words}." for quantity, words in guessed.items())
 
 
-def _problems_of_times(record: Record) -> list[str]:
-    sentences = []
-    steps, gaps = np.diff(record.time), record.gaps()
-    if gaps:
+def problems(record: Record) -> tuple[str, ...]:
+    """Return sentences about what is suspicious but allowed, see `Record.problems`."""
+    remarks = record.meta.get("remarks", ())
+    noted = map(str, remarks) if isinstance(remarks, list | tuple) else ()
+    return (*guesses(record), *_of_times(record), *_of_samples(record), *_of_units(record), *noted)
+
+
+def _of_times(record: Record) -> Iterator[str]:
+    usual, steps = record.sample_time, np.diff(record.time)
+    if gaps := record.gaps():
         i, length = gaps[0]
-        sentences.append(f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}.")
-    lost = rounding(record.time)
-    if lost > _ROUNDED * record.sample_time:
-        sentences.append(
-            f"Times this large have a resolution of {lost:.2g} s only, {100 * lost / record.sample_time:.2g} % of the "
-            "time step; count them from the record's first sample before they are saved."
+        yield f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}."
+    if (lost := _rounding(record.time)) > _ROUNDED * usual:
+        yield (
+            f"Times this large have a resolution of {lost:.2g} s only, {100 * lost / usual:.2g} % of the time step; "
+            "count them from the record's first sample before they are saved."
         )
-    jitter = float(np.std(steps[steps <= 1.5 * record.sample_time])) / record.sample_time
+    jitter = float(np.std(steps[steps <= 1.5 * usual])) / usual
     if jitter > 0.01:
-        sentences.append(f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record.")
-    return sentences
+        yield f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record."
 
 
-def _problems_of_samples(record: Record) -> list[str]:
-    sentences = []
+def _of_samples(record: Record) -> Iterator[str]:
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
-        sentences.append(f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners.")
+        yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
     for column, unit in (("voltage", "V"), ("displacement", "m")):
         step, part = resolution(getattr(record, column))
         if part > 0.005:
-            sentences.append(
-                f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
-            )
-    spikes = _spikes(record)
+            yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
+    found = transients(record)
+    spikes = _spikes(record, found)
     if len(spikes):
-        sentences.append(
+        yield (
             f"The displacement jumps away and back at {counted(len(spikes), 'sample')}, the first at "
             f"{record.time[spikes[0]]:.6g} s: remove such spikes, they distort range and fit."
         )
-    sentences += [f"The displacement does not settle at once: {one.words}." for one in transients(record)[:_SHOWN]]
-    glitch_remarks = glitch_sentences(glitches(record.time, record.voltage, record.displacement))
-    return sentences + [remark[0].upper() + remark[1:] for remark in glitch_remarks]
+    yield from (f"The displacement does not settle at once: {one.words}." for one in found[:_SHOWN])
+    for remark in glitch_sentences(glitches(record.time, record.voltage, record.displacement)):
+        yield remark[0].upper() + remark[1:]
 
 
-def _problems_of_units(record: Record) -> list[str]:
-    sentences = []
-    if not 1e-9 <= record.stroke <= 1e-3:
-        sentences.append(
-            f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check the displacement's unit."
-        )
-    highest = max(map(abs, record.voltage_range))
-    if highest > HIGHEST_VOLTAGE:
-        sentences.append(
-            f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
-        )
-    if 0 < highest < _LEAST_VOLTAGE:
-        sentences.append(
-            f"The voltage stays below {highest:.3g} V, unusual for a piezo actuator; check its unit and scale."
-        )
-    columns = record.meta.get("columns")
-    monitor = str(columns.get("voltage", "")) if isinstance(columns, dict) else ""
-    if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
-        sentences.append(
-            f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
-            f'actuator, give its scale, voltage scale "{GAIN} V/V" with its gain for {GAIN}.'
-        )
-    return sentences
-
-
-def _spikes(record: Record) -> NDArray[np.intp]:
-    """Find samples far from both neighbours, which are near one another."""
+def _spikes(record: Record, found: tuple[Transient, ...]) -> NDArray[np.intp]:
+    """Find samples far from both neighbours, which are near one another, outside of transients."""
     y = record.displacement
     steps = np.abs(np.diff(y))
     away = np.minimum(steps[:-1], steps[1:])
-    for one in transients(record):
+    for one in found:
         away[one.start : one.stop] = 0.0
     usual = max(20 * record.noise, 10 * float(np.quantile(steps, 0.9)))
     return np.flatnonzero((away > usual) & (np.abs(y[2:] - y[:-2]) < 0.3 * away)) + 1
+
+
+def _of_units(record: Record) -> Iterator[str]:
+    highest = max(map(abs, record.voltage_range))
+    if not STROKES[0] <= record.stroke <= STROKES[1]:
+        stroke = f"{record.stroke * 1e6:.4g} um"
+        yield f"The stroke is {stroke}, unusual for a piezo actuator; check the displacement's unit."
+    if highest > HIGHEST_VOLTAGE:
+        yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
+    if 0 < highest < _LEAST_VOLTAGE:
+        yield f"The voltage stays below {highest:.3g} V, unusual for a piezo actuator; check its unit and scale."
+    columns = record.meta.get("columns")
+    monitor = str(columns.get("voltage", "")) if isinstance(columns, dict) else ""
+    if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
+        yield (
+            f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
+            f'actuator, give its scale, voltage scale "{GAIN} V/V" with its gain for {GAIN}.'
+        )
 
 
 def unusable(record: Record, min_samples: int, min_cycles: int) -> str:
@@ -239,71 +209,12 @@ def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]
     yield from _leading(record, cycles)
 
 
-def fault_of(values: Array, column: str, unit: str) -> str:
-    """Return which value of a `column` is not finite, or so large that its powers would overflow; empty if none."""
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        return (
-            f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
-            f"{values[bad[0]]} {unit}; cut these rows out or fill them in"
-        )
-    if (largest := max(-values.min(), values.max())) <= LARGEST:
-        return ""
-    i = int(np.argmax(np.abs(values)))
-    return (
-        f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
-        f"is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
-    )
-
-
-def other_unit(record: Record) -> str:
-    """Return that the stroke is that of no piezo actuator by orders of magnitude: its unit is another; or empty."""
-    if record.stroke <= _LONGEST_STROKE:
-        return ""
-    return (
-        f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
-        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
-    )
-
-
-def not_rising(time: Array) -> str:
-    """Return which time [s] is not above the one before; empty if all are."""
-    steps = np.diff(time)
-    bad = np.flatnonzero(steps < SHORTEST)
-    if not len(bad):
-        return ""
-    i = int(bad[0])
-    if steps[i] > 0.0:
-        return (
-            f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {SHORTEST:g} s at "
-            "least; drop one of the two rows, or check the time's unit"
-        )
-    advice = "sort the rows, drop repeated ones, or check the time unit's digits"
-    if (lost := rounding(time)) > 1e-9:
-        advice = (
-            f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
-            "sample before they are saved, or give a sample rate"
-        )
-    return (
-        f"time must rise strictly, but time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s; "
-        f"{advice}"
-    )
-
-
-def rounding(time: Array) -> float:
-    """Return the rounding of the largest of these times [s]."""
-    return float(np.spacing(max(-time.min(), time.max())))
-
-
 def _clipped(record: Record, least: int) -> Iterator[str]:
     """Yield that the sensor stays at its extreme while the voltage goes on in that direction."""
-    span_v = float(np.ptp(record.voltage))
-    needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * span_v
+    needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * float(np.ptp(record.voltage))
     for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
         y, v = sign * record.displacement, sign * record.voltage
-        at_top = np.concatenate(([False], y >= y.max() - 1e-12 * record.stroke, [False]))
-        edges = np.flatnonzero(at_top[1:] != at_top[:-1])
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
+        for a, b in runs(y >= y.max() - 1e-12 * record.stroke):
             # A dead zone after a reversal is flat too, but there the voltage only goes back.
             if b - a >= least and v[a:b].max() - v[a] > needed:
                 yield (
@@ -329,3 +240,60 @@ def _leading(record: Record, cycles: list[Span]) -> Iterator[str]:
             f"the displacement leads the voltage (loop area {100 * area / box:.2g} % of its box): the columns look "
             "swapped (or the displacement's sign is inverted); check which column is which"
         )
+
+
+# Least share of the voltage range that a leg covers to count, and bins of the voltage.
+_WHOLE, _BINS = 0.9, 32
+# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
+_LEAST, _LOUD = 0.1, 8.0
+
+
+class Butterfly(NamedTuple):
+    """A loop whose displacement both falls and rises with rising voltage, as of a switching ferroelectric.
+
+    Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V].
+    """
+
+    fall: float
+    rise: float
+    low: float
+    high: float
+
+
+def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
+    """Find a fall and a rise on the line midway between the rising and the falling legs; return None without both.
+
+    On that line hysteresis, a delay, creep and a drift from leg to leg take opposite signs and cancel.
+    """
+    span = float(np.ptp(voltage))
+    turns = turning_points(voltage, _WHOLE * span)
+    legs = [slice(begin, end + 1) for begin, end in pairwise([0, *turns.tolist(), len(voltage) - 1])]
+    rises = [float(voltage[leg.stop - 1] - voltage[leg.start]) for leg in legs]
+    edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
+    means = []
+    for sign in (1, -1):
+        # The mean displacement [m] in each bin of the voltage, and its number of samples.
+        own = [leg for leg, rise in zip(legs, rises, strict=True) if sign * rise >= _WHOLE * span]
+        v, y = (np.concatenate([np.zeros(0), *(values[leg] for leg in own)]) for values in (voltage, displacement))
+        bins = np.clip(np.searchsorted(edges, v) - 1, 0, _BINS - 1)
+        counts, sums = np.bincount(bins, minlength=_BINS), np.bincount(bins, y, _BINS)
+        means.append((np.divide(sums, counts, out=np.zeros(_BINS), where=counts > 0), counts))
+    (up, up_counts), (down, down_counts) = means
+    filled = (up_counts > 0) & (down_counts > 0)
+    if np.count_nonzero(filled) < _BINS // 2:
+        return None
+    up, down, places = up[filled], down[filled], (0.5 * (edges[1:] + edges[:-1]))[filled]
+    middle = 0.5 * (up + down)
+    noise = white_noise(displacement) / sqrt(min(up_counts[filled].min(), down_counts[filled].min()))
+    least = max(_LEAST * float(np.ptp(displacement)), _LOUD * noise)
+    fall = float(np.max(np.maximum.accumulate(middle) - middle))
+    climbed = middle - np.minimum.accumulate(middle)
+    if min(fall, float(climbed.max())) < least:
+        return None
+    top = int(np.argmax(climbed))
+    bottom = int(np.argmin(middle[: top + 1]))
+    # Before the rise the falling legs turn last, after it the rising ones do.
+    low = float(places[int(np.argmin(down[: top + 1]))]) if bottom else float(voltage.min())
+    last = places.size - 1
+    high = float(places[bottom + int(np.argmax(up[bottom:]))]) if top < last else float(voltage.max())
+    return Butterfly(fall, float(climbed.max()), low, high)

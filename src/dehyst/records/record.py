@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
-from dehyst._units import per_metre, plain
+from dehyst._units import SI, in_si, per_metre, plain
 from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
+from dehyst.records import quality, signals
 from dehyst.records.formats.columns import Column, Table, without_groups
-from dehyst.records.quality import fault_of, not_rising, other_unit, problems, unusable
-from dehyst.records.signals import interpolate, noise_span, outer_extreme, turning_points, white_noise
+from dehyst.records.signals import white_noise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,6 +34,8 @@ __all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 Span: TypeAlias = "slice[int, int, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
+# Temperatures of a laboratory [degC].
+_COLDEST, _HOTTEST = -273.15, 1000.0
 
 
 class Channel(NamedTuple):
@@ -43,19 +46,50 @@ class Channel(NamedTuple):
     name : str
         "voltage" and "displacement" of one axis; of several "vx" and "x", by the names of the axes.
     unit : str
-        Of `values`: "V" or "m".
+        Of `values`: "V" or "m"; "degC" of a temperature, "N" of a load, any text of another quantity.
     role : str
-        "drive" is sent to the actuator, "displacement" is its answer.
+        "drive" is sent to the actuator, "displacement" is its answer; others are "temperature", "load" and "other".
     axis : str
-        Name of the axis; empty if there is only one.
+        Name of the axis; empty if there is only one, or if it is that of none.
     values : (n,) array
     """
 
     name: str
     unit: str
-    role: Literal["drive", "displacement"]
+    role: Literal["drive", "displacement", "temperature", "load", "other"]
     axis: str
     values: Array
+
+    @classmethod
+    def of(cls, column: Column) -> Channel:
+        """Return a further channel of a record, in degrees Celsius or newtons if it is a temperature or a load."""
+        (name, unit), role, values = column.parts, column.role, column.data
+        if role != "other":
+            values, unit = in_si(values, unit), SI[role]
+        values.flags.writeable = False
+        return cls(name, unit, role, "", values)  # type: ignore[arg-type]
+
+    @property
+    def column(self) -> str:
+        """The name of its column in a file, with the unit: "temperature_C", "load_N" or "humidity [%]"."""
+        if self.role == "temperature" and "temp" in self.name.lower():
+            return f"{self.name}_C"
+        return f"{self.name}_{self.unit}" if re.fullmatch(r"[^\W_]+", self.unit) else f"{self.name} [{self.unit}]"
+
+    @property
+    def fault(self) -> str:
+        """Why it cannot be a further channel of a record; empty if it can."""
+        if not self.name or not self.unit or set(self.column) & set(',;\t\n"') or escaped(self.column) != self.column:
+            return f"got {self.column!r}, need a name with its unit, as 'temperature_C', 'load_N' or 'humidity [%]'"
+        if words := quality.fault_of(self.values, self.name, self.unit):
+            return words
+        bad = np.flatnonzero((self.values < _COLDEST) | (self.values > _HOTTEST))
+        if self.role != "temperature" or not bad.size:
+            return ""
+        return (
+            f"{self.name}[{bad[0]}] = {self.values[bad[0]]:.6g} degC, need {_COLDEST:g} to {_HOTTEST:g} degC; check "
+            "its unit, or leave it out"
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
@@ -80,12 +114,17 @@ class Record:
         First and last time [s] of stretches that do not count in a fit or an error.
     axes : sequence of str
         Names of the axes, one a column; default: x, y, z. Empty for a record of one axis.
+    others : mapping of str to (n,) array_like
+        What was measured besides, by its name and unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
+        Temperatures (also in K) are kept in degrees Celsius, loads (also in mN or kN) in newtons, others as they are;
+        kept as a tuple of `Channel`.
 
     Raises
     ------
     RecordError
         Of another shape, not numbers, masked, of another unit, of different lengths, fewer than 2 samples, NaN, inf
-        or beyond 1e30, the time does not rise, or the axes are not different names, one a column.
+        or beyond 1e30, the time does not rise, the axes are not different names, one a column, or one of the others has
+        no unit, the name of another channel, or is a temperature outside of -273.15 to 1000 degrees Celsius.
     """
 
     time: Array
@@ -95,28 +134,62 @@ class Record:
     meta: Mapping[str, Any] = field(default_factory=dict)
     set_aside: tuple[tuple[float, float], ...] = ()
     axes: tuple[str, ...] = ()
+    others: tuple[Channel, ...] = ()
 
     def __post_init__(self) -> None:
-        for column in _COLUMNS:
-            object.__setattr__(self, column, _frozen_column(getattr(self, column), column, self.name))
-        object.__setattr__(self, "meta", dict(self.meta))
-        object.__setattr__(self, "axes", self._named_axes())
-        sizes = {column: len(getattr(self, column)) for column in _COLUMNS}
-        if len(set(sizes.values())) > 1:
-            got = ", ".join(f"{column} {size}" for column, size in sizes.items())
+        for column, unit in _COLUMNS.items():
+            self._set(column, self._frozen(getattr(self, column), column, unit))
+        self._set("meta", dict(self.meta))
+        self._set("axes", self._named_axes())
+        self._set("others", tuple(self._further()))
+        arrays = {column: getattr(self, column) for column in _COLUMNS} | {one.name: one.values for one in self.others}
+        if len({len(values) for values in arrays.values()}) > 1:
+            got = ", ".join(f"{column} {len(values)}" for column, values in arrays.items())
             raise self._error(f"columns differ in length ({got}); give one value each per sample")
         if len(self) < 2:
             raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the row range")
         for column, unit in _COLUMNS.items():
-            for j, values in enumerate(np.atleast_2d(getattr(self, column).T)):
+            for j, values in enumerate(np.atleast_2d(arrays[column].T)):
                 name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
-                if words := fault_of(values, column, unit):
+                if words := quality.fault_of(values, column, unit):
                     raise RecordError(f"record '{name}': {words}")
-        if words := not_rising(self.time):
+        if words := quality.not_rising(self.time) or next((one.fault for one in self.others if one.fault), ""):
             raise self._error(words)
+        names = ["time", *(one.name for one in self.channels)]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise self._error(f"others: got the name '{twice[0]}' twice, need different names; rename one")
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
 
     def _error(self, words: str) -> RecordError:
         return RecordError(f"record '{self.name}': {words}")
+
+    def _frozen(self, raw: object, column: str, unit: str | None, dimensions: int = 2) -> Array:
+        """Return a column as a read-only array; raise for anything but numbers."""
+        try:
+            bare = plain(raw, column, unit)
+            values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
+        except ModelError as error:
+            raise self._error(str(error)) from error
+        except (TypeError, ValueError) as error:
+            raise self._error(f"{column} is no array of numbers ({error}); give (n,) floats") from error
+        if values.ndim not in (1, 1 if column == "time" else dimensions):
+            raise self._error(f"{column} has shape {values.shape}; give one dimension, try .ravel()")
+        values.flags.writeable = False
+        return values
+
+    def _further(self) -> Iterator[Channel]:
+        """Yield the channels in `others`, given by name or as those of another record."""
+        given: Any = self.others
+        for entry in given.items() if isinstance(given, Mapping) else given:
+            if isinstance(entry, Channel):
+                yield entry._replace(values=self._frozen(entry.values, entry.name, None, 1))
+                continue
+            column = Column(str(entry[0]), np.empty(0))
+            unit = column.parts[1]
+            unit = "degC" if column.role == "temperature" and unit != "K" else unit
+            yield Channel.of(replace(column, data=self._frozen(entry[1], column.name, unit, 1)))
 
     def _named_axes(self) -> tuple[str, ...]:
         """Return the names of the axes; raise if they or the shapes do not fit."""
@@ -144,10 +217,11 @@ class Record:
 
     def __repr__(self) -> str:
         head = f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s"
+        others = "".join(f", {one.name}" for one in self.others)
         if self.axes:
-            return f"{head}, axes {', '.join(self.axes)}>"
+            return f"{head}, axes {', '.join(self.axes)}{others}>"
         (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
-        return f"{head}, {v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um>"
+        return f"{head}, {v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um{others}>"
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
@@ -155,7 +229,7 @@ class Record:
             ("time", f"{self.time[-1] - self.time[0]:.6g} s, every {self.sample_time:.4g} s"),
         ]
         for channel in self.channels:
-            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit)
+            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit.replace("degC", "°C"))
             low, high = (scale * float(end) for end in (channel.values.min(), channel.values.max()))
             rows.append((channel.name, f"{low:.6g} to {high:.6g} {unit}"))
         remarks = [
@@ -168,36 +242,32 @@ class Record:
     def __getitem__(self, span: Span) -> Record:
         if not isinstance(span, slice) or span.step not in (None, 1):
             raise self._error(f"got [{span!r}]; a record takes slices of step 1, try record[10:200]")
-        return self.slice(span.start, span.stop)
+        return self.take(span)
 
     @classmethod
     def from_arrays(
-        cls, time: ArrayLike, voltage: ArrayLike, displacement: ArrayLike, *, units: str = "um", name: str = "record"
+        cls,
+        time: ArrayLike,
+        voltage: ArrayLike,
+        displacement: ArrayLike,
+        *,
+        units: str = "um",
+        name: str = "record",
+        others: Mapping[str, ArrayLike] | None = None,
     ) -> Record:
         """Make a record from arrays whose displacement is in `units`, by default micrometres.
 
-        Parameters
-        ----------
-        time, voltage : (n,) array_like
-            [s] and [V].
-        displacement : (n,) array_like
-            In `units`; quantities with units of their own are converted.
-        units : str
-            "m", "mm", "um", "nm" or "pm".
-        name : str
-
-        Raises
-        ------
-        RecordError
-            If the unit is not known, the arrays make no record, or the stroke is over 0.1 m: another unit.
+        `time` and `voltage` (n,) [s] and [V], `displacement` (n,) in `units`: "m", "mm", "um", "nm" or "pm". Quantities
+        with units of their own are converted. `name` and `others` are those of the record. Raise `RecordError` if the
+        unit is unknown, the arrays make no record, or the stroke is over 0.1 m: another unit.
         """
         counts = per_metre(units, error=RecordError)
         try:
             lengths = np.asarray(plain(displacement, "displacement", units, error=RecordError), dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
-        record = cls(time, voltage, lengths / counts, name)  # type: ignore[arg-type]
-        if words := other_unit(record):
+        record = cls(time, voltage, lengths / counts, name, others=others or ())  # type: ignore[arg-type]
+        if words := quality.other_unit(record):
             raise record._error(words)
         return record
 
@@ -220,10 +290,8 @@ class Record:
         frame : pandas.DataFrame
             With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
             column. Dates and durations are seconds; an index of them without a name is the time, unless a column is.
-        time, voltage, displacement : str, optional
-            Columns, as in `dehyst.read`: "NAME" or "NAME:UNIT".
-        voltage_scale, displacement_scale : str, optional
-            As in `dehyst.read`: "100 V/V", "10 um/V".
+        time, voltage, displacement, voltage_scale, displacement_scale : str, optional
+            As in `dehyst.read`: "NAME" or "NAME:UNIT"; "100 V/V", "10 um/V".
         name : str, optional
             The record's name; default: that of `DataFrame.attrs`, else "record".
 
@@ -234,47 +302,58 @@ class Record:
         RecordError
             If it is no DataFrame, or the columns make no record.
         """
-        columns = (Column(one.name, one.data, one.unit, foreign=one.foreign) for one in tables.columns_of(frame))
-        found = Table("DataFrame", "", tuple(map(without_groups, columns)))
+        found = tables.columns_of(frame)
+        kept = frame.attrs.get("others", ())
+        columns = (Column(one.name, one.data, one.unit, foreign=one.foreign, kept=one.name in kept) for one in found)
+        table = Table("DataFrame", "", tuple(map(without_groups, columns)))
         chosen = (
-            found.select("time", time),
-            found.select("voltage", voltage, voltage_scale),
-            found.select("displacement", displacement, displacement_scale),
+            table.select("time", time),
+            table.select("voltage", voltage, voltage_scale),
+            table.select("displacement", displacement, displacement_scale),
         )
-        guesses = {one.quantity: one.guess for one in chosen if one.guess}
-        meta = {"guesses": guesses} if guesses else {}
+        t, v, y = (one.values for one in chosen)
+        others, remarks = further_channels(table, [one.column for one in chosen], len(t))
+        notes = {"guesses": {one.quantity: one.guess for one in chosen if one.guess}, "remarks": remarks}
+        meta = {key: value for key, value in notes.items() if value}
         name = name or str(frame.attrs.get("name", "record"))
-        return cls(chosen[0].values, chosen[1].values, chosen[2].values, name, meta)
+        return cls(t, v, y, name, meta, others=tuple(channel for channel, _ in others))
 
     @classmethod
     def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
         """Make a record from an xarray `dataset` with the variables time, voltage and displacement.
 
-        Attributes `units` are converted: "um", "ms", "kV" and the like. Without one, values are in s, V and m. `name`:
-        the record's; default: that of the attributes, else "record".
+        Attributes `units` are converted: "um", "ms", "kV" and the like. Without one, values are in s, V and m. Further
+        variables with the units of a temperature or a load, or with an attribute `role`, are the record's others.
+        `name`: the record's; default: that of the attributes, else "record".
 
         Raise `RecordError` if a variable is missing, has another unit, or they make no record.
         """
         numbers = {column: tables.variable(dataset, column) for column in _COLUMNS}
-        return cls(**numbers, name=name or str(dataset.attrs.get("name", "record")))
+        others = {}
+        for key, (data, attributes) in tables.further_variables(dataset, _COLUMNS).items():
+            column = f"{key} [{attributes.get('units', '')}]"
+            if "role" in attributes or Column(column, data).role != "other":
+                others[column] = data
+        name = name or str(dataset.attrs.get("name", "record"))
+        return cls(**numbers, name=name, others=others)  # type: ignore[arg-type]
 
     def to_dataframe(self) -> DataFrame:
         """Return time_s and the channels, as voltage_V and displacement_um, as a pandas DataFrame.
 
         Raise `MissingExtraError` if pandas is not installed.
         """
-        return tables.frame(self.columns(), name=self.name)
+        others = [one.column for one in self.others]
+        return tables.frame(self.columns(), name=self.name, **({"others": others} if others else {}))
 
     def to_xarray(self, units: str = "um") -> Dataset:
         """Return the channels, as voltage [V] and displacement, over time [s] as an xarray Dataset with units.
 
         `units`: of displacements. Raise `MissingExtraError` if xarray is not installed.
         """
-        counts = per_metre(units, error=RecordError)
-        variables = {
-            one.name: (one.values * counts, units) if one.unit == "m" else (one.values, one.unit)
-            for one in self.channels
-        }
+        counts, variables = per_metre(units, error=RecordError), {}
+        for one in self.channels:
+            values, unit = (one.values * counts, units) if one.unit == "m" else (one.values, one.unit)
+            variables[one.name] = values, {"units": unit, **({"role": one.role} if one in self.others else {})}
         return tables.dataset(self.time, variables, name=self.name)
 
     def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
@@ -287,45 +366,32 @@ class Record:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """All measured quantities: the voltage and the displacement of each axis in turn."""
+        """All measured quantities: the voltage and the displacement of each axis in turn, and the others."""
         voltage, displacement = (values.T if self.axes else [values] for values in (self.voltage, self.displacement))
-        return tuple(
-            channel
-            for axis, v, y in zip(self.axes or ("",), voltage, displacement, strict=True)
-            for channel in (
-                Channel(f"v{axis}" if axis else "voltage", "V", "drive", axis, v),
-                Channel(axis or "displacement", "m", "displacement", axis, y),
-            )
-        )
+        found = []
+        for axis, v, y in zip(self.axes or ("",), voltage, displacement, strict=True):
+            found.append(Channel(f"v{axis}" if axis else "voltage", "V", "drive", axis, v))
+            found.append(Channel(axis or "displacement", "m", "displacement", axis, y))
+        return (*found, *self.others)
 
     def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
         """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
 
         `lengths`: unit of displacements.
         """
-        counts = {"V": 1.0, "m": per_metre(lengths, error=RecordError)}
-        channels = {
-            f"{one.name}_{lengths if one.unit == 'm' else one.unit}": one.values * counts[one.unit]
-            if counts[one.unit] != 1
-            else one.values
-            for one in self.channels
-        }
-        return {"time_s": self.time, **channels}
+        counts, found = per_metre(lengths, error=RecordError), {"time_s": self.time}
+        for one in self.channels:
+            if one.role == "displacement":
+                found[f"{one.name}_{lengths}"] = one.values * counts if counts != 1 else one.values
+            else:
+                found[one.column] = one.values
+        return found
 
     def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:
         """Return one axis as a record of its own.
 
-        Parameters
-        ----------
-        axis : str or int
-            Its name or index. A record of one axis has index 0.
-        displacement : (n,) array_like, optional
-            Another displacement [m] of this axis.
-
-        Raises
-        ------
-        RecordError
-            If there is no such axis.
+        `axis`: its name or index; a record of one axis has index 0. `displacement` (n,) [m]: another one of this axis.
+        Raise `RecordError` if there is no such axis.
         """
         names: list[object] = [*self.axes] if self.axes else [""]
         j = names.index(axis) if axis in names else axis
@@ -334,11 +400,10 @@ class Record:
             raise self._error(f"axis: got {axis!r}, need one of {words}")
         if not self.axes:
             return self if displacement is None else replace(self, displacement=displacement)  # type: ignore[arg-type]
-        moved = self.displacement[:, j] if displacement is None else displacement
         return replace(
             self,
             voltage=self.voltage[:, j],
-            displacement=moved,  # type: ignore[arg-type]
+            displacement=self.displacement[:, j] if displacement is None else displacement,  # type: ignore[arg-type]
             name=f"{self.name} ({self.axes[j]})",
             axes=(),
         )
@@ -400,26 +465,22 @@ class Record:
         """Find the turning points of a `signal`, "voltage" or "displacement", by a hysteresis band.
 
         `band`: way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
-        signal's range and the range of its noise: 6 standard deviations, more in a long record.
+        signal's range and the range of its noise: 6 standard deviations, more in a long record. Raise `RecordError` for
+        an unknown signal, or a band that is negative or not finite.
 
         Returns
         -------
         (k,) int array
             The extremes themselves (the last sample of a plateau), minima and maxima in turn; never the record's ends.
-
-        Raises
-        ------
-        RecordError
-            Unknown signal; band negative or not finite.
         """
         if signal not in ("voltage", "displacement"):
             raise self._error(f"no signal '{signal}'; try 'voltage' or 'displacement'")
         values: Array = getattr(self.one_axis(), signal)
         if band is None:
-            band = max(0.02 * float(np.ptp(values)), noise_span(values))
+            band = max(0.02 * float(np.ptp(values)), signals.noise_span(values))
         if not (isfinite(band) and band >= 0.0):
             raise self._error(f"band is {band}; give a number >= 0 in the signal's unit")
-        return turning_points(values, band)
+        return signals.turning_points(values, band)
 
     def cycles(self, band: float | None = None) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.
@@ -431,19 +492,23 @@ class Record:
         turns = self.reversals("voltage", band)
         if not len(turns):
             return []
-        before, after = outer_extreme(self.voltage[turns[0] :: -1]), outer_extreme(self.voltage[turns[-1] :])
+        before, after = map(signals.outer_extreme, (self.voltage[turns[0] :: -1], self.voltage[turns[-1] :]))
         points = np.concatenate(([turns[0] - before], turns, [turns[-1] + after]))
         legs = np.abs(np.diff(self.voltage[points]))
         points = points[int(legs[0] < 0.9 * legs[1]) : len(points) - int(legs[-1] < 0.9 * legs[-2])]
         # An odd number has one more of the outer kind; otherwise there are as many minima as maxima, and minima count.
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
-        ends = points[first::2]
-        return [slice(int(a), int(b) + 1) for a, b in pairwise(ends)]
+        return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]
+
+    def take(self, rows: Span | Mask | NDArray[np.intp]) -> Record:
+        """Return the samples in `rows`: a slice, an array of bool (n,) or of increasing indices."""
+        others = tuple(one._replace(values=one.values[rows]) for one in self.others)
+        time, voltage, displacement = (values[rows] for values in (self.time, self.voltage, self.displacement))
+        return replace(self, time=time, voltage=voltage, displacement=displacement, others=others)
 
     def slice(self, start: int | None, stop: int | None) -> Record:
         """Return samples `start` to `stop` - 1, counted as Python slices are."""
-        rows = slice(start, stop)
-        return replace(self, time=self.time[rows], voltage=self.voltage[rows], displacement=self.displacement[rows])
+        return self.take(slice(start, stop))
 
     def between(self, t0: float, t1: float) -> Record:
         """Return the samples with `t0` <= time <= `t1` [s]."""
@@ -462,54 +527,65 @@ class Record:
             raise self._error(f"no interpolation '{kind}'; try 'linear' or 'pchip'")
         grid = np.minimum(self.time[0] + dt * np.arange(int(span / dt + 1e-9) + 1), self.time[-1])
 
-        voltage, displacement = (
-            np.apply_along_axis(lambda column: interpolate(self.time, column, grid, kind), 0, values)
-            for values in (self.voltage, self.displacement)
-        )
-        return replace(self, time=grid, voltage=voltage, displacement=displacement)
+        def moved(values: Array) -> Array:
+            return np.apply_along_axis(lambda column: signals.interpolate(self.time, column, grid, kind), 0, values)
+
+        others = tuple(one._replace(values=moved(one.values)) for one in self.others)
+        voltage, displacement = moved(self.voltage), moved(self.displacement)
+        return replace(self, time=grid, voltage=voltage, displacement=displacement, others=others)
 
     def delayed(self, delay: float) -> Record:
         """Return the record with voltage(t - `delay`), delay in s: shape-preserving, constant beyond the ends."""
         if not isfinite(delay):
             raise self._error(f"delay is {delay} s; give a finite number of seconds")
         times = np.clip(self.time - delay, self.time[0], self.time[-1])
-        return replace(self, voltage=interpolate(self.time, self.one_axis().voltage, times, "pchip"))
+        return replace(self, voltage=signals.interpolate(self.time, self.one_axis().voltage, times, "pchip"))
 
     def problems(self) -> tuple[str, ...]:
         """Return sentences about everything suspicious that does not prevent the record's use; empty if nothing is."""
-        return problems(self.one_axis())
+        return quality.problems(self.one_axis())
 
     def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
         """Refuse a record from which no hysteresis loop can be identified.
 
-        `min_samples`, `min_cycles`: least number of samples and of full voltage cycles.
-
-        Raises
-        ------
-        RecordError
-            Too few samples or cycles, constant voltage or displacement, a stroke over 0.1 m, inverted or clipped
-            sensor, swapped columns.
+        `min_samples`, `min_cycles`: least number of samples and of full voltage cycles. Raise `RecordError` for too few
+        samples or cycles, constant voltage or displacement, a stroke over 0.1 m, an inverted or clipped sensor, or
+        swapped columns.
         """
-        if words := unusable(self.one_axis(), min_samples, min_cycles):
+        if words := quality.unusable(self.one_axis(), min_samples, min_cycles):
             raise self._error(words)
 
 
-def _frozen_column(raw: object, column: str, name: str) -> Array:
-    try:
-        bare = plain(raw, column)
-        values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
-    except ModelError as error:
-        raise RecordError(f"record '{name}': {error}") from error
-    except (TypeError, ValueError) as error:
-        raise RecordError(f"record '{name}': {column} is no array of numbers ({error}); give (n,) floats") from error
-    if values.ndim != 1 and (values.ndim != 2 or column == "time"):
-        raise RecordError(f"record '{name}': {column} has shape {values.shape}; give one dimension, try .ravel()")
-    values.flags.writeable = False
-    return values
-
-
-def _is_frozen(raw: object) -> TypeGuard[Array]:
+def _is_frozen(raw: object) -> bool:
     """Return whether an array is read-only, as another record's: then a slice of a long record needs no copy."""
     if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
         return False
     return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)
+
+
+def further_channels(
+    table: Table, used: Iterable[Column], samples: int
+) -> tuple[list[tuple[Channel, Column]], list[str]]:
+    """Return the further channels in a table beside the columns that are `used`, and remarks on those left out.
+
+    They are the temperatures and loads, and the columns that are marked to be kept. What was not asked for and cannot
+    be a channel is left out; raise `RecordError` if it was asked for.
+    """
+    found: dict[str, tuple[Channel, Column]] = {}
+    remarks, taken = [], {id(column) for column in used}
+    for column in table.columns:
+        if id(column) in taken or not (column.kept or (column.role != "other" and not column.foreign)):
+            continue
+        words, size = column.fault, column.data.size
+        if not words and size != samples:
+            words = f"it has {counted(size, 'value')} for {counted(samples, 'sample')}"
+        if not words:
+            channel = Channel.of(column)
+            words = "its name is that of another channel" if channel.name in found else channel.fault
+        if not words:
+            found[channel.name] = channel, column
+        elif column.kept:
+            raise RecordError(f"{table.source}: column '{escaped(column.name)}': {words}")
+        else:
+            remarks.append(f"Column '{escaped(column.name)}' is left out: {words}.")
+    return list(found.values()), remarks

@@ -11,33 +11,33 @@ import shutil
 import tempfile
 import time
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import PathLike, lock, path_of, settle_file, settle_folder, to_json, unwritten, write_atomically
 from dehyst.records import hdf5
-from dehyst.records.record import Record
+from dehyst.records.formats.columns import Column
+from dehyst.records.record import Channel, Record
 
 __all__ = ["Recording", "SampleBlock", "demand_disk_space", "salvage", "unused_path"]
 
 # Appended to the name of the final file.
 SUFFIX = ".part.csv"
 _DAMAGED = ".part.damaged.csv"
-_HEADER = ",".join(hdf5.DATASETS)
-# Bytes a sample: three numbers of 24 characters at most, each with a comma or a line end, and three doubles.
-_SAMPLE_BYTES = 3 * 25 + 3 * 8
-_MARGIN = 1_000_000
+# Bytes of a number: 24 characters at most, with a comma or a line end, and a double.
+_NUMBER_BYTES, _MARGIN = 25 + 8, 1_000_000
 # A last line longer than this [characters] was not merely cut off.
 _LONGEST_LINE = 10_000
 
-_Row = tuple[float, float, float]
+_Row = tuple[float, ...]
+_Columns = dict[str, NDArray[np.float64]]
 
 
 class JournalContents(NamedTuple):
@@ -46,7 +46,7 @@ class JournalContents(NamedTuple):
     name: str
     meta: dict[str, Any]
     started: str | None
-    columns: hdf5.Columns
+    columns: _Columns
     cut_off: str
     damaged: int
 
@@ -64,8 +64,8 @@ class Journal:
         self._failure: FileFormatError | None = None
 
     @classmethod
-    def create(cls, target: Path, head: str) -> Self:
-        """Create the journal of a future file, with one line of JSON at its head; raise FileFormatError on failure."""
+    def create(cls, target: Path, head: str, columns: Sequence[str]) -> Self:
+        """Create the journal of a file of columns, a line of JSON at its head; raise FileFormatError on failure."""
         path = target.with_name(target.name + SUFFIX)
         flags = os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_APPEND | getattr(os, "O_BINARY", 0)
         try:
@@ -82,11 +82,14 @@ class Journal:
         journal = cls(path, descriptor)
         try:
             lock(descriptor)
-            journal._write(f"# {head}\n{_HEADER}\n".encode())
+            journal._write(f"# {head}\n{','.join(columns)}\n".encode())
             settle_folder(path.parent)
-        except (FileFormatError, OSError) as error:
+        except FileFormatError:
             journal.remove()
-            raise (error if isinstance(error, FileFormatError) else unwritten(path, error)) from error
+            raise
+        except OSError as error:
+            journal.remove()
+            raise unwritten(path, error) from error
         journal.samples = 0
         return journal
 
@@ -117,7 +120,7 @@ class Journal:
         except OSError:
             return False
 
-    def append(self, columns: hdf5.Columns) -> None:
+    def append(self, columns: _Columns) -> None:
         """Append samples; they are on the disk when this returns.
 
         Raise `FileFormatError` if not all of them are written: whole lines stay. Nothing more can be appended, because
@@ -125,14 +128,14 @@ class Journal:
         """
         if self._failure is not None:
             raise self._failure
-        rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
+        rows = zip(*(map(repr, column.tolist()) for column in columns.values()), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 
     def read(self) -> JournalContents:
         """Read the file, line by line.
 
-        Lines without three finite numbers, and the fewest lines that keep the time from rising, are left out and
-        counted. Raise `FileFormatError` if it cannot be read.
+        Lines without a finite number for each column, and the fewest lines that keep the time from rising, are left out
+        and counted. Raise `FileFormatError` if it cannot be read.
         """
         try:
             data = self.path.read_bytes()
@@ -140,15 +143,22 @@ class Journal:
             raise unwritten(self.path, error) from error
         # After a power cut a file system may have added zeros to a file whose end was not written.
         *lines, cut_off = data.rstrip(b"\0").decode("utf-8", "replace").split("\n")
-        name, meta, started = "", dict[str, Any](), None
-        if lines and lines[0].startswith("# {") and (head := _head(lines[0][2:])) is not None:
-            name, meta, started = head
-            del lines[0]
-        rows = [_row(line) for line in lines if line != _HEADER]
-        whole = _rising([row for row in rows if row is not None])
-        time, voltage, displacement = np.array(whole, dtype=np.float64).reshape(-1, 3).T.copy()
+        head = _head(lines[0][2:]) if lines and lines[0].startswith("# {") else None
+        known = ",".join(hdf5.DATASETS)
+        header = next((line for line in lines if line == known or line.startswith(f"{known},")), known)
+        columns = header.split(",")
+        rows = []
+        for line in lines[head is not None :]:
+            if line != header:
+                try:
+                    rows.append(tuple(map(float, line.split(","))))
+                except ValueError:
+                    rows.append(())
+        whole = _rising([row for row in rows if len(row) == len(columns) and all(map(math.isfinite, row))])
+        arrays = np.array(whole, dtype=np.float64).reshape(-1, len(columns)).T.copy()
         damaged = len(rows) - len(whole) + (len(cut_off) > _LONGEST_LINE)
-        return JournalContents(name, meta, started, (time, voltage, displacement), cut_off[:_LONGEST_LINE], damaged)
+        found = dict(zip(columns, arrays, strict=True))
+        return JournalContents(*(head or ("", {}, None)), found, cut_off[:_LONGEST_LINE], damaged)
 
     def close(self) -> None:
         """Close the file, which stays; may be called twice."""
@@ -197,12 +207,12 @@ class Journal:
             raise self._failure
 
 
-def demand_disk_space(folder: PathLike, samples: int) -> None:
+def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
     """Refuse a record, before it begins, if the disk has no space for its journal and its file.
 
     Raise `FileFormatError` with the bytes needed and those free.
     """
-    needed = samples * _SAMPLE_BYTES + _MARGIN
+    needed = samples * columns * _NUMBER_BYTES + _MARGIN
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
@@ -236,22 +246,13 @@ def _head(text: str) -> tuple[str, dict[str, Any], str | None] | None:
     return None
 
 
-def _row(line: str) -> _Row | None:
-    try:
-        time, voltage, displacement = map(float, line.split(","))
-    except ValueError:
-        return None
-    row = time, voltage, displacement
-    return row if all(map(math.isfinite, row)) else None
-
-
 def _rising(rows: list[_Row]) -> list[_Row]:
     """Return the most rows whose times rise strictly: one wrong time does not remove those after it."""
     ends: list[float] = []
     length = []
-    for instant, _, _ in rows:
-        place = bisect_left(ends, instant)
-        ends[place : place + 1] = [instant]
+    for row in rows:
+        place = bisect_left(ends, row[0])
+        ends[place : place + 1] = [row[0]]
         length.append(place)
     kept: list[_Row] = []
     wanted = len(ends) - 1
@@ -263,7 +264,10 @@ def _rising(rows: list[_Row]) -> list[_Row]:
 
 
 class SampleBlock(Protocol):
-    """Successive samples: time (n,) [s], voltage (n,) [V], displacement (n,) [m]."""
+    """Successive samples: time (n,) [s], voltage (n,) [V], displacement (n,) [m].
+
+    With a recording of `others`, a block has an attribute of that name too: arrays (n,) by the names of their columns.
+    """
 
     @property
     def time(self) -> ArrayLike: ...  # noqa: D102
@@ -294,6 +298,9 @@ class Recording:
     meta : mapping, optional
         Written with the record, as JSON. Added to it: complete (bool), ended_because (None or a sentence),
         samples, started and ended (UTC, ISO 8601), sha256 (of the samples, see `write_hdf5`), source (the file's name).
+    others : sequence of str
+        Columns of further channels, as "temperature_C" and "load_N", which each block of samples has in a mapping
+        ``samples.others``.
 
     Attributes
     ----------
@@ -304,27 +311,37 @@ class Recording:
     Raises
     ------
     FileFormatError
-        The path exists or cannot be written, or the meta cannot be written as JSON.
+        The path exists or cannot be written, the meta cannot be written as JSON, or one of `others` has no unit.
     MissingExtraError
         If h5py is not installed.
     """
 
-    def __init__(self, path: PathLike, *, name: str | None = None, meta: Mapping[str, Any] | None = None) -> None:
-        self.path = path_of(path)
+    def __init__(
+        self,
+        path: PathLike,
+        *,
+        name: str | None = None,
+        meta: Mapping[str, Any] | None = None,
+        others: Sequence[str] = (),
+    ) -> None:
+        self.path, self.others = path_of(path), tuple(others)
+        for column in self.others:
+            if fault := Channel.of(Column(column, np.zeros(1))).fault:
+                raise FileFormatError(argument="others", message=fault)
         if self.path.suffix.lower() not in hdf5.SUFFIXES:
             raise FileFormatError(f"{path}: a recording needs the suffix .h5 or .hdf5; rename it")
         # A missing package is reported now, not at the end.
-        hdf5.demand_writer()
+        hdf5.writer()
         if os.path.lexists(self.path):
             raise FileFormatError(f"{path}: is there already, and no record is overwritten; name another")
         self.name = self.path.stem if name is None else name
         self._meta = dict(meta or {})
         self._started = _utc(time.time())
-        self._blocks: list[hdf5.Columns] = [(np.zeros(0), np.zeros(0), np.zeros(0))]
+        self._blocks: list[_Columns] = [{column: np.zeros(0) for column in (*hdf5.DATASETS, *self.others)}]
         self._ended = False
         self.samples = 0
         head = {"name": self.name, "meta": self._meta, "started": self._started}
-        self._journal = Journal.create(self.path, to_json(head, f"{self.path}: meta"))
+        self._journal = Journal.create(self.path, to_json(head, f"{self.path}: meta"), list(self._blocks[0]))
         self.journal = self._journal.path
 
     def __enter__(self) -> Self:
@@ -346,17 +363,18 @@ class Recording:
         Raises
         ------
         RecordError
-            If the columns are not of one length, or the recording has ended.
+            If the columns are not of one length, one of `others` is missing, or the recording has ended.
         FileFormatError
             If they cannot be written: the disk is full, or the folder was removed. They stay in memory, and are written
             at the end if that is possible then.
         """
         self._refuse_ended()
-        block = _columns(samples)
-        if len({column.size for column in block}) > 1:
-            raise RecordError(f"{self.path}: got {', '.join(str(c.size) for c in block)} values, need one length")
+        block = self._columns(samples)
+        sizes = [column.size for column in block.values()]
+        if len(set(sizes)) > 1:
+            raise RecordError(f"{self.path}: got {', '.join(map(str, sizes))} values, need one length")
         self._blocks.append(block)
-        self.samples += block[0].size
+        self.samples += sizes[0]
         self._journal.append(block)
 
     def finish(self, record: Record | None = None) -> Path:
@@ -389,8 +407,9 @@ class Recording:
             return self.path
         # A second Ctrl-C during writing leaves the journal.
         self._ended = True
-        time, voltage, displacement = map(np.concatenate, zip(*self._blocks, strict=True))
-        columns = (time, voltage, displacement) if record is None else _columns(record)
+        columns = {name: np.concatenate([block[name] for block in self._blocks]) for name in self._blocks[0]}
+        if record is not None:
+            columns = record.one_axis().columns("m")
         meta = {**self._meta, **(record.meta if record is not None else {})}
         try:
             _write(self.path, columns, self.name, meta, why, self._started)
@@ -400,7 +419,17 @@ class Recording:
         self._journal.remove()
         return self.path
 
-    def _remains(self, columns: hdf5.Columns, meta: dict[str, Any], why: str | None) -> str:
+    def _columns(self, samples: SampleBlock) -> _Columns:
+        further = getattr(samples, "others", {})
+        if missing := [column for column in self.others if column not in further]:
+            raise RecordError(
+                f"{self.path}: got samples without {', '.join(missing)}, need all columns of the recording"
+            )
+        arrays = samples.time, samples.voltage, samples.displacement, *(further[column] for column in self.others)
+        flat = (np.array(values, dtype=np.float64).ravel() for values in arrays)
+        return dict(zip((*hdf5.DATASETS, *self.others), flat, strict=True))
+
+    def _remains(self, columns: _Columns, meta: dict[str, Any], why: str | None) -> str:
         """Return a sentence with the place of the samples when the file could not be written."""
         whole = self._journal.samples
         if whole >= self.samples and self._journal.exists:
@@ -416,20 +445,16 @@ class Recording:
 
 
 def salvage(folder: PathLike) -> list[Path]:
-    """Make files, marked incomplete, of the journals that killed processes left in a folder.
+    """Make files, marked incomplete, of the journals that killed processes left in a folder; return their paths.
 
     Nothing is overwritten: if the file exists, the new one has a number in its name. A journal that a running process
-    still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not
-    three finite numbers, or a time that does not rise, except a last line cut off) is kept as ``*.part.damaged.csv``
-    beside the file. If it has no sample at all, it is only renamed so. Raise `FileFormatError` if there is no such
-    folder, or a file cannot be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order of their names. `read` refuses those of fewer than 2 samples, which only keep the meta.
+    still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not a
+    finite number for each column, or a time that does not rise, except a last line cut off) is kept as
+    ``*.part.damaged.csv`` beside the file. If it has no sample at all, it is only renamed so. `read` refuses files of
+    fewer than 2 samples, which only keep the meta. Raise `FileFormatError` if there is no such folder, or a file cannot
+    be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
     """
-    hdf5.demand_writer()
+    hdf5.writer()
     folder = path_of(folder)
     if not folder.is_dir():
         raise FileFormatError(f"{folder}: no such folder; give the folder of the recordings")
@@ -444,12 +469,16 @@ def _salvage(path: Path) -> Path | None:
         return None
     with contextlib.closing(journal):
         contents = journal.read()
-        if contents.damaged and not contents.columns[0].size:
+        size, sha256 = contents.columns[hdf5.DATASETS[0]].size, hdf5.sha256_of(contents.columns.values())
+        if contents.damaged and not size:
             journal.set_aside()
             return None
         target = path.with_name(path.name.removesuffix(SUFFIX))
-        if contents.columns[0].size and _has_samples(target, hdf5.sha256_of(contents.columns)):
-            # The process may have been killed before the file was on the disk.
+        stored = None
+        with contextlib.suppress(FileFormatError, OSError):
+            stored = hdf5.decode(target.read_bytes())
+        if size and stored is not None and stored.sha256 == sha256:
+            # The process was killed before it deleted the journal, perhaps before the file was on the disk.
             settle_file(target)
             journal.remove()
             return target
@@ -464,17 +493,9 @@ def _salvage(path: Path) -> Path | None:
     return target
 
 
-def _has_samples(path: Path, sha256: str) -> bool:
-    """Return whether a file with these samples exists: the process was killed before it deleted the journal."""
-    with contextlib.suppress(FileFormatError, OSError):
-        stored = hdf5.decode(path)
-        return stored is not None and stored.sha256 == sha256
-    return False
-
-
 def _write(
     path: Path,
-    columns: hdf5.Columns,
+    columns: _Columns,
     name: str,
     meta: Mapping[str, Any],
     why: str | None,
@@ -485,19 +506,13 @@ def _write(
         **meta,
         "complete": why is None,
         "ended_because": why,
-        "samples": int(columns[0].size),
+        "samples": int(columns[hdf5.DATASETS[0]].size),
         "started": started,
         "ended": ended or _utc(time.time()),
-        "sha256": hdf5.sha256_of(columns),
+        "sha256": hdf5.sha256_of(columns.values()),
         "source": path.name,
     }
     write_atomically(path, hdf5.pack(columns, name, meta, path))
-
-
-def _columns(samples: SampleBlock) -> hdf5.Columns:
-    columns = samples.time, samples.voltage, samples.displacement
-    t, v, y = (np.array(column, dtype=np.float64).ravel() for column in columns)
-    return t, v, y
 
 
 def _utc(seconds: float) -> str:

@@ -8,10 +8,16 @@ from math import comb, log, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
+# A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
+_ORDER = 6
+# Samples processed at a time, to bound the memory of a long record; and neighbours of interpolated samples.
+_BLOCK, _NEIGHBOURS = 1 << 19, 4
+# Number and length of the stretches from which the noise of a long signal is estimated.
+_STRETCHES, _STRETCH = 16, 1 << 17
 
 
 def largest(error: ArrayLike) -> float:
@@ -30,27 +36,11 @@ def percent(error: float, stroke: float) -> float:
     return 100 * error / stroke
 
 
-# A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
-_ORDER = 6
-# Samples processed at a time, to bound the memory of a long record; and neighbours of interpolated samples.
-_BLOCK = 1 << 19
-_NEIGHBOURS = 4
-# Number and length of the stretches from which the noise of a long signal is estimated.
-_STRETCHES, _STRETCH = 16, 1 << 17
-
-
 def white_noise(values: Array) -> float:
-    """Estimate the standard deviation of white noise on a smooth, evenly sampled signal.
+    """Estimate the standard deviation of white noise on a smooth, evenly sampled signal (n,), in its unit.
 
     The estimate is the median absolute difference of order 6, so that the signal itself, its corners and outliers have
-    no effect. A long signal is sampled in stretches spread evenly over it.
-
-    `values` (n,): in any unit; below 8 samples there is no estimate, and 0 is returned.
-
-    Returns
-    -------
-    float
-        In the unit of `values`.
+    no effect; 0 below 8 samples. A long signal is sampled in stretches spread evenly over it.
     """
     if len(values) < _ORDER + 2:
         return 0.0
@@ -68,28 +58,45 @@ def noise_span(values: Array) -> float:
     return max(6.0, 2.2 * sqrt(2.0 * log(len(values)))) * white_noise(values)
 
 
+def resolution(values: Array) -> tuple[float, float]:
+    """Return the smallest step between neighbours and its share of the range; 0 unless many neighbours are equal."""
+    steps, span = np.abs(np.diff(values)), float(np.ptp(values))
+    moving = steps[steps > 1e-12 * span]
+    if not len(moving) or len(moving) > 0.8 * len(steps):
+        return 0.0, 0.0
+    return float(moving.min()), float(moving.min()) / span
+
+
 def interpolate(x: Array, y: Array, places: Array, kind: str) -> Array:
     """Return the signal y(x) at places (m,); kind is "linear" or "pchip"."""
     if kind == "linear":
         return np.interp(places, x, y)
-    if len(places) <= _BLOCK:
-        return _pchip(x, y, places)
-    parts = [_pchip(x, y, places[start : start + _BLOCK]) for start in range(0, len(places), _BLOCK)]
+    from scipy.interpolate import PchipInterpolator
+
+    parts = [np.empty(0)]
+    for begin in range(0, len(places), _BLOCK):
+        # A slope depends on one neighbour on each side.
+        block = places[begin : begin + _BLOCK]
+        first = max(int(np.searchsorted(x, block.min())) - _NEIGHBOURS, 0)
+        last = int(np.searchsorted(x, block.max(), side="right")) + _NEIGHBOURS
+        parts.append(np.asarray(PchipInterpolator(x[first:last], y[first:last])(block), dtype=np.float64))
     return np.concatenate(parts)
 
 
-def _pchip(x: Array, y: Array, places: Array) -> Array:
-    """Interpolate from the samples near the places only: a slope depends on one neighbour on each side."""
-    from scipy.interpolate import PchipInterpolator
-
-    first = max(int(np.searchsorted(x, places.min())) - _NEIGHBOURS, 0)
-    last = int(np.searchsorted(x, places.max(), side="right")) + _NEIGHBOURS
-    return np.asarray(PchipInterpolator(x[first:last], y[first:last])(places), dtype=np.float64)
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return first and one after the last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
-    kept = np.concatenate(([0], *_extremes(values), [len(values) - 1]))
+    # Only inner local extremes and samples of plateaus can be turning points, or complete a way back.
+    extremes = []
+    for begin in range(0, len(values) - 2, _BLOCK):
+        steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
+        extremes.append(np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1)
+    kept = np.concatenate(([0], *extremes, [len(values) - 1]))
     turns: list[int] = []
     low = high = float(values[0])
     at_low = at_high = direction = 0
@@ -109,13 +116,6 @@ def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     return kept[turns]
 
 
-def _extremes(values: Array) -> Iterator[NDArray[np.intp]]:
-    """Yield inner local extremes and samples of plateaus: only they can be turning points or complete a way back."""
-    for begin in range(0, len(values) - 2, _BLOCK):
-        steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
-        yield np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1
-
-
 def _numbered(values: Array, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
     """Yield values at places with their numbers, in blocks: Python numbers take four times the memory of NumPy's."""
     for begin in range(0, len(places), _BLOCK):
@@ -127,28 +127,15 @@ def outer_extreme(leg: Array) -> int:
     return int(np.argmax(np.abs(leg - leg[0])))
 
 
-def resolution(values: Array) -> tuple[float, float]:
-    """Return the smallest step between neighbours and its share of the range; 0 unless many neighbours are equal."""
-    steps, span = np.abs(np.diff(values)), float(np.ptp(values))
-    moving = steps[steps > 1e-12 * span]
-    if not len(moving) or len(moving) > 0.8 * len(steps):
-        return 0.0, 0.0
-    return float(moving.min()), float(moving.min()) / span
+def _spectrum(signal: Array) -> Array:
+    """Return the power of a signal less the line between its ends, in a Hann window."""
+    line = np.linspace(signal[0], signal[-1], signal.size)
+    return np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size))) ** 2
 
 
 def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
-    """Return the part of a signal's energy above a frequency, of that of all its changes.
-
-    Parameters
-    ----------
-    signal : (n,) array
-    sample_time : float
-        [s].
-    frequency : float
-        [Hz].
-    """
-    line = np.linspace(signal[0], signal[-1], signal.size)
-    power = np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size))) ** 2
+    """Return the part of a signal's energy above a `frequency` [Hz], of that of all its changes; `sample_time` [s]."""
+    power = _spectrum(signal)
     above = np.fft.rfftfreq(signal.size, sample_time) > frequency
     total = float(power[1:].sum())
     return float(power[above].sum()) / total if total > 0 else 0.0
@@ -157,16 +144,9 @@ def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
 def bandwidth(signal: Array, sample_time: float, share: float) -> float:
     """Return the frequency [Hz] above which a signal has this share of the energy of its changes, its noise aside.
 
-    Parameters
-    ----------
-    signal : (n,) array
-    sample_time : float
-        [s].
-    share : float
-        White noise as strong as the median of the upper half of the spectrum is not counted.
+    White noise as strong as the median of the upper half of the spectrum is not counted. `sample_time` [s].
     """
-    line = np.linspace(signal[0], signal[-1], signal.size)
-    power = np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size)))[1:] ** 2
+    power = _spectrum(signal)[1:]
     # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median over ln 2.
     power -= float(np.median(power[power.size // 2 :])) / log(2)
     above = np.cumsum(power[::-1])[::-1]
@@ -189,7 +169,6 @@ def recorded_slew_rate(parts: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the largest abs(dv/dt) [V/s] at which voltages were recorded; None if they hold only steps and rests.
 
     It is the speed that 95 % of the travel do not exceed, and a margin of 5 %: a rare glitch or step does not count.
-
     `parts`: time (n,) [s] and voltage (n,) [V] of each record.
     """
     found = [_speeds(time, voltage) for time, voltage in parts]
@@ -208,7 +187,9 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
     time, voltage = time[rows], voltage[rows]
     steps = np.abs(np.diff(voltage))
     least = max(noise, 1e-9 * float(np.ptp(voltage)))
-    window, largest = _INTERVALS, _running_maximum(steps, _INTERVALS)
+    # The largest step of each window.
+    window, size = _INTERVALS, max(steps.size - _INTERVALS + 1, 0)
+    largest = np.max([steps[k : k + size] for k in range(window)], axis=0) if size else np.zeros(0)
     waiting, speeds, travel = np.arange(largest.size), [np.zeros(0)], [np.zeros(0)]
     while waiting.size:
         change = np.abs(voltage[waiting + window] - voltage[waiting])
@@ -221,9 +202,3 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
         waiting = waiting[~shown]
         waiting = waiting[waiting < largest.size]
     return np.concatenate(speeds), np.concatenate(travel)
-
-
-def _running_maximum(values: Array, window: int) -> Array:
-    """Return the moving maximum over `window` values, from each value on that has a full window."""
-    size = max(values.size - window + 1, 0)
-    return np.max([values[k : k + size] for k in range(window)], axis=0) if size else np.zeros(0)

@@ -14,114 +14,21 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._units import FACTORS, quantity_of, symbol_of
 from dehyst._validation import axis_names
+from dehyst.records.formats import columns as known
 from dehyst.records.formats.columns import (
-    EXAMPLES,
     GAIN,
     GUESS,
+    QUANTITIES,
     Column,
     ColumnError,
     Selected,
     Table,
-    is_plug,
-    is_small,
     listed,
-    plausible_unit,
-    scale_of,
     shortened,
 )
 
-
-def renamed(table: Table, columns: str) -> Table:
-    """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
-
-    An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
-    entry marks it as a guess.
-
-    Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an unknown unit, a name
-    twice, or no name.
-    """
-    if not isinstance(columns, str):
-        raise FileFormatError(
-            argument="columns", got=repr(columns), need="one text with commas, as 'time:s,voltage:V,displacement:um'"
-        )
-    entries = [entry.strip() for entry in columns.split(",")]
-    if len(entries) != len(table.columns):
-        raise FileFormatError(
-            f"{table.source}: columns: got {len(entries)} names, but the file holds {len(table.columns)} columns: "
-            f"{listed(table.names)}; give a name for each, and - for one that is to be left out"
-        )
-    named = []
-    for entry, column in zip(entries, table.columns, strict=True):
-        name, _, unit = (part.strip() for part in entry.removesuffix(GUESS).partition(":"))
-        if unit and not symbol_of(unit):
-            raise FileFormatError(f"{table.source}: columns: got the unit '{unit}', which is unknown; try s, V or um")
-        if name not in ("", "-") and not unit and column.contradiction:
-            raise FileFormatError(
-                f"{table.source}: columns: '{name}' needs a unit: column '{shortened(column.name)}' has the unit "
-                f"'{column.contradiction}' in its name, but the file states '{column.unit}' for it; give '{name}:UNIT'"
-            )
-        if name not in ("", "-"):
-            unit = symbol_of(unit) or column.parts[1]
-            guess = f"column '{shortened(column.name)}' in {unit or 'no unit'}" if entry.endswith(GUESS) else ""
-            guess = "; ".join(part for part in (guess, column.guessed) if part)
-            named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess))
-    names = [column.name for column in named]
-    if len(set(names)) < len(names):
-        raise FileFormatError(f"{table.source}: columns: got {listed(tuple(names))}; give each name once")
-    if not named:
-        raise FileFormatError(
-            f"{table.source}: columns: got '{columns}', which leaves out all columns; name one at least, as time:s"
-        )
-    return replace(table, columns=tuple(named))
-
-
-_PARTS = {
-    "time": ("time", "zeit", "second", "temps"),
-    "voltage": ("volt", "spannung", "drive", "ampl", "monitor", "command", "tension", "ao", "output", "ausgang"),
-    "displacement": ("disp", "pos", "weg", "auslenk", "sensor", "gauge", "strain", "stroke", "capac", "ai", "height"),
-}
-# Names of columns that count samples.
-_COUNTS = {"index", "idx", "sample", "samples", "point", "points", "count", "no", "nr", "n", "#", "sequence"}
 # What a user replaces by the samples a second.
 RATE = "HZ"
-# Columns of a file that are compared with one another.
-_MOST = 12
-_LETTERS = {"time": "t", "voltage": "uv", "displacement": "yxzdw"}
-
-
-class ColumnsError(FileFormatError):
-    """Columns of a record that are not found, with the options of `read` that may select them.
-
-    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`,
-    beside those options.
-    """
-
-    def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
-        given = [f'{name.replace("_", " ")} "{value}"' for name, value in options.items()]
-        contained = all(option in reason for option in given)
-        stop = "" if reason.endswith(".") else "."
-        advice = "" if contained else f"{stop} Try {', '.join(given)}. {' '.join(notes_on(options))}"
-        super().__init__(f"{reason}{advice}", change=list(dict.fromkeys([*options, *change])))
-        self.reason, self.options = reason, dict(options)
-
-    def as_dict(self) -> dict[str, object]:
-        """Return JSON values, with the options to try."""
-        return {**super().as_dict(), "suggestion": dict(self.options)}
-
-
-def notes_on(options: Mapping[str, str]) -> list[str]:
-    """Return sentences about options that are proposed: what to replace, and what is guessed."""
-    gain = (
-        f"Replace {GAIN} by what the data sheet states: volts of the actuator for one volt of the column (1 V/V if the "
-        "column holds the actuator's voltage), micrometres for one volt of a sensor."
-    )
-    text = " ".join(options.values())
-    return [
-        "Check units and scales.",
-        *([f"Replace {RATE} by the number of samples a second."] if RATE in options.values() else []),
-        *([gain] if GAIN in text else []),
-        *([f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit."] * (GUESS in text)),
-    ]
 
 
 class Choice(NamedTuple):
@@ -136,8 +43,7 @@ class Choice(NamedTuple):
 
     def scale(self, quantity: str) -> str | None:
         """Return the scale of a quantity."""
-        scales = {"voltage": self.voltage_scale, "displacement": self.displacement_scale}
-        return scales.get(quantity)
+        return None if quantity == "time" else getattr(self, f"{quantity}_scale")
 
 
 class AxisColumns(NamedTuple):
@@ -153,38 +59,109 @@ class AxisColumns(NamedTuple):
         return f"{self.name}={self.voltage}:{self.displacement}"
 
 
-_AXES_EXAMPLE = '"vx_V:x_um vy_V:y_um"'
-
-
 def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
     """Return the columns in `axes`, see `dehyst.read`.
 
     Raise `FileFormatError` if there are fewer than two axes, an entry has no two columns, or two axes or columns have
     one name.
     """
-    entries = [_axis_entry(text) for text in axes.replace(",", " ").split()] if isinstance(axes, str) else []
+
+    def refusal(got: str, need: str) -> FileFormatError:
+        return FileFormatError(argument="axes", got=got, need=f'{need}, as "vx_V:x_um vy_V:y_um"')
+
+    entries = []
+    for text in axes.replace(",", " ").split() if isinstance(axes, str) else ():
+        name, _, columns = text.rpartition("=")
+        parts = columns.split(":")
+        if len(parts) != 2 or not all(parts):
+            raise refusal(f"'{text}'", "the columns of a voltage and a displacement")
+        word = parts[1].rsplit("/", 1)[-1]
+        entries.append(AxisColumns(name or (word.rsplit("_", 1)[0] if "_" in word else word), *parts))
     used = [column for one in entries for column in one[1:]]
     if twice := sorted({column for column in used if used.count(column) > 1}):
-        raise FileFormatError(
-            argument="axes", got=f"'{twice[0]}' twice", need=f"columns of its own for each axis, as {_AXES_EXAMPLE}"
-        )
+        raise refusal(f"'{twice[0]}' twice", "columns of its own for each axis")
     if len(entries) < 2:
-        raise FileFormatError(
-            argument="axes", got=repr(axes), need=f"voltage and displacement of two axes at least, as {_AXES_EXAMPLE}"
-        )
+        raise refusal(repr(axes), "voltage and displacement of two axes at least")
     axis_names([one.name for one in entries], len(entries), "axes", FileFormatError)
     return tuple(entries)
 
 
-def _axis_entry(text: str) -> AxisColumns:
-    name, _, columns = text.rpartition("=")
-    parts = columns.split(":")
-    if len(parts) != 2 or not all(parts):
-        raise FileFormatError(
-            argument="axes", got=f"'{text}'", need=f"the columns of a voltage and a displacement, as {_AXES_EXAMPLE}"
+def renamed(table: Table, columns: str) -> Table:
+    """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
+
+    An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
+    entry marks it as a guess. A column with a unit in its entry that is none of a record's quantities is kept as a
+    further channel. Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an unknown
+    unit, a name twice, or no name.
+    """
+    if not isinstance(columns, str):
+        need = "one text with commas, as 'time:s,voltage:V,displacement:um'"
+        raise FileFormatError(argument="columns", got=repr(columns), need=need)
+
+    def refusal(words: str) -> FileFormatError:
+        return FileFormatError(f"{table.source}: columns: {words}")
+
+    entries = [entry.strip() for entry in columns.split(",")]
+    if len(entries) != len(table.columns):
+        raise refusal(
+            f"got {len(entries)} names, but the file holds {len(table.columns)} columns: {listed(table.names)}; give a "
+            "name for each, and - for one that is to be left out"
         )
-    word = parts[1].rsplit("/", 1)[-1]
-    return AxisColumns(name or (word.rsplit("_", 1)[0] if "_" in word else word), *parts)
+    named = []
+    for entry, column in zip(entries, table.columns, strict=True):
+        name, _, unit = (part.strip() for part in entry.removesuffix(GUESS).partition(":"))
+        if unit and not symbol_of(unit) and Column(name, column.data).quantities:
+            raise refusal(f"got the unit '{unit}', which is unknown; try s, V or um")
+        if name in ("", "-"):
+            continue
+        if not unit and column.contradiction:
+            raise refusal(
+                f"'{name}' needs a unit: column '{shortened(column.name)}' has the unit '{column.contradiction}' in "
+                f"its name, but the file states '{column.unit}' for it; give '{name}:UNIT'"
+            )
+        kept, unit = unit != "", symbol_of(unit) or unit or column.parts[1]
+        guess = f"column '{shortened(column.name)}' in {unit or 'no unit'}" if entry.endswith(GUESS) else ""
+        guess = "; ".join(part for part in (guess, column.guessed) if part)
+        named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess, kept=kept))
+    names = [column.name for column in named]
+    if len(set(names)) < len(names):
+        raise refusal(f"got {listed(tuple(names))}; give each name once")
+    if not named:
+        raise refusal(f"got '{columns}', which leaves out all columns; name one at least, as time:s")
+    return replace(table, columns=tuple(named))
+
+
+class ColumnsError(FileFormatError):
+    """Columns of a record that are not found, with the options of `read` that may select them.
+
+    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`,
+    beside those options.
+    """
+
+    def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
+        given = [f'{name.replace("_", " ")} "{value}"' for name, value in options.items()]
+        stop = "" if reason.endswith(".") else "."
+        advice = f"{stop} Try {', '.join(given)}. {' '.join(notes_on(options))}"
+        advice = "" if all(option in reason for option in given) else advice
+        super().__init__(f"{reason}{advice}", change=list(dict.fromkeys([*options, *change])))
+        self.reason, self.options = reason, dict(options)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return JSON values, with the options to try."""
+        return {**super().as_dict(), "suggestion": dict(self.options)}
+
+
+def notes_on(options: Mapping[str, str]) -> list[str]:
+    """Return sentences about options that are proposed: what to replace, and what is guessed."""
+    text = " ".join(options.values())
+    notes = {
+        RATE: f"Replace {RATE} by the number of samples a second.",
+        GAIN: f"Replace {GAIN} by what the data sheet states: volts of the actuator for one volt of the column (1 V/V "
+        "if the column holds the actuator's voltage), micrometres for one volt of a sensor.",
+        GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
+    }
+    shown = {RATE: RATE in options.values(), GAIN: GAIN in text, GUESS: GUESS in text}
+    return ["Check units and scales.", *(note for mark, note in notes.items() if shown[mark])]
 
 
 def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Selected]:
@@ -201,37 +178,34 @@ def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[st
         except ColumnError as error:
             problems.append(error)
     if problems:
-        taken = {one.column.name for one in found.values()}
-        proposal = _proposal([column for column in table.columns if column.name not in taken], problems)
-        # A quantity that no column of this file seems to be may be in a second file.
-        lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
-        join = bool(lacking) and not any(column.unnamed for column in table.columns)
-        change = [name for error in problems for name in error.change] + ["join"] * join
-        raise ColumnsError(_reason(table, problems, join), _options(table, choice, problems, proposal), change)
+        raise _columns_error(table, choice, problems, {one.column.name for one in found.values()})
     return found
 
 
-def _proposal(free: list[Column], problems: list[ColumnError]) -> dict[str, Column]:
-    """Return the column for each quantity with a problem: that of the problem, else the most likely of free ones."""
+def _columns_error(table: Table, choice: Choice, problems: list[ColumnError], taken: set[str]) -> ColumnsError:
+    """Return all problems as one error, with options for the columns: those of problems, else the most likely ones."""
     used = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
-    left = [column for column in free if not column.fault and column not in used.values()]
-    return used | _assigned(left, [error.quantity for error in problems if error.quantity not in used])
-
-
-def _reason(table: Table, problems: list[ColumnError], join: bool) -> str:
-    """Return all problems as one message; `join`: whether a quantity may be in a second file."""
+    free = [c for c in table.columns if c.name not in taken and not c.fault and c not in used.values()]
+    proposal = used | _assigned(free, [error.quantity for error in problems if error.quantity not in used])
+    # A quantity that no column of this file seems to be may be in a second file.
+    lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
+    join = bool(lacking) and not any(column.unnamed for column in table.columns)
     joining = " If it is in a second file, join that one." if join else ""
     if len({error.problem for error in problems}) == 1:
         reason = f"{table.source}: {problems[0].problem}{problems[0].advice}"
-        return f"{reason}{'' if not join or reason.endswith('.') else '.'}{joining}"
-    asked = " and ".join(f"that of the {error.quantity}" for error in problems)
-    names = ", ".join(f"'{EXAMPLES[error.quantity]}'" for error in problems)
-    rate = " Without a time column, give the sample rate in Hz." if any(e.quantity == "time" for e in problems) else ""
-    faults = "; ".join(error.problem + error.short for error in problems)
-    return (
-        f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} "
-        f"are found by themselves.{rate}{joining}"
-    )
+        reason = f"{reason}{'' if not join or reason.endswith('.') else '.'}{joining}"
+    else:
+        asked = " and ".join(f"that of the {error.quantity}" for error in problems)
+        names = ", ".join(f"'{QUANTITIES[error.quantity].example}'" for error in problems)
+        untimed = any(error.quantity == "time" for error in problems)
+        rate = " Without a time column, give the sample rate in Hz." if untimed else ""
+        faults = "; ".join(error.problem + error.short for error in problems)
+        reason = (
+            f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} are "
+            f"found by themselves.{rate}{joining}"
+        )
+    change = [name for error in problems for name in error.change] + ["join"] * join
+    return ColumnsError(reason, _options(table, choice, problems, proposal), change)
 
 
 def _options(
@@ -240,7 +214,7 @@ def _options(
     """Return options that select columns of a plausible range; none if there is no column for a quantity."""
     wanted = [error.quantity for error in problems]
     if any(column.unnamed and not column.fault for column in table.columns) and len(proposal) == len(wanted):
-        units = {quantity: plausible_unit(quantity, column.data) for quantity, column in proposal.items()}
+        units = {quantity: known.plausible_unit(quantity, column.data) for quantity, column in proposal.items()}
         entries = {
             c.name: f"{quantity}:{units[quantity]}{GUESS}" for quantity, c in proposal.items() if units[quantity]
         }
@@ -248,7 +222,7 @@ def _options(
         return {"columns": names} | _gain(choice, proposal.get("voltage"), units.get("voltage", ""))
     for quantity, column in proposal.items():
         scale, stated = choice.scale(quantity), column.parts[1]
-        if column.contradiction or (scale is not None and stated and scale_of(quantity, scale).refusal(stated)):
+        if column.contradiction or (scale is not None and stated and known.scale_of(quantity, scale).refusal(stated)):
             # No name mends a scale that is wrong, or units that contradict one another.
             return {}
     named = {error.quantity for error in problems if error.column and not error.column.fault}
@@ -260,12 +234,42 @@ def _options(
     return options | ({"sample_rate": RATE} if untimed and {*wanted} - {"time"} <= options.keys() else {})
 
 
+def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> dict[str, str]:
+    """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
+    name, unit, scale = column.name, column.parts[1], choice.scale(quantity)
+    given = f"{name}{GUESS if guessed else ''}"
+    if unit not in FACTORS[quantity] and scale is None:
+        if quantity == "displacement" and quantity_of(unit) == "voltage":
+            return {quantity: given, "displacement_scale": f"{GAIN} um/{unit}"}
+        unit = "" if quantity_of(unit) else known.plausible_unit(quantity, column.data)
+        if not unit:
+            return {}
+        given = f"{name}:{unit}{GUESS}"
+    plug = quantity == "voltage" and (guessed or known.is_plug(name))
+    return {quantity: given} | (_gain(choice, column, unit) if plug else {})
+
+
+def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
+    """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
+    if column is None or choice.voltage_scale is not None:
+        return {}
+    small = known.is_small(column.data * FACTORS["voltage"].get(unit, 1))
+    return {"voltage_scale": f"{GAIN} V/V"} if small else {}
+
+
+# Names of columns that count samples.
+_COUNTS = {"index", "idx", "sample", "samples", "point", "points", "count", "no", "nr", "n", "#", "sequence"}
+# Columns of a file that are compared with one another.
+_MOST = 12
+
+
 def _assigned(free: list[Column], wanted: list[str]) -> dict[str, Column]:
     """Return the most likely column for each quantity; the first that rises is a time, and no other quantity does."""
     used: dict[str, Column] = {}
-    if "time" in wanted and (rising := [column for column in free if _rises(column) and not _counts(column)]):
-        used["time"] = min(rising, key=lambda column: _unlikeliness(column, "time"))
-    rest = [column for column in free if column is not used.get("time") and not _rises(column)][:_MOST]
+    rising = [c for c in free if c.data.size > 1 and np.all(c.data[1:] > c.data[:-1])]
+    if "time" in wanted and (clocks := [column for column in rising if not _counts(column)]):
+        used["time"] = min(clocks, key=lambda column: _unlikeliness(column, "time"))
+    rest = [column for column in free if column not in rising][:_MOST]
     others = [quantity for quantity in ("voltage", "displacement") if quantity in wanted]
     ways = [dict(zip(others, way, strict=True)) for way in permutations(rest, len(others))]
     best = min(ways, key=lambda way: sum(_unlikeliness(c, q) for q, c in way.items()), default={})
@@ -275,16 +279,11 @@ def _assigned(free: list[Column], wanted: list[str]) -> dict[str, Column]:
 def _unlikeliness(column: Column, quantity: str) -> int:
     """Return how little the name and the unit of a column are those of a quantity."""
     word, unit = column.parts
-    stated = quantity_of(unit)
-    lower = f"{word} {column.leaf}".lower()
-    named = any(part in lower for part in _PARTS[quantity]) or (len(word) == 1 and word.lower() in _LETTERS[quantity])
-    other = any(part in lower for kind, parts in _PARTS.items() if kind != quantity for part in parts)
+    stated, lower = quantity_of(unit), f"{word} {column.leaf}".lower()
+    fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts)}
+    named = quantity in fits or (len(word) == 1 and word.lower() in QUANTITIES[quantity].letters)
     sensor = quantity == "displacement" and stated == "voltage"
-    return (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + other
-
-
-def _rises(column: Column) -> bool:
-    return bool(column.data.size > 1 and np.all(column.data[1:] > column.data[:-1]))
+    return (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity})
 
 
 def _counts(column: Column) -> bool:
@@ -292,32 +291,6 @@ def _counts(column: Column) -> bool:
     word, unit = column.parts
     steps = np.diff(column.data)
     return not unit and word.strip(" .").lower() in _COUNTS and bool(np.all(steps == steps[:1]) and steps[:1] % 1 == 0)
-
-
-def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> dict[str, str]:
-    """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
-    name, unit, scale = column.name, column.parts[1], choice.scale(quantity)
-    given = f"{name}{GUESS if guessed else ''}"
-    if unit not in FACTORS[quantity] and scale is None:
-        if quantity == "displacement" and quantity_of(unit) == "voltage":
-            return {quantity: given, "displacement_scale": f"{GAIN} um/{unit}"}
-        unit = "" if quantity_of(unit) else plausible_unit(quantity, column.data)
-        if not unit:
-            return {}
-        given = f"{name}:{unit}{GUESS}"
-    plug = quantity == "voltage" and (guessed or is_plug(name))
-    return {quantity: given} | (_gain(choice, column, unit) if plug else {})
-
-
-def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
-    """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
-    if (
-        column is None
-        or choice.voltage_scale is not None
-        or not is_small(column.data * FACTORS["voltage"].get(unit, 1))
-    ):
-        return {}
-    return {"voltage_scale": f"{GAIN} V/V"}
 
 
 # Part of a sample by which the times of two files may differ and are still the same.
@@ -347,35 +320,31 @@ def joined(table: Table, other: Table, choice: Choice) -> Table:
     samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other
     follow the name of its file: other/displacement_um.
 
-    `choice`: names of the time and the displacement, by default found, and the sample rate.
-
-    Raise `FileFormatError` for without two time columns: the files differ in length. With them: the times do not rise
-    or do not overlap, or only one of the files has timestamps.
+    `choice`: names of the time and the displacement, by default found, and the sample rate. Raise `FileFormatError` if,
+    without two time columns, the files differ in length; with them, if the times do not rise or do not overlap, or only
+    one of the files has timestamps.
     """
     first, second = (None if choice.sample_rate is not None else _timed(one, choice.time) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
     added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
-    samples, more = (max((c.data.size for c in one.columns), default=0) for one in (table, other))
     if first is None or second is None or _alike(first.seconds, second.seconds):
+        samples, more = (max((c.data.size for c in one.columns), default=0) for one in (table, other))
         if broken := [one for one in (table, other) if all(column.fault for column in one.columns)]:
             raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
         if samples != more:
-            raise FileFormatError(
-                argument="join",
-                got=f"{samples} samples in {table.source} and {more} in {other.source}",
-                need="as many, or a time column in both",
-                hint="cut one of them, or save it with its time",
-            )
+            got = f"{samples} samples in {table.source} and {more} in {other.source}"
+            hint = "cut one of them, or save it with its time"
+            raise FileFormatError(argument="join", got=got, need="as many, or a time column in both", hint=hint)
         return replace(table, columns=(*table.columns, *added))
     for one in (first, second):
         if not np.all(np.diff(one.seconds) > 0):
             raise FileFormatError(
                 f"{one.table.source}: the time does not rise, which joining needs; correct those rows"
             )
-    own = table.fitting("displacement", choice.displacement)
     kept, moved = first, second
+    own = table.fitting("displacement", choice.displacement)
     if not own and replace(other, columns=tuple(added)).fitting("displacement", choice.displacement):
         kept, moved = second, first
     inside, remarks = _common(kept, moved)
@@ -416,17 +385,14 @@ def _offset(first: _Timed, second: _Timed) -> float:
     offsets = list(dict.fromkeys(float(two[1] - one[1]) + (two[2] - one[2]) for one in ones for two in twos))
     if ones[0][0].startswith("midnight"):
         offsets = [offset - _DAY * round(offset / _DAY) for offset in offsets]
-    common = [offset for offset in offsets if _overlap(first.seconds, second.seconds + offset)]
+    (a, b), (c, d) = ((float(np.min(one.seconds)), float(np.max(one.seconds))) for one in (first, second))
+    common = [offset for offset in offsets if max(a, c + offset) <= min(b, d + offset)]
     if len(common) > 1:
         raise FileFormatError(
             f"join: the dates of {first.table.source} and {second.table.source} may be month/day/year or "
             "day/month/year, and both give times in common; write the dates as 2026-03-04"
         )
     return (common or offsets)[0]
-
-
-def _overlap(first: Array, second: Array) -> bool:
-    return bool(max(np.min(first), np.min(second)) <= min(np.max(first), np.max(second)))
 
 
 def _alike(first: Array, second: Array) -> bool:
@@ -437,7 +403,7 @@ def _alike(first: Array, second: Array) -> bool:
 
 
 def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
-    """Return which samples of a file lie within the times of the other, and what is to be said of the other's."""
+    """Return which samples of a file lie within the times of the other, and remarks on the other's."""
     times, others = kept.seconds, moved.seconds
     inside = (times >= others[0]) & (times <= others[-1])
     if np.count_nonzero(inside) < 2:

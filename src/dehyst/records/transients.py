@@ -16,7 +16,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.records.signals import noise_span, turning_points, white_noise
+from dehyst.records.signals import noise_span, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record
@@ -80,10 +80,10 @@ def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
     fast = change > max(_PART * _LEAST * span, noise)
     if not span or not fast.any():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], fast.astype(np.int8), [0]])))
-    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= _WIDEST]
     steps = []
-    for start, stop in runs:
+    for start, stop in runs(fast):
+        if stop - start > _WIDEST:
+            continue
         height = abs(float(voltage[stop] - voltage[start]))
         beside = np.concatenate([change[max(start - _NEAR, 0) : start], change[stop : stop + _NEAR]])
         if height > max(_LEAST * span, noise, _TIMES * float(beside.max(initial=0.0))):

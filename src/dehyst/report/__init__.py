@@ -1,9 +1,9 @@
-"""Reports: HTML pages and plots; the only room that uses matplotlib."""
+"""Reports: HTML pages, and plots of objects; the only room that uses matplotlib."""
 
 from dehyst.report.comparison_section import write_comparison
-from dehyst.report.report import render, write_calibration, write_check_history, write_record_page, write_report
-from dehyst.report.stage_page import write_stage_report
-from dehyst.report.uncertainty_section import write_insight
+from dehyst.report.pages import write_check_history, write_record_page, write_stage_report
+from dehyst.report.report import render, write_calibration, write_report
+from dehyst.report.trust_section import write_insight
 
 __all__ = [
     "render",

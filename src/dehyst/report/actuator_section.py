@@ -10,66 +10,142 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._types import Array
+from dehyst._types import Array, Mask
+from dehyst._views.html import escape
 from dehyst.control import Compensator, PossibleStart
 from dehyst.exports import wasm_module
-from dehyst.exports.naming import shipped
 from dehyst.identification import Fit
-from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip
-from dehyst.model.summary import parts_of
-from dehyst.records.signals import turning_points
-from dehyst.report import plots
-from dehyst.report.html import MINUS, Applet, Row, asset, escape, figure, folded, length, number, panel, spelled, table
-from dehyst.report.plots import INK, MEASURED, SIMULATED, length_unit
+from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model.summary import Slopes, bend, parts_of, step_response
+from dehyst.records.signals import largest, turning_points
+from dehyst.report.charts import Axis, Chart, Colour, Series, stems, steps
+from dehyst.report.html import (
+    MINUS,
+    Applet,
+    Charts,
+    Part,
+    Row,
+    folded,
+    length,
+    length_unit,
+    number,
+    spelled,
+    table,
+)
+from dehyst.trust.turn_plane import turn_plane
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from dehyst.calibration import TrackedPath
 
 
-def made_of(actuator: Actuator) -> str:
-    """Return the section; empty for a plain actuator, which two other figures show completely.
-
-    Raise `MissingExtraError` if matplotlib is not installed.
-    """
+def made_of(actuator: Actuator) -> list[Part]:
+    """Return the section; empty for an actuator without further parts, which two other charts show completely."""
     if not actuator.wide:
-        return ""
+        return []
     rows: list[Row] = [
-        (part.name, _spelt(part.sentence), "–" if part.holds is None else f"{number(part.holds)} V")
+        (
+            part.name,
+            spelled(part.sentence).replace("tau(v)", "τ(v)"),
+            "–" if part.holds is None else f"{number(part.holds)} V",
+        )
         for part in parts_of(actuator)
     ]
-    head = ("Part", "What it does", "Holds at most")
-    parts = table(head, rows, texts=2), figure("", _CAPTION, _panels(actuator)), _tables(actuator)
-    return "\n".join(["<h2>What the model is made of</h2>", *filter(None, parts)])
-
-
-_CAPTION = (
-    "The parts beyond a plain Maxwell-slip model. In a plain model this line of tau is zero, elements are even "
-    "stripes, and there is no creep."
-)
-
-
-def _panels(actuator: Actuator) -> list[str]:
-    found, slip = [], actuator.slip
-    if actuator.transformer is not None:
-        found.append(panel("Transformer", "tau", plots.draw_transformer, actuator.transformer, rows=2, height=4.4))
+    tables = {} if actuator.creep is None else {"Creep branches": _branches(actuator.creep)}
+    charts = [] if actuator.transformer is None else transformer_charts(actuator.transformer)
     if actuator.creep is not None:
-        found.append(panel("Creep after a sudden rise", "creep", plots.draw_creep, actuator))
-    if isinstance(slip, GradedSlip):
-        found.append(panel("Graded elements", "graded", plots.draw_graded, slip, height=3.6))
-        drawn = plots.draw_slopes, slip, actuator.spring
-        found.append(panel("Stiffness along the stroke", "slopes", *drawn, height=3.6))
+        charts.append(creep_chart(actuator))
+    if isinstance(actuator.slip, GradedSlip):
+        charts += [_graded(actuator.slip), slopes_chart(actuator)]
     if actuator.smooth is not None:
-        found.append(panel("Smooth elements", "smooth", plots.draw_smooth, actuator.smooth))
-    return found
-
-
-def _tables(actuator: Actuator) -> str:
-    tables = {"Creep branches": _branches(actuator.creep)} if actuator.creep is not None else {}
-    if actuator.smooth is not None:
+        charts.append(_smooth(actuator.smooth))
         tables["Smooth elements"] = _lengths(actuator.smooth)
-    return folded("The parts' numbers", tables)
+    head = ("Part", "What it does", "Holds at most")
+    caption = (
+        "The parts beyond a plain Maxwell-slip model. In a plain model this line of tau is zero, elements are even "
+        "stripes, and there is no creep."
+    )
+    return [
+        f"<h2>What the model is made of</h2>\n{table(head, rows, texts=2)}",
+        Charts("", caption, tuple(charts)),
+        folded("The parts' numbers", tables),
+    ]
+
+
+def transformer_charts(tau: Transformer) -> list[Chart]:
+    """Return tau(v) minus the straight line between its ends, and its slope."""
+    off = Series("", tau.voltage, bend(tau), "measured"), Series("", tau.voltage, bend(tau), "measured", "points", 5)
+    slope = Series("", *steps(tau.voltage, tau.slopes), "measured")
+    x, title = Axis("voltage", "V"), "Transformer"
+    return [
+        Chart(title, "", "tau less a straight line,", x, Axis("τ(v) less a straight line", "V"), off, zero=True),
+        Chart(title, "", "slope of tau,", x, Axis("slope of τ", "V/V", (0.0, 1.1 * float(tau.slopes.max()))), (slope,)),
+    ]
+
+
+def creep_chart(actuator: Actuator) -> Chart:
+    """Return the displacement after a sudden rise through all voltages, with the time constants marked."""
+    time, share = step_response(actuator)
+    top = max(1.25 * 100 * float(share.max()), 1e-9)
+    creep = actuator.creep
+    constants = np.empty(0) if creep is None else creep.time_constants[creep.stiffness > 0]
+    marks = stems("time constants", constants, np.full(constants.shape, top), "simulated", width=1)
+    x = Axis("time since the rise", "s", (float(time[0]), float(time[-1])), log=True)
+    y = Axis("further displacement", "% of the rise", (0.0, top))
+    series = (Series("creep", time, 100 * share, "measured", width=1.8), *marks)
+    return Chart("Creep after a sudden rise", "", "displacement over time,", x, y, series)
+
+
+def _graded(slip: GradedSlip) -> Chart:
+    """Return stiffness times breakaway elongation of each element over its slider position; darker is more."""
+    factor, unit = length_unit(float(np.ptp(slip.knots)))
+    edges = np.concatenate([[0.0], slip.breakaway]) * factor
+    held = slip.stiffness * slip.breakaway[:, None]
+    axes = Axis("slider position", unit), Axis("breakaway elongation", unit)
+    cells = Series("", slip.knots * factor, edges, "measured", "cells", values=held)
+    notes = ((f"stiffness times breakaway elongation, darkest {number(float(held.max()))} V", "measured"),)
+    return Chart("Graded elements", "", "what each element holds over its position,", *axes, (cells,), notes=notes)
+
+
+def slopes_chart(actuator: Actuator) -> Chart:
+    """Return the slope of slow motion: just after a turn, and when every element slides."""
+    steepness = Slopes.of(actuator.slip, actuator.spring)
+    factor, unit = length_unit(float(np.ptp(steepness.displacement)))
+    curves: tuple[tuple[str, Array, Colour], ...] = (
+        ("just after a turn", steepness.turned, "ink"),
+        ("rising", steepness.rising, "rising"),
+        ("falling", steepness.falling, "falling"),
+    )
+    # Those of plain elements are equal.
+    same = np.array_equal(steepness.rising, steepness.falling)
+    series = tuple(
+        Series(name, steepness.displacement * factor, values * 1e-6, colour, dashed=same and name == "falling")
+        for name, values, colour in curves
+    )
+    y = Axis("slope of the voltage", "V/µm", (0.0, 1.1e-6 * float(steepness.turned.max())))
+    return Chart("Stiffness along the stroke", "", "slopes over", Axis("displacement", unit), y, series)
+
+
+def _smooth(elements: SmoothSlip) -> Chart:
+    """Return the largest voltage that each smooth element holds, over its length."""
+    factor, unit = length_unit(float(elements.length.max()))
+    held, at = elements.stiffness * elements.length, elements.length * factor
+    dahl = elements.closing > 0.75
+    kinds: tuple[tuple[Mask, str, Colour, int], ...] = (
+        (~dahl, "back on a straight line", "measured", -1),
+        (dahl, "back on a curve (Dahl)", "simulated", 1),
+    )
+    series = [
+        one
+        for kind, name, colour, aside in kinds
+        for x in [at[kind] + 0.008 * aside * at.max()]
+        for one in (*stems("", x, held[kind], colour), Series(name, x, held[kind], colour, "points", 6))
+    ]
+    axes = Axis("length", unit, (0.0, 1.08 * float(at.max()))), Axis("holds at most", "V", _from_zero(held))
+    return Chart("Smooth elements", "", "what each holds over its length,", *axes, tuple(series))
+
+
+def _from_zero(values: Array) -> tuple[float, float]:
+    return 0.0, 1.12 * float(values.max()) if values.any() else 1.0
 
 
 def _branches(creep: Creep) -> str:
@@ -89,25 +165,55 @@ def _lengths(smooth: SmoothSlip) -> str:
     return table(("Length (µm)", "Closing", "k (V/µm)", "Holds (V)"), rows, texts=0)
 
 
-def _spelt(words: str) -> str:
-    return spelled(words).replace("tau(v)", "τ(v)")
-
-
-def slip_and_spring(actuator: Actuator) -> str:
-    """Return figures of the slip elements and of the spring."""
-    slip = panel("Slip elements", "slip", plots.draw_slip_elements, _plain_slip(actuator), rows=2, height=4.4)
-    spring = panel("Parallel spring", "spring", plots.draw_spring, actuator.spring, rows=2, height=4.4)
+def slip_and_spring(actuator: Actuator) -> Charts:
+    """Return charts of the slip elements and of the spring."""
     caption = (
         "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
         "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
     )
     if isinstance(actuator.slip, GradedSlip):
         caption += " These elements are graded: each is shown with its largest stiffness."
-    return figure("Its slip elements and spring" if actuator.wide else "The model", caption, [slip, spring])
+    title = "Its slip elements and spring" if actuator.wide else "The model"
+    return Charts(title, caption, (*element_charts(actuator), *spring_charts(actuator.spring)))
 
 
 def _plain_slip(actuator: Actuator) -> MaxwellSlip:
     return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
+
+
+def element_charts(actuator: Actuator) -> tuple[Chart, Chart]:
+    """Return stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
+    slip = _plain_slip(actuator)
+    factor, unit = length_unit(float(slip.breakaway[-1]))
+    rho = slip.breakaway * factor
+
+    def chart(values: Array, quantity: str, unit_: str) -> Chart:
+        zero = values <= 0
+        series = (
+            *stems("", rho[~zero], values[~zero], "measured"),
+            Series("", rho[~zero], values[~zero], "measured", "points", 5),
+            Series("", rho[zero], values[zero], "measured", "points", 5, hollow=True),
+        )
+        x = Axis("breakaway elongation", unit, (0.0, 1.05 * float(rho[-1])))
+        y = Axis(quantity, unit_, _from_zero(values))
+        return Chart("Slip elements", "", f"{quantity} of", x, y, tuple(one for one in series if one.x.size))
+
+    return chart(slip.stiffness * 1e-6, "stiffness", "V/µm"), chart(slip.friction, "breakaway voltage", "V")
+
+
+def spring_charts(spring: Spring) -> tuple[Chart, Chart]:
+    """Return the voltage of the parallel spring over displacement, and its slope with the least one marked."""
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
+    y, slopes = spring.displacement * factor, spring.slopes * 1e-6
+    voltage = Series("", y, spring.voltage, "measured"), Series("", y, spring.voltage, "measured", "points", 4)
+    least = int(np.argmin(slopes))
+    marked = Series("least slope", y[least : least + 2], slopes[[least, least]], "simulated", width=3.4)
+    ends = min(0.0, 1.1 * float(slopes.min())), 1.1 * max(float(slopes.max()), 0.0)
+    x, title, slope = Axis("displacement", unit), "Parallel spring", Axis("slope", "V/µm", ends)
+    return (
+        Chart(title, "", "voltage of", x, Axis("spring voltage", "V"), voltage),
+        Chart(title, "", "slope of", x, slope, (Series("slope", *steps(y, slopes), "measured"), marked), zero=True),
+    )
 
 
 def numbers(actuator: Actuator) -> str:
@@ -134,17 +240,6 @@ SAMPLES = 2001
 _SECONDS, _LEGS, _HALVINGS = 1.0, 8, 12
 # Samples in which turning points are looked for, and how far a voltage goes back at one, as a share of its range.
 _ENOUGH, _BAND = 20_000, 0.1
-_TITLE = "Try a path"
-_PATH_CAPTION = (
-    "Drag the points, or change their number and the limits: this page computes the voltage itself. The model stands "
-    "for the actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; {own}."
-)
-_MOVING = ", or where inertia or a delay is not compensated"
-_KEYS = (
-    "Points: drag, or Tab to one and use the arrow keys (with Shift ten times as far), Insert and Delete. A double "
-    "click adds one."
-)
-_SHAPES = {"shrinking": "shrinking loops", "triangle": "triangle", "staircase": "staircase", "scan": "scan"}
 
 
 def path_trial(fit: Fit) -> Applet | str:
@@ -156,15 +251,25 @@ def path_trial(fit: Fit) -> Applet | str:
     if made is None:
         return ""
     (compensator, seconds), share = made, _own_share(fit)
+    own = "the error on the actuator itself is that of the model"
+    if share is not None:
+        own = f"on the records the model itself was wrong by up to {number(100 * share)} % of the stroke"
+    moving = ", or where inertia or a delay is not compensated" if actuator.dynamics is not None or actuator.lag else ""
+    caption = (
+        "Drag the points, or change the limits: this page computes the voltage itself. The model stands for the "
+        f"actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; {own}. The last "
+        "picture shows between which voltages records and path turn: elsewhere the model is not tested."
+    )
+    tested = turn_plane([(one.record, one.time, one.voltage) for one in fit.traces], actuator.limits)
     data = {
         "module": base64.b64encode(wasm_module(compensator)).decode("ascii"),
         "samples": SAMPLES,
         "duration": seconds,
-        "band": None if share is None else share * fit.errors[0].stroke,
+        "band": None if share is None else 1e6 * share * fit.errors[0].stroke,
+        "tested": None if tested is None else tested.as_dict(),
     }
-    # One module: what these files import from each other stands before it.
-    scripts = (shipped("compensator.js"), asset("plot.js"), asset("path.js"))
-    return Applet(_body(fit, actuator), scripts, asset("path.css"), "path-data", data)
+    body = f'<h2>Try a path</h2>\n<p class="caption">{escape(caption)}</p>\n<section id="path-trial"></section>'
+    return Applet(body, "path_trial.js", "path-data", data)
 
 
 def _duration(fit: Fit) -> float:
@@ -193,54 +298,6 @@ def _compensator(actuator: Actuator, seconds: float) -> tuple[Compensator, float
     return None
 
 
-def _body(fit: Fit, actuator: Actuator) -> str:
-    moving = _MOVING if actuator.dynamics is not None or actuator.lag else ""
-    caption = _PATH_CAPTION.format(moving=moving, own=_own_error(fit))
-    options = "".join(f'<option value="{value}">{words}</option>' for value, words in _SHAPES.items())
-    fields = (
-        f'<label>Path <select name="shape">{options}</select></label>',
-        '<label>Lowest voltage (V) <input name="low" type="number" step="any"></label>',
-        '<label>Highest voltage (V) <input name="high" type="number" step="any"></label>',
-        '<label>Slew rate (V/s) <input name="slew" type="number" min="0" step="any" placeholder="any"></label>',
-        '<label>Duration (s) <input name="duration" type="number" min="0" step="any"></label>',
-        '<button type="button" name="add">Add a point</button>',
-        '<button type="button" name="remove">Remove the point</button>',
-    )
-    both = ("without", "straight scale factor"), ("simulated", "dehyst")
-    band = [("band", "largest error on the records")] if _own_share(fit) is not None else []
-    panels = (
-        f'<div class="panel"><h3>Path</h3>\n{_legend(*both, ("ink", "wanted path"))}\n<div class="field">'
-        '<canvas role="img" aria-label="Wanted path, and where both voltages lead"></canvas></div>\n'
-        f'<p class="hint">{_KEYS}</p></div>',
-        f'<div class="panel"><h3>Voltage</h3>\n{_legend(*both, ("measured", "clamped"), ("line", "limits"))}\n'
-        '<canvas role="img" aria-label="Voltages of both, and the limits"></canvas></div>',
-        f'<div class="panel"><h3>Error</h3>\n{_legend(*both, *band)}\n'
-        '<canvas role="img" aria-label="Errors of both along the path"></canvas></div>',
-    )
-    return (
-        f'<h2>{_TITLE}</h2>\n<figure id="path-trial">\n<figcaption>{escape(caption)}</figcaption>\n'
-        f'<div class="controls">\n{_lines(fields)}\n</div>\n<output></output>\n'
-        f'<div class="panels one">\n{_lines(panels)}\n</div>\n</figure>'
-    )
-
-
-def _lines(parts: tuple[str, ...]) -> str:
-    return "\n".join(parts)
-
-
-def _legend(*entries: tuple[str, str]) -> str:
-    keys = "".join(f'<span><i style="background:var(--{colour})"></i>{name}</span>' for colour, name in entries)
-    return f'<p class="keys">{keys}</p>'
-
-
-def _own_error(fit: Fit) -> str:
-    """Say what remains on the actuator itself."""
-    share = _own_share(fit)
-    if share is None:
-        return "the error on the actuator itself is that of the model"
-    return f"on the records the model itself was wrong by up to {number(100 * share)} % of the stroke"
-
-
 def _own_share(fit: Fit) -> float | None:
     """Return the largest error on records that were not trained on, or else on all, as a share of the stroke."""
     errors = [one for one in fit.errors if one.role == "validation"] or list(fit.errors)
@@ -248,12 +305,12 @@ def _own_share(fit: Fit) -> float | None:
     return max(shares) if shares and np.isfinite(max(shares)) else None
 
 
-_COLOURS = (SIMULATED, MEASURED)
+_COLOURS: tuple[Colour, ...] = ("simulated", "measured")
 _WORDS = {"nominal": "by a constant ratio", "compensated": "by the model"}
 
 
-def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
-    """Return a table and figures of the wanted and the reached path and of the errors; empty without a path."""
+def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
+    """Return a table and charts of the wanted and the reached path and of the errors; empty without a path."""
     if not followed:
         return []
     head = ("Voltage", "Largest error, % of the stroke", "RMS, %", "Largest")
@@ -262,7 +319,7 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
             (name, _WORDS.get(name, "")),
             number(path.largest_percent),
             number(path.rms_percent),
-            length(float(np.abs(path.error).max())),
+            length(largest(path.error)),
         )
         for name, path in followed.items()
     ]
@@ -271,33 +328,26 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[str]:
         "and reached minus wanted, each on a scale of its own. The first leg, from the homing onto the path, is "
         "left out."
     )
-    return [
-        "<h2>Measured along a path</h2>",
-        table(head, rows, texts=1),
-        figure("", caption, [panel("Path", "path", _draw_paths, followed, label="Path"), *_errors(followed)]),
-    ]
-
-
-def _draw_paths(ax: Axes, followed: Mapping[str, TrackedPath]) -> None:
-    first = next(iter(followed.values()))
+    first, time = next(iter(followed.values())), Axis("time", "s")
     factor, unit = length_unit(first.stroke)
-    for (name, path), colour in zip(followed.items(), _COLOURS, strict=False):
-        ax.plot(path.time, path.reached * factor, color=colour, lw=1.2, label=name)
-    ax.plot(first.time, first.wanted * factor, color=INK, lw=0.8, ls="--", label="wanted")
-    ax.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
-    ax.legend(loc="upper center", ncols=3)
-    ax.margins(y=0.15)
-
-
-def _errors(followed: Mapping[str, TrackedPath]) -> list[str]:
-    """Return one panel for each voltage, on its own scale: the errors differ too much for one scale."""
-    return [
-        panel(name, f"error-{name}", _draw_error, path, colour, role=_WORDS.get(name, ""), label="Error of")
-        for (name, path), colour in zip(followed.items(), _COLOURS, strict=False)
+    coloured = list(zip(followed.items(), _COLOURS, strict=False))
+    reached = [Series(name, path.time, path.reached * factor, colour, exact=True) for (name, path), colour in coloured]
+    wanted = Series("wanted", first.time, first.wanted * factor, "ink", exact=True, width=1, dashed=True)
+    paths = Chart("Path", "", "wanted and reached displacement,", time, Axis("displacement", unit), (*reached, wanted))
+    # The errors differ too much for one scale.
+    errors = [
+        Chart(
+            name,
+            _WORDS.get(name, ""),
+            "error of",
+            time,
+            Axis("error", "% of the stroke"),
+            (Series("", path.time, 100 * path.error / path.stroke, colour, exact=True),),
+            zero=True,
+        )
+        for (name, path), colour in coloured
     ]
-
-
-def _draw_error(ax: Axes, path: TrackedPath, colour: str) -> None:
-    ax.plot(path.time, 100 * path.error / path.stroke, color=colour, lw=1)
-    ax.axhline(0, color=INK, lw=0.8)
-    ax.set(xlabel="time (s)", ylabel="error (% of the stroke)")
+    return [
+        f"<h2>Measured along a path</h2>\n{table(head, rows, texts=1)}",
+        Charts("", caption, (paths, *errors)),
+    ]

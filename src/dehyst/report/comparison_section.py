@@ -5,10 +5,11 @@ from __future__ import annotations
 from os import PathLike
 
 from dehyst._io import write_atomically
+from dehyst._views.html import escape
 from dehyst.baselines import ModelComparison
 from dehyst.baselines.comparison import OURS, RecordScore
 from dehyst.baselines.tracking_trials import TrackingErrors
-from dehyst.report.html import Row, bullets, document, escape, folded, length, number, reproduction, table
+from dehyst.report.html import Row, bullets, document, folded, length, number, reproduction, table
 
 _NONE = "–"
 # Bars of one model are no comparison; largest ratio of the longest to the median.
@@ -48,8 +49,8 @@ def _bars(found: ModelComparison) -> str:
     end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest)
     lines = "\n".join(
         f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
-        f'<span class="bar" style="width:{_width(score.largest, end):.1f}%"></span>'
-        f'<span class="bar rms" style="width:{_width(score.rms, end):.1f}%"></span>'
+        f'<span class="bar" data-style="width:{_width(score.largest, end):.1f}%"></span>'
+        f'<span class="bar rms" data-style="width:{_width(score.rms, end):.1f}%"></span>'
         f"<small>{number(score.largest)} % · {number(score.rms)} %"
         f"{' (longer than drawn)' if score.largest > end else ''}</small></dd>"
         for score, name in scores

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
+from itertools import cycle
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
+from dehyst._views.html import escape
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.identification.fit import label
 from dehyst.model import Actuator
-from dehyst.records.signals import white_noise
-from dehyst.report.html import Axis, Chart, Charts, Colour, Row, Series, escape, folded, length, number, spelled, table
-from dehyst.report.plots import length_unit, rising
+from dehyst.records.signals import largest, white_noise
+from dehyst.report.charts import Axis, Chart, Colour, Series
+from dehyst.report.html import Charts, Part, Row, folded, length, length_unit, number, spelled, table, words
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
@@ -27,7 +28,7 @@ def verdict(fit: Fit) -> str:
     expected = fit.expectation
     if expected is None:
         word = Readiness.NOT_USABLE.value.capitalize()
-        return f'<p class="outcome red" role="status"><strong>{word}</strong> {escape(spelled(fit.outcome.value))}</p>'
+        return f'<p class="outcome red" role="status"><strong>{word}</strong> {words(fit.outcome.value)}</p>'
     word = expected.readiness.value.capitalize()
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     largest, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
@@ -36,7 +37,7 @@ def verdict(fit: Fit) -> str:
         f"{expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{spelled(fit.outcome.value)}"
     )
-    why = "".join(f"<li>{escape(spelled(one[0].upper() + one[1:]))}.</li>" for one in expected.why_not_ready)
+    why = "".join(f"<li>{words(one[0].upper() + one[1:])}.</li>" for one in expected.why_not_ready)
     return (
         f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>'
         f"<b>{largest} of the stroke <small>or {escape(length(expected.largest))}</small></b>\n"
@@ -77,7 +78,7 @@ def errors_table(errors: Sequence[RecordErrors]) -> str:
     )
 
 
-def structures(fit: Fit) -> list[str | Charts]:
+def structures(fit: Fit) -> list[Part]:
     """Return the structures that were tried: error against size, and a table, best first."""
     if not fit.trials:
         return []
@@ -135,22 +136,22 @@ def remaining_error(fit: Fit) -> str:
     """Return where the remaining error of each record comes from: a bar of shares, and a sentence."""
     if not fit.remaining or not fit.errors:
         return ""
-    keys = "".join(f'<span><i style="background:var(--{key})"></i>{words}</span>' for key, words in _CAUSES)
+    swatch = '<span class="note"><i data-style="background:var(--{})"></i>{}</span>'
+    keys = "".join(swatch.format(key, cause) for key, cause in _CAUSES)
     bars = []
     for one in fit.remaining:
         shares = "".join(
-            f'<span style="width:{100 * getattr(one, key):.1f}%;background:var(--{key})" '
-            f'title="{words}: {100 * getattr(one, key):.0f} %"></span>'
-            for key, words in _CAUSES
+            f'<span data-style="width:{100 * getattr(one, key):.1f}%;background:var(--{key})" '
+            f'title="{cause}: {100 * getattr(one, key):.0f} %"></span>'
+            for key, cause in _CAUSES
         )
-        words = spelled(one.causes(fit.errors[0].stroke))
         bars.append(
             f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">{shares}</div>\n'
-            f'<p class="muted">{escape(words)}</p>'
+            f'<p class="muted">{words(one.causes(fit.errors[0].stroke))}</p>'
         )
     return (
         '<h2>Where the remaining error comes from</h2>\n<p class="muted">Shares of the power of the residual.</p>\n'
-        f'<div class="shares"><p class="keys">{keys}</p>\n{"".join(bars)}</div>'
+        f'<div class="shares"><p class="legend">{keys}</p>\n{"".join(bars)}</div>'
     )
 
 
@@ -211,15 +212,15 @@ def before_and_after(fit: Fit) -> Charts | str:
     if not shown:
         return ""
     trace = next((one for one in shown if one.role == "validation"), shown[0])
-    stroke = _stroke(fit)
-    off, slope = _off_line(trace, trace.measured)
+    stroke = stroke_of(fit)
+    (off,), slope = _off_line([trace])
     factor, unit = length_unit(float(np.ptp(trace.measured)))
+    before, after = largest(off), largest(trace.residual)
+    at = _drawn(trace, len(shown))
     curves: tuple[tuple[str, Array, Colour], ...] = (
         ("straight scale factor", off, "without"),
         ("this model", trace.residual, "simulated"),
     )
-    before, after = (float(np.abs(error).max()) for _, error, _ in curves)
-    at = _drawn(trace, len(shown))
     series = tuple(
         Series(name, trace.simulated[at] * factor, _broken(trace, 100 * error / stroke)[at], colour)
         for name, error, colour in curves
@@ -234,11 +235,10 @@ def before_and_after(fit: Fit) -> Charts | str:
         right=_right("error", stroke, before),
         zero=True,
     )
-    gain = number(slope * 1e6)
     caption = (
-        f"How far this record lies from the best straight scale factor, {gain} µm/V, and from the model: at most "
-        f"{number(100 * before / stroke)} % of the stroke before and {number(100 * after / stroke)} % after. Drag over "
-        "a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
+        f"How far this record lies from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
+        f"model: up to {number(100 * before / stroke)} % of the stroke before, {number(100 * after / stroke)} % after. "
+        "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
     )
     return Charts("Before and after", caption, (chart,), wide=True)
 
@@ -246,107 +246,129 @@ def before_and_after(fit: Fit) -> Charts | str:
 def loops(fit: Fit) -> Charts | str:
     """Return the loops off a straight line, measured and simulated, so that hysteresis fills the height."""
     shown = _shown(fit)
-    charts = []
-    for trace in shown:
-        factor, unit = length_unit(max(float(np.ptp(_off_line(trace, trace.measured)[0])), 1e-12))
-        measured, slope = _off_line(trace, trace.measured)
-        simulated = measured - trace.residual
-        at = _drawn(trace, len(shown))
-        voltage = trace.voltage[at]
-        measured, simulated = (_broken(trace, y * factor)[at] for y in (measured, simulated))
-        charts.append(
-            Chart(
-                trace.record,
-                trace.role,
-                "Deviation from a straight line, measured and simulated, of",
-                Axis("voltage", "V"),
-                Axis(f"off a line of {number(slope * 1e6)} µm/V", unit),
-                (
-                    Series("measured", voltage, measured, "measured", width=3, opacity=0.5),
-                    Series("simulated", voltage, simulated, "simulated", width=1),
-                ),
-                zero=True,
-            )
-        )
     caption = (
         "Displacement minus a straight line, so that the hysteresis fills the height. Where the thin line (simulated) "
         "leaves the broad one (measured), the model is wrong; look at the turning points and at the minor loops."
     )
-    return Charts("Loops, off a straight line", caption + _only(fit), tuple(charts)) if charts else ""
+    charts = tuple(hysteresis_chart([trace], len(shown)) for trace in shown)
+    return Charts("Loops, off a straight line", caption + _only(fit), charts) if charts else ""
+
+
+def loops_chart(traces: Sequence[Trace]) -> Chart:
+    """Return measured and simulated displacement over voltage."""
+    factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
+    label = "Displacement, measured and simulated, of"
+    return _both(traces, [trace.measured for trace in traces], Axis("displacement", unit), factor, label, len(traces))
+
+
+def hysteresis_chart(traces: Sequence[Trace], records: int = 1) -> Chart:
+    """Return the same less the best straight line through all measured loops, of `records` that are drawn."""
+    measured, slope = _off_line(traces)
+    factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
+    y, label = Axis(f"off a line of {number(slope * 1e6)} µm/V", unit), "Deviation from a straight line of"
+    return replace(_both(traces, measured, y, factor, label, records), zero=True)
+
+
+def _both(
+    traces: Sequence[Trace], measured: Sequence[Array], y: Axis, factor: float, label: str, records: int
+) -> Chart:
+    """Return a chart over voltage of what was measured and of what was simulated, which is less by the residual."""
+    broad, thin = [], []
+    for trace, shown in zip(traces, measured, strict=True):
+        at = _drawn(trace, records)
+        voltage = trace.voltage[at]
+        first, second = (_broken(trace, one * factor)[at] for one in (shown, shown - trace.residual))
+        broad.append(Series("measured", voltage, first, "measured", width=3, opacity=0.5))
+        thin.append(Series("simulated", voltage, second, "simulated", width=1))
+    one = traces[0]
+    return Chart(one.record, one.role, label, Axis("voltage", "V"), y, (*broad, *thin))
 
 
 def residuals(fit: Fit) -> Charts | str:
     """Return the residuals of the records, in time and over displacement, all on one scale."""
-    shown, stroke = _shown(fit), _stroke(fit)
+    shown, stroke = _shown(fit), stroke_of(fit)
     if not shown:
         return ""
-    limit = 1.1 * max(float(np.abs(100 * trace.residual / stroke).max()) for trace in shown) or 1.0
-    residuals = [_Residual(trace, stroke, limit, _drawn(trace, len(shown))) for trace in shown]
-    charts = tuple(chart for one in residuals for chart in (one.in_time(), one.in_place()))
+    limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
+    both = (
+        chart([trace], stroke, len(shown), limit)
+        for trace in shown
+        for chart in (residual_in_time, residual_over_displacement)
+    )
     caption = (
         "A slow trend in time is drift or creep. A mean (line) outside of the noise band, or a distance between the "
         "means of rising and falling branches, is a limit of the model. Grey parts of the time were not compared: "
         "they are listed under what was repaired or left out. All charts share one scale."
     )
-    return Charts("Residuals: measured minus simulated", caption + _only(fit), charts)
+    return Charts("Residuals: measured minus simulated", caption + _only(fit), tuple(both))
 
 
-@dataclass(frozen=True, eq=False)
-class _Residual:
-    """The residual of a trace: the stroke [m], the limit of its axis [% of stroke], and the samples to draw."""
-
-    trace: Trace
-    stroke: float
-    limit: float
-    drawn: Indices
-
-    @cached_property
-    def percent(self) -> Array:
-        """In % of the stroke (n,)."""
-        return 100 * self.trace.residual / self.stroke
-
-    def in_time(self) -> Chart:
-        """Draw it against time, the times that were not compared shaded."""
-        time, percent = self.trace.time[self.drawn], self.percent[self.drawn]
-        points = Series("residual", time, percent, "measured", "points", opacity=0.6, exact=True)
-        keys = (("95 % of the noise", "band"), ("not compared", "shade"))
-        return self._chart("time", Axis("time", "s"), (points,), keys, _left_out(self.trace))
-
-    def in_place(self) -> Chart:
-        """Draw it against displacement, rising and falling branches apart, with the means of bins."""
-        factor, unit = length_unit(float(np.ptp(self.trace.measured)))
-        place, up = self.trace.simulated * factor, rising(self.trace)
-        clouds, means = [], []
-        branches: tuple[tuple[Colour, NDArray[np.bool_]], ...] = (("rising", up), ("falling", ~up))
-        for name, branch in branches:
-            some = self.drawn[branch[self.drawn]]
-            clouds.append(Series(name, place[some], self.percent[some], name, "points", 2.0, 0.45))
-            means.append(Series(f"mean, {name}", *_means(place[branch], self.percent[branch]), name, width=2.4))
-        keys = (("95 % of the noise", "band"),)
-        return self._chart("displacement", Axis("displacement", unit), (*clouds, *means), keys)
-
-    def _chart(
-        self,
-        against: str,
-        x: Axis,
-        series: tuple[Series, ...],
-        keys: tuple[tuple[str, str], ...],
-        shaded: Sequence[tuple[float, float]] = (),
-    ) -> Chart:
-        noise = _DEVIATIONS * 100 * white_noise(self.trace.residual) / self.stroke
-        return Chart(
-            self.trace.record,
-            self.trace.role,
-            f"Residual against {against} of",
-            x,
-            Axis("residual", "% of stroke", (-self.limit, self.limit)),
-            series,
-            right=_right("residual", self.stroke, self.limit * self.stroke / 100),
-            shaded=shaded,
-            band=(-noise, noise),
-            zero=True,
-            keys=keys,
+def residual_in_time(traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None) -> Chart:
+    """Return residuals [% of the stroke in m] against time; of one record the times that were not compared shaded."""
+    colours: tuple[Colour, ...] = ("measured", "simulated", "rising", "falling")
+    alone = len(traces) == 1
+    series = tuple(
+        Series(
+            "residual" if alone else trace.record,
+            trace.time[at],
+            100 * trace.residual[at] / stroke,
+            colour,
+            "points",
+            opacity=0.6,
+            exact=True,
         )
+        for trace, colour in zip(traces, cycle(colours))
+        for at in [_drawn(trace, records)]
+    )
+    chart = _residual(traces, "time", Axis("time", "s"), series, stroke, limit)
+    if not alone:
+        return chart
+    return replace(chart, shaded=_left_out(traces[0]), notes=(*chart.notes, ("not compared", "shade")))
+
+
+def residual_over_displacement(
+    traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None
+) -> Chart:
+    """Return residuals [% of the stroke in m] against displacement, branches apart, with the means of bins."""
+    factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
+    place = np.concatenate([trace.simulated * factor for trace in traces])
+    off = np.concatenate([100 * trace.residual / stroke for trace in traces])
+    up = np.concatenate([rising(trace) for trace in traces])
+    some = np.concatenate([np.isin(np.arange(trace.time.size), _drawn(trace, records)) for trace in traces])
+    clouds, means = [], []
+    branches: tuple[tuple[Colour, NDArray[np.bool_]], ...] = (("rising", up), ("falling", ~up))
+    for name, branch in branches:
+        shown = branch & some
+        clouds.append(Series(name, place[shown], off[shown], name, "points", 2.0, 0.45))
+        means.append(Series(f"mean, {name}", *_means(place[branch], off[branch]), name, width=2.4))
+    return _residual(traces, "displacement", Axis("displacement", unit), (*clouds, *means), stroke, limit)
+
+
+def _residual(
+    traces: Sequence[Trace], against: str, x: Axis, series: tuple[Series, ...], stroke: float, limit: float | None
+) -> Chart:
+    most = max(100 * largest(trace.residual) / stroke for trace in traces)
+    noise = _DEVIATIONS * max(100 * white_noise(trace.residual) / stroke for trace in traces)
+    return Chart(
+        traces[0].record,
+        traces[0].role,
+        f"Residual against {against} of",
+        x,
+        Axis("residual", "% of stroke", None if limit is None else (-limit, limit)),
+        series,
+        right=_right("residual", stroke, (limit or most) * stroke / 100),
+        band=(-noise, noise),
+        zero=True,
+        notes=(("95 % of the noise", "band"),),
+    )
+
+
+def rising(trace: Trace) -> NDArray[np.bool_]:
+    """Return whether each sample lies on a rising branch (n,); a hold belongs to the branch before it."""
+    # The simulated displacement moves in the direction of the voltage, and stands still with it.
+    sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
+    return np.asarray(sign[last] >= 0)
 
 
 def _means(place: Array, values: Array) -> tuple[Array, Array]:
@@ -361,30 +383,32 @@ def _means(place: Array, values: Array) -> tuple[Array, Array]:
     return 0.5 * (edges[1:] + edges[:-1]), means
 
 
-def _off_line(trace: Trace, y: Array) -> tuple[Array, float]:
-    """Return a displacement less its best straight line over voltage [m], and the slope of that [m/V]."""
-    if float(np.ptp(trace.voltage)) == 0.0:
-        return y - y.mean(), 0.0
-    voltage = trace.voltage - trace.voltage.mean()
-    slope = float(voltage @ (y - y.mean()) / (voltage @ voltage))
-    return y - y.mean() - slope * voltage, slope
+def _off_line(traces: Sequence[Trace]) -> tuple[list[Array], float]:
+    """Return measured displacements less their best straight line over voltage [m], and the slope of that [m/V]."""
+    voltage, y = (np.concatenate([getattr(trace, name) for trace in traces]) for name in ("voltage", "measured"))
+    middle, rest = voltage.mean(), y.mean()
+    spread = float((voltage - middle) @ (voltage - middle))
+    slope = float((voltage - middle) @ (y - rest) / spread) if np.ptp(voltage) else 0.0
+    return [trace.measured - rest - slope * (trace.voltage - middle) for trace in traces], slope
 
 
 def _left_out(trace: Trace) -> list[tuple[float, float]]:
     """Return the parts of the time that were not compared: the time before the first sample, and gaps."""
-    steps = np.diff(trace.time)
-    cuts = np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else np.zeros(0, np.intp)
-    parts = [(float(trace.time[i]), float(trace.time[i + 1])) for i in cuts]
+    parts = [(float(trace.time[i]), float(trace.time[i + 1])) for i in _gaps(trace)]
     return [(trace.began, float(trace.time[0])), *parts] if trace.began < trace.time[0] else parts
 
 
 def _broken(trace: Trace, values: Array) -> Array:
     """Return values with the last one before a gap missing, so that no line crosses it."""
-    steps = np.diff(trace.time)
     out = np.array(values, dtype=np.float64)
-    if steps.size:
-        out[:-1][steps > 3 * np.median(steps)] = np.nan
+    out[_gaps(trace)] = np.nan
     return out
+
+
+def _gaps(trace: Trace) -> Indices:
+    """Return the last sample before each gap."""
+    steps = np.diff(trace.time)
+    return np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else np.zeros(0, np.intp)
 
 
 def _drawn(trace: Trace, records: int) -> Indices:
@@ -405,7 +429,7 @@ def _shown(fit: Fit) -> list[Trace]:
     return [trace for trace in fit.traces if trace.time.size > 1][:MOST_RECORDS]
 
 
-def _stroke(fit: Fit) -> float:
+def stroke_of(fit: Fit) -> float:
     """Return the stroke [m] to which percentages refer."""
     if fit.errors:
         return fit.errors[0].stroke

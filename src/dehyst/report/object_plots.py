@@ -4,44 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordError
-from dehyst._text import escaped
-from dehyst._types import Array
 from dehyst._validation import choice
-from dehyst.identification import Fit, Trace
-from dehyst.model import Actuator, GradedSlip, State
+from dehyst.identification import Fit
+from dehyst.model import Actuator, State
 from dehyst.records import Record
-from dehyst.report.plots import (
-    FALLING,
-    INK,
-    MEASURED,
-    RISING,
-    draw_both,
-    draw_creep,
-    draw_slopes,
-    length_unit,
-    points,
-    rising,
-    some_samples,
-    stems,
-    thinned,
-)
-from dehyst.report.uncertainty_section import (
-    draw_band,
-    draw_loop_interval,
-    draw_singular_values,
-    draw_stiffness_intervals,
-)
+from dehyst.report import fit_section, trust_section
+from dehyst.report.actuator_section import creep_chart, element_charts, slopes_chart, spring_charts
+from dehyst.report.charts import Axis, Chart, Series
+from dehyst.report.html import length_unit
+from dehyst.report.pages import loop_chart, time_charts
+from dehyst.report.plots import MEASURED, draw_chart, plain
 from dehyst.trust import Insight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Thing = TypeVar("Thing")
+Kinds: TypeAlias = "Mapping[str, Callable[[], Chart]]"
 _VOLTAGE = "#999999"
 # Of the loops of an actuator: their tops as parts of the largest one, and samples of a leg.
 _TOPS, _LEG = (0.8, 0.6, 0.4, 0.2), 200
@@ -49,67 +32,66 @@ _TOPS, _LEG = (0.8, 0.6, 0.4, 0.2), 200
 
 def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
     """Draw a record; `kind` is "loop" or "time"."""
-    return _drawn(found, {"loop": _record_loop, "time": _record_in_time}, kind, ax, found.name, RecordError)
+    kinds = {"loop": lambda: loop_chart(found), "time": lambda: time_charts(found)[1]}
+    axes = _drawn(kinds, kind, ax, found.name, RecordError)
+    if kind == "time":
+        _voltage_behind(axes, found)
+    return axes
 
 
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an actuator; `kind` as in `Actuator.plot`."""
-    kinds = {
-        "loop": _actuator_loops,
-        "elements": _elements,
-        "spring": _spring,
-        "slopes": lambda ax, found: draw_slopes(ax, found.slip, found.spring),
-        "creep": draw_creep,
-    }
     if kind == "creep" and not found.creep:
         raise ModelError(
             f"got 'creep' of an actuator without creep, '{found.name}'", argument="kind", hint="try 'loop'"
         )
-    return _drawn(found, kinds, kind, ax, found.name, ModelError)
+    kinds = {
+        "loop": lambda: _actuator_loops(found),
+        "elements": lambda: element_charts(found)[0],
+        "spring": lambda: spring_charts(found.spring)[0],
+        "slopes": lambda: slopes_chart(found),
+        "creep": lambda: creep_chart(found),
+    }
+    return _drawn(kinds, kind, ax, found.name, ModelError)
 
 
 def fit(found: Fit, kind: str | None, ax: Axes | None) -> Axes:
     """Draw a fit; `kind` as in `Fit.plot`."""
-    kinds = {
-        "loops": _loops,
-        "hysteresis": _hysteresis,
-        "residuals": _residuals,
-        "residuals in time": _residuals_in_time,
-    }
-    if not any(trace.time.size for trace in found.traces):
+    traces = [trace for trace in found.traces if trace.time.size]
+    if not traces:
         raise ModelError(f"plot: got a fit without traces, need an identified one; it ended so: {found.outcome.value}")
-    return _drawn(found, kinds, kind, ax, ", ".join(trace.record for trace in found.traces[:3]), ModelError)
+    stroke = fit_section.stroke_of(found)
+    kinds = {
+        "loops": lambda: fit_section.loops_chart(traces),
+        "hysteresis": lambda: fit_section.hysteresis_chart(traces),
+        "residuals": lambda: fit_section.residual_over_displacement(traces, stroke),
+        "residuals in time": lambda: fit_section.residual_in_time(traces, stroke),
+    }
+    return _drawn(kinds, kind, ax, ", ".join(trace.record for trace in traces[:3]), ModelError)
 
 
 def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an assessment; `kind` as in `Insight.plot`."""
-    kinds: dict[str, Callable[[Axes, Insight], None]] = {
-        "directions": lambda ax, found: draw_singular_values(ax, found.identifiability)
+    kinds: dict[str, Callable[[], Chart]] = {
+        "directions": lambda: trust_section.directions_chart(found.identifiability)
     }
-    if found.loop is not None:
-        kinds["loop"] = draw_loop_interval
+    if (loop := found.loop) is not None:
+        kinds["loop"] = lambda: trust_section.loop_chart(loop)
     if found.feasible_set is not None or (found.intervals is None and not found.actuator.wide):
-        kinds["stiffnesses"] = draw_stiffness_intervals
+        kinds["stiffnesses"] = lambda: trust_section.stiffness_chart(found)
     if (band := found.band) is not None:
-        kinds["band"] = lambda ax, found: draw_band(ax, band, found.evidence.stroke)
-    return _drawn(found, kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)
+        kinds["band"] = lambda: trust_section.band_chart(band, found.evidence.stroke)
+    return _drawn(kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)
 
 
-def _drawn(
-    found: Thing,
-    kinds: Mapping[str, Callable[[Axes, Thing], None]],
-    kind: str | None,
-    ax: Axes | None,
-    title: str,
-    error: type[DehystError],
-) -> Axes:
+def _drawn(kinds: Kinds, kind: str | None, ax: Axes | None, title: str, error: type[DehystError]) -> Axes:
     """Draw one kind of picture on axes, or on those of a new figure."""
     name = next(iter(kinds)) if kind is None else kind
     choice(name, "kind", tuple(kinds), error=error)
     axes = _new_axes() if ax is None else ax
-    kinds[name](axes, found)
+    draw_chart(axes, kinds[name]())
     if not axes.get_title():
-        axes.set_title(_words(title))
+        axes.set_title(plain(title))
     return axes
 
 
@@ -117,7 +99,7 @@ def _new_axes() -> Axes:
     try:
         from matplotlib import pyplot
     except ImportError as error:
-        raise MissingExtraError.of("matplotlib", "report", "Drawing") from error
+        raise MissingExtraError.of("matplotlib", "plot", "Drawing") from error
     axes: Axes = pyplot.subplots(layout="constrained")[1]
     axes.grid(color="#ECECEC", lw=0.5)
     axes.set_axisbelow(True)
@@ -125,133 +107,35 @@ def _new_axes() -> Axes:
     return axes
 
 
-def _words(name: str) -> str:
-    """Return a name as plain text: no formula, no hidden label, and not too long."""
-    text = escaped(name)
-    text = text if len(text) <= 60 else f"{text[:57]}..."
-    return f"{' ' if text.startswith('_') else ''}{text}".replace("$", r"\$")
-
-
-def _record_loop(ax: Axes, found: Record) -> None:
-    factor, unit = length_unit(found.stroke)
-    v, y = thinned(found.time, found.voltage, found.displacement * factor)
-    ax.plot(v, y, color=MEASURED, lw=0.9)
-    ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
-
-
-def _record_in_time(ax: Axes, found: Record) -> None:
-    factor, unit = length_unit(found.stroke)
+def _voltage_behind(ax: Axes, found: Record) -> None:
+    """Draw the voltage behind the displacement, on an axis of its own."""
     right: Any = ax.twinx()
-    right.plot(*thinned(found.time, found.time, found.voltage), color=_VOLTAGE, lw=0.9)
+    (line,) = time_charts(found)[0].series
+    right.plot(line.x, line.y, color=_VOLTAGE, lw=0.9)
     right.set_ylabel("voltage (V)", color="#666666")
     right.grid(visible=False)
     right.spines["right"].set_visible(True)
-    ax.plot(*thinned(found.time, found.time, found.displacement * factor), color=MEASURED, lw=1.1)
-    ax.set_xlabel("time (s)")
-    ax.set_ylabel(f"displacement ({unit})", color=MEASURED)
-    # The displacement is in front of the voltage.
+    ax.yaxis.label.set_color(MEASURED)
     ax.set_zorder(right.get_zorder() + 1)
     ax.patch.set_visible(False)
 
 
-def _actuator_loops(ax: Axes, found: Actuator) -> None:
+def _actuator_loops(found: Actuator) -> Chart:
+    """Return the major loop and inner loops of an actuator, as slow motion draws them."""
     factor, unit = length_unit(float(np.ptp(found.spring.displacement)))
     low, high = found.voltage_range
     rest = found.turned(float(found.spring.displacement[-1]), extrapolate=True)
     bare = State(rest.displacement, rest.carts, (), (), rest.smooth)
     slow = replace(found, creep=None, dynamics=None, lag=0.0, state=bare)
     start = slow.simulate(np.array([high, low]), extrapolate=True).state
-    for top, width, label in ((1.0, 1.4, "major loop"), *((part, 0.8, "inner loops") for part in _TOPS)):
+    series = []
+    for top in (1.0, *_TOPS):
         peak = low + top * (high - low)
         voltage = np.concatenate([np.linspace(low, peak, _LEG), np.linspace(peak, low, _LEG)])
         motion = slow.simulate(voltage, state=start, extrapolate=True)
-        start = motion.state
-        colour = MEASURED if top == 1 else FALLING
-        shown = label if top in (1.0, _TOPS[0]) else None
-        ax.plot(voltage, motion.displacement * factor, color=colour, lw=width, label=shown)
-    ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
-    ax.legend(loc="upper left")
-
-
-def _elements(ax: Axes, found: Actuator) -> None:
-    slip = found.slip.stiffest() if isinstance(found.slip, GradedSlip) else found.slip
-    factor, unit = length_unit(float(slip.breakaway[-1]))
-    stems(ax, slip.breakaway * factor, slip.stiffness * 1e-6, "stiffness (V/µm)")
-    ax.set_xlabel(f"breakaway elongation ({unit})")
-    ax.set_xlim(0, 1.05 * float(slip.breakaway[-1]) * factor)
-
-
-def _spring(ax: Axes, found: Actuator) -> None:
-    spring = found.spring
-    factor, unit = length_unit(float(np.ptp(spring.displacement)))
-    ax.plot(spring.displacement * factor, spring.voltage, color=MEASURED, lw=1, marker="o", ms=2.6)
-    ax.set(xlabel=f"displacement ({unit})", ylabel="spring voltage (V)")
-
-
-def _loops(ax: Axes, found: Fit) -> None:
-    factor, unit = _length_unit(found)
-    for k, trace in enumerate(found.traces):
-        draw_both(ax, trace, trace.measured * factor, trace.simulated * factor, labels=not k)
-    ax.set(xlabel="voltage (V)", ylabel=f"displacement ({unit})")
-    ax.legend(loc="upper left")
-
-
-def _hysteresis(ax: Axes, found: Fit) -> None:
-    voltage = np.concatenate([trace.voltage for trace in found.traces])
-    slope, start = np.polyfit(voltage, np.concatenate([trace.measured for trace in found.traces]), 1)
-
-    def off(trace: Trace, y: Array) -> Array:
-        return np.asarray(y - start - slope * trace.voltage)
-
-    factor, unit = length_unit(max(float(np.ptp(off(trace, trace.measured))) for trace in found.traces))
-    for k, trace in enumerate(found.traces):
-        curves = (off(trace, y) * factor for y in (trace.measured, trace.simulated))
-        draw_both(ax, trace, *curves, labels=not k)
-    ax.axhline(0, color=INK, lw=0.6)
-    ax.set(xlabel="voltage (V)", ylabel=f"off a line of {slope * 1e6:.3g} µm/V ({unit})")
-    _room_above(ax)
-    ax.legend(loc="upper left", ncols=2)
-
-
-def _residuals(ax: Axes, found: Fit) -> None:
-    (factor, unit), (small, small_unit) = _length_unit(found), _residual_unit(found)
-    measured = np.concatenate([trace.measured for trace in found.traces]) * factor
-    residual = np.concatenate([trace.residual for trace in found.traces]) * small
-    up, some = np.concatenate([rising(trace) for trace in found.traces]), some_samples(measured.size)
-    for branch, colour, label in ((some & up, RISING, "rising"), (some & ~up, FALLING, "falling")):
-        points(ax, measured[branch], residual[branch], colour, of=int(some.sum()), label=label)
-    ax.axhline(0, color=INK, lw=0.6)
-    ax.set(xlabel=f"displacement ({unit})", ylabel=f"measured minus simulated ({small_unit})")
-    _legend_of_points(ax)
-
-
-def _residuals_in_time(ax: Axes, found: Fit) -> None:
-    small, unit = _residual_unit(found)
-    for k, trace in enumerate(found.traces):
-        points(ax, trace.time, trace.residual * small, f"C{k}", of=trace.time.size, label=_words(trace.record))
-    ax.axhline(0, color=INK, lw=0.6)
-    ax.set(xlabel="time (s)", ylabel=f"measured minus simulated ({unit})")
-    _legend_of_points(ax)
-
-
-def _legend_of_points(ax: Axes) -> None:
-    """Set a legend above the points, with marks that can be seen."""
-    _room_above(ax)
-    legend = ax.legend(loc="upper left", ncols=3, handlelength=0.8)
-    for handle in legend.legend_handles:
-        if handle is not None:
-            handle.set(alpha=1.0, markersize=6)
-
-
-def _room_above(ax: Axes) -> None:
-    """Leave room for a legend above what is drawn."""
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.15 * (high - low))
-
-
-def _length_unit(found: Fit) -> tuple[float, str]:
-    return length_unit(max(float(np.ptp(trace.measured)) for trace in found.traces))
-
-
-def _residual_unit(found: Fit) -> tuple[float, str]:
-    return length_unit(max(float(np.abs(trace.residual).max()) for trace in found.traces))
+        start, y = motion.state, motion.displacement * factor
+        if top == 1.0:
+            series.append(Series("major loop", voltage, y, "measured", width=1.9))
+        else:
+            series.append(Series("inner loops", voltage, y, "falling", width=1.1))
+    return Chart(found.name, "", "loops of", Axis("voltage", "V"), Axis("displacement", unit), tuple(series))

@@ -100,8 +100,7 @@ def demand_folder(folder: PathLike) -> None:
 def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     """Write the records, the model, the path, the numbers and the report to a folder; return the paths.
 
-    Raise `FileFormatError` if the folder cannot be made, or contains files that are not of a demo. Raise
-    `MissingExtraError` if a report is requested and matplotlib is missing.
+    Raise `FileFormatError` if the folder cannot be made, or contains files that are not of a demo.
     """
     target = make_own_folder(folder, *_OWN)
     # First, so that the folder counts as the demo's even if it is not finished.

@@ -17,7 +17,7 @@ import numpy as np
 from dehyst._types import Array, Mask
 from dehyst._views.fields import json_values
 from dehyst.control import StateBounds
-from dehyst.control.planning.bounds import known_by_displacement, moves_on
+from dehyst.control.planning.states import first_known_by_displacement, least_width, time_dependence
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.validation import RecordComparison
@@ -187,16 +187,16 @@ class StateKnowledge:
         stiff, record = _stiff(actuator), compared.record.record
         # Noise widens a range by its extremes; what it adds is no excursion.
         reach = 2 * stiff.slip.breakaway + 4 * compared.record.noise
-        ordered = not moves_on(actuator)
+        ordered = not time_dependence(actuator)
         if not reach.size:
             return cls(record.name, 0.0, 0.0 if ordered else None, ordered)
         # With inertia the elements see what the resonance had to follow, which the pieces hold.
         path = record.displacement if actuator.dynamics is None else compared.pieces[0][1].displacement
-        seen = known_by_displacement(0.5 * reach, path).first_known
+        seen = first_known_by_displacement(0.5 * reach, path)
         played = None
         if ordered:
             bounds = StateBounds.at_rest(stiff, float(record.voltage[0]))
-            played = bounds.propagate(stiff, record.voltage).first_known
+            played = bounds.propagate(stiff, record.voltage).first_known(least_width(stiff))
 
         def time(sample: int | None) -> float | None:
             return None if sample is None else float(record.time[sample] - record.time[0])

@@ -24,6 +24,7 @@ from dehyst.trust.identifiability import SHARP, PartIdentifiability, StateKnowle
 from dehyst.trust.judgement import Judgement, judge
 from dehyst.trust.precision import NOISE_BIAS, Precision
 from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
+from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,6 +145,12 @@ class Insight:
     def misfit(self) -> float:
         """The largest error of the model on these records [m]."""
         return self.evidence.misfit
+
+    @property
+    def turns(self) -> TurnPlane | None:
+        """Where the records turned, and which regions they test."""
+        records = (one.record.record for one in self.evidence.comparisons)
+        return turn_plane(((one.name, one.time, one.voltage) for one in records), self.limits)
 
     def __repr__(self) -> str:
         return one_line(self)
@@ -303,7 +310,7 @@ class Insight:
                 for name, (model, ends) in self.numbers().items()
             },
             **json_values(self, "major_loop_off_m=loop.off advice level=intervals.level known=precision"),
-            **json_values(self, "state=knowledge start=start.name"),
+            **json_values(self, "state=knowledge start=start.name turns"),
             "homing": None if self.homing is None else json_values(self.homing, homing),
             "trajectory": band,
             "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),

@@ -17,6 +17,7 @@ from dehyst.identification.results import read_traces
 from dehyst.model import Actuator
 from dehyst.operations import find
 from dehyst.records import read, read_table, write_columns
+from dehyst.trust.turn_plane import turn_plane
 from dehyst.waveforms.named import scan_of
 
 _MICRO = 1e6
@@ -127,19 +128,20 @@ def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
     return time, voltage, wanted, columns.get(f"{axis}_expected_um" if axis else "expected_um", wanted)
 
 
-def trace_heads(file: Path) -> list[dict[str, Any]]:
-    """Return name, role, samples and gaps [s] of each record of a file of traces; none if there is no file."""
-    if not file.exists():
-        return []
-    return [
+def trace_heads(file: Path) -> dict[str, Any]:
+    """Return name, role, samples and gaps [s] of each record of a file of traces, and where they turned."""
+    traces = list(read_traces(file)) if file.exists() else []
+    plane = turn_plane((trace.record, trace.time, trace.voltage) for trace in traces)
+    heads = [
         {
             "name": trace.record,
             "role": trace.role,
             "samples": int(trace.time.size),
             "shaded": list(_gaps(trace.time, trace.began)),
         }
-        for trace in read_traces(file)
+        for trace in traces
     ]
+    return {"records": heads, "turns": None if plane is None else plane.as_dict()}
 
 
 def trace_columns(file: Path, number: int) -> tuple[Array, ...]:

@@ -27,8 +27,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
 from dehyst._io import read_json
-from dehyst.exports.naming import shipped
 from dehyst.waveforms.named import OPTIONS, SCANS
+from dehyst.web import files
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import (
     RequestError,
@@ -126,8 +126,8 @@ _PAGE = Path(__file__).with_name("page")
 _TYPES = {".css": "text/css", ".js": "text/javascript"}
 _SCRIPTS = '<script type="module"'
 EXAMPLE = "example.csv"
-# It is no module.
-_WORKER = "keepalive.js"
+# Not of the page: its worker, and what only reports have.
+_APART = ("keepalive.js", "path_trial.js", "report.css")
 
 
 class PageFiles:
@@ -137,11 +137,11 @@ class PageFiles:
     """
 
     def __init__(self) -> None:
-        own = [one for one in _PAGE.iterdir() if one.suffix in _TYPES]
-        self._files = {one.name: (one.read_bytes(), _TYPES[one.suffix]) for one in own}
-        self._files["dehyst.js"] = (shipped("compensator.js").encode(), _TYPES[".js"])
+        texts = {name: files.text(name) for name in files.names()}
+        texts |= {one.name: one.read_text(encoding="utf-8") for one in _PAGE.iterdir() if one.suffix in _TYPES}
+        self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
         self._files["scan_options.js"] = (_scan_options().encode(), _TYPES[".js"])
-        scripts = sorted(name for name in self._files if name.endswith(".js") and name != _WORKER)
+        scripts = sorted(name for name in self._files if name.endswith(".js") and name not in _APART)
         links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
         page = (_PAGE / "index.html").read_text(encoding="utf-8")
         self._index = page.replace(_SCRIPTS, links + _SCRIPTS, 1)
@@ -443,7 +443,7 @@ class Workbench:
     async def traces(self, request: Request) -> Any:
         """Return which records a model has traces of."""
         entry = self.session.model(request.path_params["key"], ready=True)
-        return {"records": await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces)}
+        return await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces)
 
     @answered
     async def trace(self, request: Request) -> Any:

@@ -388,11 +388,13 @@ class WorkbenchSession:
         if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
+        report = self.folder.new(places.REPORTS, f"{Path(entry.file).stem}-insight", ".html")
+
         def done(finished: Finished) -> None:
             if finished.result is not None:
-                entry.insight = brief_insight(finished.result)
+                entry.insight = {"report": report}
 
-        step = Step("insight", {"model": entry.file, "records": files, **read})
+        step = Step("insight", {"model": entry.file, "records": files, "report": report, **read})
         return self.jobs.start("insight", entry.id, [step], done)
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
@@ -540,21 +542,3 @@ def _found(entries: Mapping[str, _T], key: str, what: str) -> _T:
     if key not in entries:
         raise SessionError(f"{key}: there is no such {what}; reload the page")
     return entries[key]
-
-
-def brief_insight(result: dict[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of what `insight` returned; of several axes that of each, by its name."""
-    if "axes" in result:
-        return {"axes": {axis: brief_insight(one) for axis, one in result["axes"].items()}}
-    known, directions = result.get("known") or {}, result.get("directions") or {}
-    # What is known is a warning too where it is little: the page says it once.
-    warnings = [one for one in result.get("warnings") or () if not one.startswith(known.get("sentence") or "\0")]
-    parts = ("part", "unit", "known", "of", "estimate", "interval", "words")
-    kept = ("not_judged", "advice", "suggested", "state", "homing", "level", "stroke_m", "misfit_m", "judgement")
-    return {
-        **{name: result.get(name) for name in kept},
-        "warnings": warnings,
-        "known": {name: known.get(name) for name in ("all", "sentence", "others", "next", "rule")},
-        "parts": [{name: part.get(name) for name in parts} for part in known.get("parts", ())],
-        "directions": {name: directions.get(name) for name in ("determined", "of", "sentences")},
-    }

@@ -1,8 +1,8 @@
 """The shortest homing: the voltage of least travel that leads from any state at rest to a known one, and as played.
 
 If the order of voltages determines the state, it follows in closed form. For actuators with creep, inertia, lag or
-smooth elements a voltage through all of the limits is played in time, from the extreme states (`timed_homing`). It is
-played before a path, at its sample rate or a lower one, or step by step.
+smooth elements a voltage through all of the limits is played in time, from the extreme states, and is as long as the
+tolerance needs. It is played before a path, at its sample rate or a lower one, or step by step.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -18,13 +17,19 @@ from numpy.typing import NDArray
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array, Mask
-from dehyst._validation import interval, number
+from dehyst._validation import number
 from dehyst.control.compensator import Compensator, allowed_limits
 from dehyst.control.limits import VoltageLimits
-from dehyst.control.planning.bounds import MajorLoop, StateBounds, first_move_error, least_width, moves_on
-from dehyst.control.planning.timed_homing import TimedHoming, leg_seconds
+from dehyst.control.planning.states import (
+    MajorLoop,
+    StateBounds,
+    keeps_order,
+    least_width,
+    possible_states,
+    time_dependence,
+)
 from dehyst.model import Actuator, GradedSlip, State
-from dehyst.waveforms import Excitation, Sampling
+from dehyst.waveforms import Excitation, Leg, Sampling
 from dehyst.waveforms import homing as homing_through
 from dehyst.waveforms.excitation import volts
 
@@ -34,6 +39,18 @@ FASTEST_LEG = 0.5
 _EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
 # If these are still too many, most samples of a hold are left out: their times grow by this factor.
 _SPARSER = 1.02
+# In time. Share of the range of the spring's knots: the error of a good model; creep takes long to leave less.
+_TOLERANCE = 1e-3
+# Duration of a leg: this share of the longest time constant, and at least this many periods of a resonance.
+_LEG, _PERIODS = 0.05, 50.0
+# A mass and a lag are at rest after this many of their time constants.
+_RESTS = 12.0
+# Most legs; two more are added if they reduce the spread to less than this share.
+_MOST_LEGS, _FEWER = 12, 0.7
+# Samples of a leg in rough simulations.
+_SAMPLES = 60
+# Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
+_PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +119,9 @@ def shortest_homing(
 ) -> Homing:
     """Find the voltage of least travel that leads from any state at rest to a known one.
 
-    Whether a state is known depends on the extremes of the voltage alone (`least_range`), so no waveform of any shape
-    is shorter than the best of: up, down, up and down, down and up, each then to the end. The extremes follow in
-    closed form; the certificate is two simulations.
+    Whether a state is known depends on the extremes of the voltage alone (`MajorLoop.least_range`), so no waveform of
+    any shape is shorter than the best of: up, down, up and down, down and up, each then to the end. The extremes follow
+    in closed form; the certificate is two simulations.
 
     It is just long enough for the model. Give a real actuator some percent more; a larger excursion also homes it.
 
@@ -144,125 +161,16 @@ def shortest_homing(
     allowed = allowed_limits(actuator, limits)
     start = _inside(present, "present", allowed)
     stop = start if end is None else _inside(end, "end", allowed)
-    if moves_on(actuator):
-        timed = TimedHoming.shortest(actuator, allowed, (start, stop), drive=drive, hold=hold, tolerance=tolerance)
-        unknown = timed.bounds.widths > timed.tolerance
-        return Homing(
-            timed.turns,
-            timed.bounds,
-            tuple(map(int, np.flatnonzero(unknown))),
-            timed.spread <= timed.tolerance,
-            timed.remarks(),
-            timed.excitation,
-            timed.spread,
-        )
-    task = _HomingTask(actuator, allowed, start, stop, least_width(actuator, tolerance))
+    if time_dependence(actuator):
+        return _homing_in_time(actuator, allowed, (start, stop), drive, hold, tolerance)
+    task = _OrderedHoming(actuator, allowed, (start, stop), least_width(actuator, tolerance))
     turns = task.turns(task.stiff if stiff_only or not task.suffices(task.whole) else task.whole)
     bounds = StateBounds.at_rest(actuator, start).propagate(actuator, turns).bounds
     unknown = bounds.widths > task.tolerance
-    unknown_stiff = unknown & _stiff(actuator)
-    certified = not unknown_stiff.any() and first_move_error(bounds) <= task.tolerance
-    remark = task.remark(turns, bounds, unknown, unknown_stiff, certified)
-    return Homing(turns, bounds, tuple(map(int, np.flatnonzero(unknown))), certified, (remark,) if remark else ())
-
-
-def _stiff(actuator: Actuator) -> Mask:
-    """Return which elements (N,) have stiffness anywhere."""
-    kappa = actuator.slip.stiffness
-    return np.asarray((kappa > 0).any(axis=1) if isinstance(actuator.slip, GradedSlip) else kappa > 0)
-
-
-@dataclass(frozen=True, eq=False)
-class _HomingTask:
-    """The task of a homing. A reach [m] is the `least_range` that homes the whole state, or the stiff elements."""
-
-    actuator: Actuator
-    limits: tuple[float, float]
-    start: float
-    stop: float
-    tolerance: float
-
-    @property
-    def whole(self) -> float:
-        return self._reach(self.actuator.slip.breakaway)
-
-    @property
-    def stiff(self) -> float:
-        return self._reach(self.actuator.slip.breakaway[_stiff(self.actuator)])
-
-    @property
-    def slack(self) -> float:
-        """The part of the tolerance [m] reserved for rounding."""
-        return min(self.tolerance, least_width(self.actuator, None))
-
-    def _reach(self, breakaway: Array) -> float:
-        return 2 * float(breakaway.max()) - (self.tolerance - self.slack) if breakaway.size else -np.inf
-
-    def suffices(self, reach: float) -> bool:
-        return self._enough(*self.limits, reach)
-
-    def _enough(self, low: float, high: float, reach: float) -> bool:
-        # In an identified model the largest element needs exactly the full excursion: rounding must not decide.
-        return self.branch.displacement(high, 1) - self.branch.displacement(low, -1) >= reach - 0.5 * self.slack
-
-    def top(self, bottom: float, reach: float) -> float:
-        """Return the highest voltage [V] that makes the least range `reach` if `bottom` is the lowest."""
-        branch = self.branch
-        return branch.voltage(branch.displacement(bottom, -1) + reach, 1)
-
-    def bottom(self, top: float, reach: float) -> float:
-        branch = self.branch
-        return branch.voltage(branch.displacement(top, 1) - reach, -1)
-
-    @cached_property
-    def branch(self) -> MajorLoop:
-        return MajorLoop(self.actuator)
-
-    def extremes(self, reach: float) -> tuple[float, float]:
-        """Return the lowest and highest voltage [V], as close together as `reach` allows; else the limits."""
-        low, high = self.limits
-        near, far = min(self.start, self.stop), max(self.start, self.stop)
-        if self._enough(near, far, reach):
-            return near, far
-        if not self.suffices(reach):
-            return low, high
-        latest = near if self._enough(near, high, reach) else max(low, self.bottom(high, reach))
-        # The top is piecewise linear in the bottom: the difference is least where the slope of either changes.
-        bends = np.concatenate([self.branch.bends(-1), self.branch.bends(1) - reach])
-        corners = [self.branch.voltage(float(bend), -1) for bend in bends]
-        bottoms = np.clip([latest, low, self.bottom(far, reach), *corners], low, latest)
-        tops = np.array([far if self._enough(b, far, reach) else min(high, self.top(b, reach)) for b in bottoms])
-        # Of equal ranges the one with the highest bottom: a piezo stack bears compression better than tension.
-        shortest = tops - bottoms <= (1 + 1e-12) * (tops - bottoms).min()
-        best = int(np.argmax(np.where(shortest, bottoms, -np.inf)))
-        return float(bottoms[best]), float(tops[best])
-
-    def turns(self, reach: float) -> tuple[float, ...]:
-        """Return the voltages [V] to visit, with the extremes in the shorter order; up first if both are equal."""
-        low, high = self.extremes(reach)
-        middle = (low, high) if self.stop > self.start else (high, low)
-        visited = (self.start, *(turn for turn in middle if turn not in (self.start, self.stop)), self.stop)
-        return visited[:1] if visited == (self.start, self.start) else visited
-
-    def remark(
-        self, turns: tuple[float, ...], bounds: StateBounds, unknown: Mask, unknown_stiff: Mask, certified: bool
-    ) -> str | None:
-        if not certified and self.suffices(self.stiff):
-            return f"not certified: rounding leaves a width of {bounds.width:.3g} m; give a tolerance above that"
-        if not certified:
-            return f"not certified: {_unknown(bounds, unknown_stiff)}; {self._beyond(self.stiff)}"
-        if unknown.any():
-            remark = f"{_unknown(bounds, unknown)}, without stiffness, which no motion depends on"
-            return remark if self.suffices(self.whole) else f"{remark}; {self._beyond(self.whole)}"
-        travel, shorter = _travel(turns), _travel(self.turns(self.stiff))
-        if shorter >= travel * (1 - 1e-9):
-            return None
-        return f"{travel - shorter:.4g} V of the {travel:.6g} V only home elements without stiffness (stiff_only)"
-
-    def _beyond(self, reach: float) -> str:
-        low, high = self.limits
-        above, below = self.top(low, reach) - high, low - self.bottom(high, reach)
-        return f"{above:.4g} V above {high:.6g} V, or {below:.4g} V below {low:.6g} V, would suffice"
+    stiff = unknown & task.has_stiffness
+    certified = not stiff.any() and bounds.move_error <= task.tolerance
+    remark = task.remark(turns, bounds, stiff if not certified else unknown, certified)
+    return Homing(turns, bounds, tuple(np.flatnonzero(unknown).tolist()), certified, remark)
 
 
 def _inside(voltage: float, what: str, limits: tuple[float, float]) -> float:
@@ -278,6 +186,87 @@ def _travel(turns: Sequence[float]) -> float:
     return float(sum(abs(b - a) for a, b in pairwise(turns)))
 
 
+class _OrderedHoming:
+    """The homing of an actuator whose state the order of voltages determines.
+
+    A reach [m] is the `least_range` of the voltages that homes the whole state, or the stiff elements.
+    """
+
+    def __init__(
+        self, actuator: Actuator, limits: tuple[float, float], ends: tuple[float, float], tolerance: float
+    ) -> None:
+        self.limits, self.ends, self.tolerance = limits, ends, tolerance
+        self.loop, slip = MajorLoop(actuator), actuator.slip
+        kappa = slip.stiffness
+        self.has_stiffness = (kappa > 0).any(axis=1) if isinstance(slip, GradedSlip) else kappa > 0
+        # The part of the tolerance [m] reserved for rounding.
+        self.slack = min(tolerance, least_width(actuator))
+        self.whole, self.stiff = (
+            2 * float(rho.max()) - (tolerance - self.slack) if rho.size else -np.inf
+            for rho in (slip.breakaway, slip.breakaway[self.has_stiffness])
+        )
+
+    def suffices(self, reach: float, low: float | None = None, high: float | None = None) -> bool:
+        """Return whether the voltages from low to high [V], by default the limits, make a reach."""
+        low, high = self.limits[0] if low is None else low, self.limits[1] if high is None else high
+        # In an identified model the largest element needs exactly the full excursion: rounding must not decide.
+        return self.loop.least_range(low, high) >= reach - 0.5 * self.slack
+
+    def top(self, bottom: float, reach: float) -> float:
+        """Return the highest voltage [V] that makes a reach if `bottom` is the lowest."""
+        return self.loop.voltage(self.loop.displacement(bottom, -1) + reach, 1)
+
+    def bottom(self, top: float, reach: float) -> float:
+        """Return the lowest voltage [V] that makes a reach if `top` is the highest."""
+        return self.loop.voltage(self.loop.displacement(top, 1) - reach, -1)
+
+    def turns(self, reach: float) -> tuple[float, ...]:
+        """Return the voltages [V] to visit, with the extremes in the shorter order; up first if both are equal."""
+        (start, stop), (low, high) = self.ends, self._extremes(reach)
+        middle = (low, high) if stop > start else (high, low)
+        visited = (start, *(turn for turn in middle if turn not in (start, stop)), stop)
+        return visited[:1] if visited == (start, start) else visited
+
+    def _extremes(self, reach: float) -> tuple[float, float]:
+        """Return the lowest and highest voltage [V], as close together as `reach` allows; else the limits."""
+        (low, high), near, far = self.limits, min(self.ends), max(self.ends)
+        if self.suffices(reach, near, far):
+            return near, far
+        if not self.suffices(reach):
+            return low, high
+        latest = near if self.suffices(reach, near) else max(low, self.bottom(high, reach))
+        # The top is piecewise linear in the bottom: the difference is least where the slope of either changes.
+        bends = np.concatenate([self.loop.bends(-1), self.loop.bends(1) - reach])
+        corners = [self.loop.voltage(float(bend), -1) for bend in bends]
+        bottoms = np.clip([latest, low, self.bottom(far, reach), *corners], low, latest)
+        tops = np.array([far if self.suffices(reach, b, far) else min(high, self.top(b, reach)) for b in bottoms])
+        # Of equal ranges the one with the highest bottom: a piezo stack bears compression better than tension.
+        shortest = tops - bottoms <= (1 + 1e-12) * (tops - bottoms).min()
+        best = int(np.argmax(np.where(shortest, bottoms, -np.inf)))
+        return float(bottoms[best]), float(tops[best])
+
+    def remark(self, turns: Sequence[float], bounds: StateBounds, unknown: Mask, certified: bool) -> tuple[str, ...]:
+        """Return what is left unknown, and what would suffice; or what is only for elements without stiffness."""
+        if not certified and self.suffices(self.stiff):
+            return (f"not certified: rounding leaves a width of {bounds.width:.3g} m; give a tolerance above that",)
+        widest = bounds.widths[unknown].max(initial=0.0) * 1e6
+        left = f"leaves {_named(unknown)} of {unknown.size} unknown, by up to {widest:.4g} um"
+        if not certified:
+            return (f"not certified: {left}; {self._beyond(self.stiff)}",)
+        if unknown.any():
+            remark = f"{left}, without stiffness, which no motion depends on"
+            return (remark if self.suffices(self.whole) else f"{remark}; {self._beyond(self.whole)}",)
+        travel, shorter = _travel(turns), _travel(self.turns(self.stiff))
+        if shorter >= travel * (1 - 1e-9):
+            return ()
+        return (f"{travel - shorter:.4g} V of the {travel:.6g} V only home elements without stiffness (stiff_only)",)
+
+    def _beyond(self, reach: float) -> str:
+        low, high = self.limits
+        above, below = self.top(low, reach) - high, low - self.bottom(high, reach)
+        return f"{above:.4g} V above {high:.6g} V, or {below:.4g} V below {low:.6g} V, would suffice"
+
+
 def _named(elements: Mask) -> str:
     """Return the elements in words, counted from 1."""
     numbers = [int(i) + 1 for i in np.flatnonzero(elements)]
@@ -286,19 +275,197 @@ def _named(elements: Mask) -> str:
     return f"element{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
 
 
-def _unknown(bounds: StateBounds, unknown: Mask) -> str:
-    widest = bounds.widths[unknown].max(initial=0.0) * 1e6
-    return f"leaves {_named(unknown)} of {unknown.size} unknown, by up to {widest:.4g} um"
+def _homing_in_time(
+    actuator: Actuator,
+    limits: tuple[float, float],
+    ends: tuple[float, float],
+    drive: Sampling | None,
+    hold: float | None,
+    tolerance: float | None,
+) -> Homing:
+    """Return the shortest homing of an actuator whose state depends on time."""
+    range_ = float(np.ptp(actuator.spring.displacement))
+    least = _TOLERANCE * range_ if tolerance is None else number(tolerance, "tolerance")
+    if least <= 0:
+        raise ModelError(argument="tolerance", got=least, need="a positive number")
+    if hold is not None and number(hold, "hold") < 0:
+        raise ModelError(argument="hold", got=hold, need="a positive number")
+    sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
+    task = _TimedHoming(actuator, limits, ends, replace(sampling, base=ends[1], present=ends[0], limits=limits), least)
+    wait, longest = _rest_seconds(actuator) if hold is None else float(hold), task.longest
+    if hold is None and longest:
+        needed = task.needed(wait)
+        wait = longest if needed is None else needed
+    legs, _ = task.best(wait)
+    excitation = task.sampling.play("homing", task.path(legs, wait))
+    bounds, spread = task.left(excitation.voltage, excitation.time)
+    remarks, reasons = [], time_dependence(actuator)
+    if spread > least:
+        needed = task.needed(wait)
+        remedy = "no hold suffices within these limits; wider limits may, or a larger tolerance"
+        if needed is not None:
+            remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
+        remarks.append(
+            f"not certified to {_micro(least)}: the history may leave {_micro(spread)} ({100 * spread / range_:.2g} % "
+            f"of the range), as this actuator {reasons}; {remedy}"
+        )
+    elif longest and wait > 0.1 * longest:
+        shorter = [seconds for seconds in (0.0, 0.1 * longest, longest) if seconds < 0.9 * wait]
+        left = ", ".join(f"{_micro(task.best(seconds)[1])} after {seconds:.3g} s" for seconds in shorter)
+        remarks.append(f"shorter holds would leave more: {left}")
+    if not keeps_order(actuator):
+        remarks.append(
+            f"found by simulating {len(task.states)} extreme and random histories, not proven: the states of an "
+            f"actuator that {reasons} keep no order"
+        )
+    unknown = np.flatnonzero(bounds.widths > least).tolist()
+    turns = task.turns(legs)
+    return Homing(turns, bounds, tuple(unknown), spread <= least, tuple(remarks), excitation, spread)
 
 
-def present_voltage(limits: tuple[float, float], present: float | None) -> float:
+class _TimedHoming:
+    """A homing played in time through both limits, from all `states` that any history within them may have left.
+
+    It has a number of legs, and holds at the last visit of either limit [s].
+    """
+
+    def __init__(
+        self,
+        actuator: Actuator,
+        limits: tuple[float, float],
+        ends: tuple[float, float],
+        sampling: Sampling,
+        tolerance: float,
+    ) -> None:
+        self.actuator, self.limits, self.ends, self.sampling = actuator, limits, ends, sampling
+        self.tolerance = tolerance
+        self.states = possible_states(actuator, ends[0], limits, sampling.half)
+        creep = actuator.creep
+        # The longest time constant of creep [s].
+        self.longest = 0.0 if creep is None else float(creep.time_constants.max(initial=0.0))
+        self._cycle = self._few(self.sampling.legs(_way_through(limits, ends[1], ends[1], 2)))
+
+    def best(self, hold: float) -> tuple[int, float]:
+        """Return the number of legs with these holds, as many as are worth it, and the spread [m], roughly."""
+        legs, spread = 2, self._rough_spread(2, hold)
+        for more in range(4, _MOST_LEGS + 1, 2):
+            if spread <= self.tolerance:
+                break
+            less = self._rough_spread(more, hold)
+            if less > _FEWER * spread:
+                break
+            legs, spread = more, less
+        return legs, spread
+
+    def needed(self, hold: float) -> float | None:
+        """Return the holds [s] that keep the tolerance; None if none do. `hold`: tried first."""
+        low, high = 0.0, _PATIENCE * self.longest
+
+        def misses(seconds: float) -> bool:
+            return self.best(seconds)[1] > _ROUGHLY * self.tolerance
+
+        if not self.longest:
+            return None
+        if not misses(0.0):
+            return 0.0
+        if misses(high):
+            return None
+        if not misses(hold):
+            high = hold
+        while high - low > _NEARLY * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if misses(middle) else (low, middle)
+        return high
+
+    def turns(self, legs: int) -> tuple[float, ...]:
+        """Return the voltages [V] to visit, the present one first."""
+        return _way_through(self.limits, *self.ends, legs)
+
+    def path(self, legs: int, hold: float) -> list[Leg]:
+        """Return the legs through the turns, with a hold at the last visit of either limit."""
+        turns = self.turns(legs)
+        last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold > 0}
+        path: list[Leg] = []
+        for k, leg in enumerate([None, *self.sampling.legs(turns)]):
+            path += [] if leg is None else [leg]
+            path += [Leg(turns[k], turns[k], hold)] if last.get(turns[k]) == k else []
+        return path
+
+    def left(self, voltage: Array, time: Array) -> tuple[StateBounds, float]:
+        """Return the bounds of the states at the end, and the spread of displacements there and along a cycle."""
+        ends, paths = [], []
+        for state in self.states:
+            end = self._played(voltage, time, state)[1]
+            ends.append(end)
+            paths.append(np.append(self._played(*self._cycle, end)[0], end.displacement))
+        return StateBounds.of(ends), float(np.ptp(paths, axis=0).max())
+
+    def _rough_spread(self, legs: int, hold: float) -> float:
+        return self.left(*self._few(self.path(legs, hold)))[1]
+
+    def _few(self, legs: Sequence[Leg]) -> tuple[Array, Array]:
+        """Return few samples of legs: voltage and time."""
+        voltage, time = [np.array([legs[0].start])], [np.zeros(1)]
+        for leg in legs:
+            share = np.arange(1, _SAMPLES + 1) / _SAMPLES
+            if leg.start == leg.end:
+                # Creep is fastest at the beginning.
+                share = share**3
+            voltage.append(leg.start + (leg.end - leg.start) * share)
+            time.append(time[-1][-1] + leg.seconds * share)
+        return np.concatenate(voltage), np.concatenate(time)
+
+    def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
+        when = time if self.actuator.needs_time else None
+        motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
+        return motion.displacement, motion.state
+
+
+def _way_through(limits: tuple[float, float], start: float, stop: float, legs: int) -> tuple[float, ...]:
+    """Return the voltages [V] of a way through both limits, with `legs` visits; the shorter way, else up first."""
+    low, high = limits
+    ways = []
+    for first, second in ((high, low), (low, high)):
+        visited = [start]
+        for turn in [*[first, second] * (legs // 2), stop]:
+            if turn != visited[-1]:
+                visited.append(turn)
+        ways.append(tuple(visited))
+    return min(ways, key=_travel)
+
+
+def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
+    """Return the default duration [s] of a leg: a share of the longest creep time constant, `otherwise` without creep.
+
+    It is long enough for an amplifier's lag and a resonance to follow.
+    """
+    creep = actuator.creep
+    seconds = otherwise if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
+    if actuator.dynamics is not None:
+        seconds = max(seconds, _PERIODS * 2 * math.pi / actuator.dynamics.frequency)
+    return max(seconds, _RESTS * actuator.lag)
+
+
+def _rest_seconds(actuator: Actuator) -> float:
+    """Return the time [s] after which a mass and a lag are at rest."""
+    seconds, dynamics = _RESTS * actuator.lag, actuator.dynamics
+    if dynamics is None or not dynamics.damping:
+        return seconds
+    # Beyond critical damping the slower of two rates counts.
+    zeta = dynamics.damping
+    rate = dynamics.frequency * (zeta if zeta <= 1 else zeta - np.sqrt(zeta**2 - 1))
+    return max(seconds, _RESTS / float(rate))
+
+
+def _micro(length: float) -> str:
+    return f"{length * 1e6:.3g} um"
+
+
+def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
     """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` if it lies outside."""
-    allowed = VoltageLimits(*limits)
-    return (
-        allowed.nearest(0.0)
-        if present is None
-        else allowed.within(volts(present, "present"), "present", error=RecordError)
-    )
+    if present is None:
+        return bounds.nearest(0.0)
+    return bounds.within(volts(present, "present"), "present", error=RecordError)
 
 
 def played_homing(
@@ -329,12 +496,15 @@ def played_homing(
     tolerance : float, optional
         As in `shortest_homing`.
     """
-    actuator, limits = compensator.actuator, interval(compensator.limits or ())
-    now = present_voltage(limits, present)
+    actuator, limits, now = compensator.actuator, compensator.limits, present_voltage(compensator.bounds, present)
     if drive is None:
         drive = Sampling(frequency=0.5 / leg_seconds(actuator, leg), sample_rate=rate)
-    lower = _lower_rate(actuator, drive, rate)
-    drive = replace(drive, sample_rate=lower, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
+    drive = replace(drive, base=now, present=now, limits=limits, slew_rate=compensator.slew_rate)
+    # A long homing has a sample rate of its own: that of the path over a whole number.
+    needed = 2 * _LEG_SAMPLES * drive.frequency
+    if actuator.dynamics is not None:
+        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency / (2 * math.pi))
+    drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
 
     def found(drive: Sampling) -> Homing:
         return shortest_homing(actuator, limits=limits, present=now, stiff_only=True, drive=drive, tolerance=tolerance)
@@ -347,64 +517,41 @@ def played_homing(
     if len(homing.turns) < 2:
         return None, homing, remarks
     played = homing.played or homing_through(turns=homing.turns, drive=drive)
-    return played, homing, (*remarks, *_extrapolation_warning(actuator, played.voltage), *played.warnings)
-
-
-def _extrapolation_warning(actuator: Actuator, voltage: Array) -> tuple[str, ...]:
-    """Warn of a homing (n,) [V] that leaves the voltages of the model's records: they may harm the actuator."""
-    if actuator.limits is None:
-        return ()
-    (low, high), least, most = actuator.limits, float(voltage.min()), float(voltage.max())
-    if low <= least and most <= high:
-        return ()
-    return (
-        f"the homing goes from {least:.6g} to {most:.6g} V, outside of the identified range {low:.6g} to {high:.6g} V: "
-        "extrapolated; check that the actuator allows these voltages, or choose narrower limits",
-    )
+    low, high = actuator.limits or (-np.inf, np.inf)
+    least, most = float(played.voltage.min()), float(played.voltage.max())
+    if least < low or most > high:
+        remarks += (
+            f"the homing goes from {least:.6g} to {most:.6g} V, outside of the identified range {low:.6g} to "
+            f"{high:.6g} V: extrapolated; check that the actuator allows these voltages, or choose narrower limits",
+        )
+    return played, homing, (*remarks, *played.warnings)
 
 
 def rows_of(voltage: Array) -> NDArray[np.int64]:
     """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or ever fewer of a long hold."""
     rows = np.arange(voltage.size)
-    return rows if rows.size <= _EVEN_SAMPLES else rows[_thinned(voltage)]
-
-
-def _thinned(voltage: Array) -> NDArray[np.bool_]:
-    """Return which samples (n,) to keep: those that move, and in a hold ever fewer."""
-    held = np.zeros(voltage.size, dtype=np.int64)
+    if rows.size <= _EVEN_SAMPLES:
+        return rows
+    held = np.zeros(rows.size, dtype=bool)
     held[1:] = voltage[1:] == voltage[:-1]
-    moving = np.flatnonzero(held == 0)
-    since = np.arange(voltage.size) - np.repeat(moving, np.diff(moving, append=voltage.size))
-    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(voltage.size) / math.log(_SPARSER)) + 2)))
+    moving = np.flatnonzero(~held)
+    since = rows - np.repeat(moving, np.diff(moving, append=rows.size))
+    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(rows.size) / math.log(_SPARSER)) + 2)))
     kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
     kept[:-1] |= since[1:] == 0
-    return kept
-
-
-def _lower_rate(actuator: Actuator, drive: Sampling, rate: float) -> float:
-    """Return the sample rate [Hz] of a long homing: `rate` over a whole number."""
-    needed = 2 * _LEG_SAMPLES * drive.frequency
-    if actuator.dynamics is not None:
-        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency / (2 * math.pi))
-    return rate / max(1, int(rate / needed))
+    return rows[kept]
 
 
 def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterator[tuple[float, float]]:
     """Yield the voltages [V] of a homing without the present one, each with its duration [s], `period` at least."""
-    largest = limits.largest_step(period)
-    for (start, _), (end, seconds) in pairwise(_corners(homing, period)):
-        count = max(1, math.ceil(abs(end - start) / largest * (1 - 1e-12)))
-        for voltage in np.linspace(start, end, count + 1)[1:]:
-            yield limits.nearest(float(voltage)), max(seconds / count, period)
-
-
-def _corners(homing: Homing, period: float) -> list[tuple[float, float]]:
-    """Return the voltages [V] that straight ramps join, the present one first, with their seconds; 0 if free."""
-    if homing.played is None:
-        return [(voltage, 0.0) for voltage in homing.turns]
-    voltage, rate = homing.played.voltage, homing.played.sample_rate
-    # No more often than a host can follow, but always at turns and at both ends of a hold.
-    bends = np.flatnonzero(np.diff(np.sign(np.diff(voltage)))) + 1
-    kept = np.unique([0, voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
-    seconds = np.diff(kept, prepend=0) / rate
-    return list(zip(voltage[kept].tolist(), seconds.tolist(), strict=True))
+    corners = [(voltage, 0.0) for voltage in homing.turns]
+    if homing.played is not None:
+        voltage, rate = homing.played.voltage, homing.played.sample_rate
+        # No more often than a host can follow, but always at turns and at both ends of a hold.
+        bends = np.flatnonzero(np.diff(np.sign(np.diff(voltage)))) + 1
+        kept = np.unique([0, voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
+        corners = list(zip(voltage[kept].tolist(), (np.diff(kept, prepend=0) / rate).tolist(), strict=True))
+    for (start, _), (end, seconds) in pairwise(corners):
+        count = max(1, math.ceil(abs(end - start) / limits.largest_step(period) * (1 - 1e-12)))
+        for step in np.linspace(start, end, count + 1)[1:]:
+            yield limits.nearest(float(step)), max(seconds / count, period)

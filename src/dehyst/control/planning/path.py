@@ -16,10 +16,16 @@ from dehyst._units import per_metre
 from dehyst._validation import untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import unit_hint
-from dehyst.control.planning.bounds import moves_on
-from dehyst.control.planning.homing import FASTEST_LEG, Homing, played_homing, present_voltage, rows_of
+from dehyst.control.planning.homing import (
+    FASTEST_LEG,
+    Homing,
+    leg_seconds,
+    played_homing,
+    present_voltage,
+    rows_of,
+)
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
-from dehyst.control.planning.timed_homing import leg_seconds
+from dehyst.control.planning.states import time_dependence
 from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
 from dehyst.control.trajectory import Command
 from dehyst.model import Actuator, Stage, State
@@ -356,7 +362,7 @@ class _Plan:
         states = [start.within(one.actuator, one.limits) for start, one in zip(starts, self.loops, strict=True)]
         # An actuator stands at the first sample, or is brought there slowly.
         begins = [
-            state_at(one.actuator, state, y) if given is None or one.actuator.model.moves_on else state
+            state_at(one.actuator, state, y) if given is None or one.actuator.model.has_dynamics else state
             for one, state, y in zip(self.loops, states, self.firsts, strict=True)
         ]
         held = [one.held(state) for one, state in zip(self.loops, states, strict=True)]
@@ -382,7 +388,7 @@ class _Plan:
         ways = self.ways(known, present)
         # A mass moves with the path from its first sample on.
         begins = [
-            state_at(one.actuator, way.state, y) if one.actuator.model.moves_on else way.state
+            state_at(one.actuator, way.state, y) if one.actuator.model.has_dynamics else way.state
             for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
         commands = self.follow(rates, begins, [way.last for way in ways], ways[0].step)
@@ -430,7 +436,7 @@ class _Plan:
     def way(self, one: Compensator, start: PossibleStart | None, present: float | None, first: float) -> _Way:
         """Return the shortest homing of an axis, or none from a known start, and the way from its end to the path."""
         actuator, limits = one.actuator, one.limits
-        now = present_voltage(limits, one.held(start.state) if start and present is None else present)
+        now = present_voltage(one.bounds, one.held(start.state) if start and present is None else present)
         rate, leg = self.pace(actuator)
         drive = Sampling(frequency=0.5 / leg, sample_rate=rate)
         played: Excitation | None = None
@@ -438,7 +444,7 @@ class _Plan:
         remarks: tuple[str, ...] = ()
         if start is None:
             least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-            tolerance = least if moves_on(actuator) else None
+            tolerance = least if time_dependence(actuator) else None
             played, homing, remarks = played_homing(one, rate, leg, present=now, drive=drive, tolerance=tolerance)
             start = PossibleStart.unknown(actuator, now, limits)
         rows = rows_of(EMPTY if played is None else played.voltage[:-1])

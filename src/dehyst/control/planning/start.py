@@ -14,8 +14,8 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
-from dehyst.control.planning.bounds import middle_of, possible_states
 from dehyst.control.planning.homing import shortest_homing
+from dehyst.control.planning.states import StateBounds, possible_states
 from dehyst.model import Actuator, State
 from dehyst.model.states import state_within_limits
 from dehyst.waveforms import Sampling
@@ -52,7 +52,7 @@ class PossibleStart:
     @property
     def state(self) -> State:
         """The state, or the middle of the possible ones."""
-        return middle_of(self.states)
+        return self.states[0] if self.known else StateBounds.of(self.states).middle
 
     def within(self, actuator: Actuator, limits: tuple[float, float] | None) -> State:
         """Return the state, or the nearest one within the `limits` [V], by default those of the `actuator`."""
@@ -101,12 +101,13 @@ class PossibleStart:
         another name, or if the actuator cannot be homed, for it has no limits.
         """
         choice(name, "start", NAMES, error=ModelError)
-        knots = actuator.spring.displacement
         if name == "relaxed":
             return cls(name, (actuator.relaxed(),))
         if name == "homed":
-            return cls(name, (_homed(actuator),))
-        rising = name == "top"
+            low, high = actuator.limits or (0.0, 0.0)
+            end = min(max(0.0, low), high)
+            return cls(name, (shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state,))
+        rising, knots = name == "top", actuator.spring.displacement
         return cls(name, (actuator.turned(float(knots[-1 if rising else 0]), rising=rising),))
 
     @classmethod
@@ -170,13 +171,6 @@ class PossibleStart:
         before = possible_states(actuator, float(v[0]), limits)
         reached = tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
         return cls(name, reached, outside.warnings)
-
-
-def _homed(actuator: Actuator) -> State:
-    """Return the state after the homing voltage that `dehyst excite homing` writes by default."""
-    low, high = actuator.limits or (0.0, 0.0)
-    end = min(max(0.0, low), high)
-    return shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state
 
 
 @dataclass(frozen=True, eq=False)

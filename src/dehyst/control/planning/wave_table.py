@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, inf, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
-from dehyst.control.planning.steady_cycle import StartUp, settle, start_up_cycles, timed
+from dehyst.control.planning.steady_cycle import MOST_SAMPLES, StartUp, SteadyCycle, timed
 from dehyst.model import Actuator, State
 from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan, ScanPath
 from dehyst.waveforms.excitation import positive, refuse_long
@@ -131,29 +131,14 @@ class WaveTable:
         time = np.arange(sum(map(len, parts))) / self.sample_rate
         if self.homing is not None:
             rows = self.homing_rows
-            v, y = self.homing.voltage[rows], self._homing_displacement()[rows]
-            voltage, wanted, expected = [v, *voltage], [y, *wanted], [y, *expected]
+            v, actuator = self.homing.voltage, self.actuator
+            when = self.homing.time if actuator.needs_time else None
+            relaxed = actuator.relaxed(float(v[0]), extrapolate=True)
+            y = actuator.simulate(v, time=when, state=relaxed, extrapolate=True).displacement[rows]
+            voltage, wanted, expected = [v[rows], *voltage], [y, *wanted], [y, *expected]
             phase = [np.full(rows.size, HOMING), *phase]
             time = np.concatenate([rows / self.homing.sample_rate, self.homing.duration + time])
         return Played(time, *map(np.concatenate, (phase, voltage, wanted, expected)))
-
-    def _homing_displacement(self) -> Array:
-        if self.homing is None:
-            return np.zeros(0)
-        v = self.homing.voltage
-        relaxed = self.actuator.relaxed(float(v[0]), extrapolate=True)
-        time = self.homing.time if self.actuator.needs_time else None
-        return self.actuator.simulate(v, time=time, state=relaxed, extrapolate=True).displacement
-
-
-class _Begin(NamedTuple):
-    """The state before the start-up, and the homing that leads to it; as in `WaveTable`."""
-
-    start: State
-    homing: Excitation | None = None
-    unknown: float = 0.0
-    certified: bool = True
-    warnings: tuple[str, ...] = ()
 
 
 def wave_table(
@@ -216,25 +201,30 @@ def wave_table(
     path, compensator = scan.path(axis), Compensator(actuator, limits, slew_rate, period=1 / scan.rate)
     if sentence := compensator.strays(path.displacement):
         raise ModelError(sentence)
-    stroke = path.range[1] - path.range[0]
-    least = _TOLERANCE * stroke if tolerance is None else positive(tolerance, "tolerance")
-    count = None if cycles is None else start_up_cycles(cycles, path)
-    begin = _homed(compensator, scan, present, drive) if state is None else _Begin(state)
+    least = _TOLERANCE * (path.range[1] - path.range[0]) if tolerance is None else positive(tolerance, "tolerance")
+    count, most = None if cycles is None else whole(cycles, "cycles", 0), MOST_SAMPLES // len(path)
+    if count is not None and count > most:
+        raise RecordError(
+            argument="cycles",
+            got=f"{count}, {count * len(path):.4g} samples of start-up",
+            need=f"{most} at most ({MOST_SAMPLES:g} samples)",
+            hint="try fewer, or a lower sample rate",
+        )
+    start, homed, warnings = state, None, tuple(scan.warnings)
+    begin: dict[str, Any] = {"homing": None, "unknown": 0.0, "certified": True}
+    if start is None:
+        # By default no faster than the scan.
+        leg = max(FASTEST_LEG, 0.5 * scan.period)
+        homed, homing, remarks = played_homing(compensator, scan.rate, leg, present=present, drive=drive)
+        start, warnings = homing.state, (*warnings, *remarks)
+        begin = {"homing": homed, "unknown": homing.error, "certified": homing.certified}
     motion = MotionLimits(getattr(scan, "speed", None), getattr(scan, "acceleration", None))
-    way = approach_to(path, compensator, begin.start, motion, approach)
+    way = approach_to(path, compensator, start, motion, approach)
     # The last row of the homing: without a certificate its voltage need not be the one that holds the state.
-    present = None if begin.homing is None else float(begin.homing.voltage[-2])
-    settled = settle(compensator, path, way, begin.start, least, count, present)
-    warnings = (*scan.warnings, *begin.warnings, *settled.warnings)
-    table = {**vars(settled), **begin._asdict(), "warnings": warnings, "tolerance": least}
-    return WaveTable(actuator=actuator, **table)
-
-
-def _homed(compensator: Compensator, scan: Scan, present: float | None, drive: Sampling | None) -> _Begin:
-    """Return the state after the shortest homing, by default no faster than the scan."""
-    leg = max(FASTEST_LEG, 0.5 * scan.period)
-    excitation, homing, remarks = played_homing(compensator, scan.rate, leg, present=present, drive=drive)
-    return _Begin(homing.state, excitation, homing.error, homing.certified, remarks)
+    now = None if homed is None else float(homed.voltage[-2])
+    found = SteadyCycle(compensator, path, way, start, least, now).settled(count)
+    found["warnings"] = (*warnings, *found["warnings"])
+    return WaveTable(actuator=actuator, start=start, tolerance=least, **begin, **found)
 
 
 def approach_to(
@@ -256,7 +246,8 @@ def approach_to(
         Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
         first, then the slew rate if any duration keeps it.
     """
-    now, first, rate, ends = _present(state), path.first, path.sample_rate, _ends(path)
+    now = PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
+    first, rate, ends = path.first, path.sample_rate, _ends(path)
     if seconds is not None:
         duration = positive(seconds, "approach")
         refuse_long(int(min(duration * rate, 1e15)), rate)
@@ -275,22 +266,15 @@ def approach_to(
                 continue
             way = _sampled(now, end, count, path)
             shortest = shortest or way
-            if _steepest(compensator, way.then(path.repeated(0)), state) <= slew / rate:
+            whole_way = way.then(path.repeated(0))
+            played = compensator.actuator.compensate(
+                whole_way.displacement, **timed(whole_way), state=state, extrapolate=True
+            )
+            if np.abs(np.diff(played.voltage)).max(initial=0.0) <= slew / rate:
                 return way
         count = ceil(count * _LONGER)
     refuse_long(count, rate)
     return shortest or _sampled(now, ends[-1], count, path)
-
-
-def _steepest(compensator: Compensator, path: ScanPath, state: State) -> float:
-    """Return the largest voltage step [V] along a path, before any limit."""
-    motion = compensator.actuator.compensate(path.displacement, **timed(path), state=state, extrapolate=True)
-    return float(np.abs(np.diff(motion.voltage)).max(initial=0.0))
-
-
-def _present(state: State) -> PathPoint:
-    """Return displacement and velocity of a state."""
-    return PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
 
 
 def _extreme(row: Array) -> float:

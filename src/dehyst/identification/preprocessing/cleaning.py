@@ -46,9 +46,8 @@ def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple
     keep = np.ones(len(record), dtype=bool)
     for glitch in removed:
         keep[glitch.start : glitch.stop] = False
-    kept = replace(record, time=record.time[keep], voltage=record.voltage[keep], displacement=record.displacement[keep])
     holes = dict(_hole(record, glitch) for glitch in removed if len(glitch.neighbours) == 2)
-    return kept, holes, tuple(f"{record.name}: {sentence}" for sentence in glitch_sentences(removed))
+    return record.take(keep), holes, tuple(f"{record.name}: {sentence}" for sentence in glitch_sentences(removed))
 
 
 def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:

@@ -66,7 +66,12 @@ def block_means(record: Record, block: int) -> Record:
         whole = record.counted[: displacement.size * block].reshape(-1, block).any(axis=1)
         displacement = np.where(whole | ~rings, displacement, ends)
     return replace(
-        record, set_aside=aside, time=means(record.time), voltage=means(record.voltage), displacement=displacement
+        record,
+        set_aside=aside,
+        time=means(record.time),
+        voltage=means(record.voltage),
+        displacement=displacement,
+        others=tuple(one._replace(values=means(one.values)) for one in record.others),
     )
 
 

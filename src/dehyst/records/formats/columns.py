@@ -13,17 +13,87 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
-from dehyst._units import FACTORS, quantity_of, symbol_of
+from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 
-_SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
-_EXAMPLES = {"voltage": "100 V/V", "displacement": "10 um/V"}
+TEXT = (".csv", ".tsv", ".txt", ".dat")
+
+
+class ColumnWords(NamedTuple):
+    """What is known about the columns of a quantity.
+
+    `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts`, `letters`:
+    in names of the quantity, for proposals. `units`: the usual ones, and `range` in SI units in which a piezo actuator
+    is plausible. `scale`: an example.
+    """
+
+    example: str
+    words: frozenset[str]
+    more: frozenset[str]
+    parts: tuple[str, ...]
+    letters: str
+    units: tuple[str, ...]
+    range: tuple[float, float]
+    scale: str = ""
+
+
 # Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
 HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
-_USUAL = {"time": ("s", "ms"), "voltage": ("V", "mV"), "displacement": ("um", "nm", "mm", "m")}
+QUANTITIES = {
+    "time": ColumnWords(
+        "time_s",
+        frozenset(("time", "t")),
+        frozenset(
+            [
+                "timestamp",
+                "datetime",
+                "date",
+                "x_value",
+                "x-axis",
+                "second",
+                "seconds",
+                "sec",
+                "zeit",
+                "temps",
+                "tiempo",
+            ]
+        ),
+        ("time", "zeit", "second", "temps"),
+        "t",
+        ("s", "ms"),
+        (0.0, 1e7),
+    ),
+    "voltage": ColumnWords(
+        "voltage_V",
+        frozenset(("voltage", "v", "drive")),
+        frozenset(
+            ("u", "spannung", "tension", *(f"{word} voltage" for word in ("piezo", "drive", "output", "control")))
+        ),
+        ("volt", "spannung", "drive", "ampl", "monitor", "command", "tension", "ao", "output", "ausgang"),
+        "uv",
+        ("V", "mV"),
+        (0.0, HIGHEST_VOLTAGE),
+        "100 V/V",
+    ),
+    "displacement": ColumnWords(
+        "displacement_um",
+        frozenset(("displacement", "position", "y", "pos")),
+        frozenset(["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"]),
+        ("disp", "pos", "weg", "auslenk", "sensor", "gauge", "strain", "stroke", "capac", "ai", "height"),
+        "yxzdw",
+        ("um", "nm", "mm", "m"),
+        STROKES,
+        "10 um/V",
+    ),
+}
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
-# What a user replaces by a number: no scale holds it.
-GAIN = "GAIN"
+# What a user replaces by a number, as no scale holds it; and the end of a selection that is a guess: "y:um?".
+GAIN, GUESS = "GAIN", "?"
+_SCALE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([^\W\d]+)\s*/\s*([^\W\d]+)\s*")
+# A quantity and its unit: "Time / s", "Weg in µm"; the same without blanks: "Position/nm".
+_WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
+_BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]$")
+_DIVIDED = re.compile(r"\s*([^/]*[^/\s])\s*/\s*([^/\s\[\]()]+)\s*")
 # The names of outputs, monitors and channels of an oscilloscope, as whole words or in them, and the range that such
 # plugs have [V]: 10 V and what a converter measures beyond.
 _PLUG = re.compile(
@@ -31,6 +101,24 @@ _PLUG = re.compile(
     r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
 )
 _PLUG_RANGE = 10.5
+# Characters of a name that a message shows.
+_SHOWN = 60
+
+
+def shortened(name: str) -> str:
+    """Return a name from a file for a message: only its beginning if it is long."""
+    return name if len(name) <= _SHOWN else f"{name[:_SHOWN]}..."
+
+
+def listed(names: tuple[str, ...]) -> str:
+    """Quote names for a message, the first twenty of them."""
+    more = f" and {len(names) - 20} more" if len(names) > 20 else ""
+    return ", ".join(f"'{shortened(name)}'" for name in names[:20]) + more
+
+
+def is_plug(name: str) -> bool:
+    """Return whether a column has the name of an output, a monitor or a channel."""
+    return _PLUG.search(name.lower()) is not None
 
 
 def is_small(volts: Array) -> bool:
@@ -38,9 +126,16 @@ def is_small(volts: Array) -> bool:
     return bool(volts.size and 0 < np.abs(volts).max() <= _PLUG_RANGE)
 
 
-def is_plug(name: str) -> bool:
-    """Return whether a column has the name of an output, a monitor or a channel."""
-    return _PLUG.search(name.lower()) is not None
+def plausible_unit(quantity: str, data: Array) -> str:
+    """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
+    with np.errstate(all="ignore"):
+        size = float(np.ptp(data)) if quantity == "displacement" else float(np.abs(data).max(initial=0.0))
+    known = QUANTITIES[quantity]
+    sizes = {unit: size * FACTORS[quantity][unit] for unit in known.units}
+    plausible = [unit for unit, value in sizes.items() if known.range[0] <= value <= known.range[1]]
+    if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
+        return plausible[0] if plausible else ""
+    return min(plausible, key=lambda unit: abs(np.log10(sizes[unit] / _STROKE)), default="")
 
 
 class Scale(NamedTuple):
@@ -71,7 +166,7 @@ def scale_of(quantity: str, text: str) -> Scale:
     0 or not finite.
     """
     got = f"'{text}'" if isinstance(text, str) else repr(text)
-    what = f"{quantity}_scale: got {got}, need a number with two units, as in '{_EXAMPLES[quantity]}'"
+    what = f"{quantity}_scale: got {got}, need a number with two units, as in '{QUANTITIES[quantity].scale}'"
     match = _SCALE.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         point = "; with a decimal point" if "," in str(text) else ""
@@ -90,52 +185,105 @@ def scale_of(quantity: str, text: str) -> Scale:
     return Scale(number * FACTORS[quantity][unit], per, f"{match[1]} {match[2]}/{match[3]}")
 
 
-def plausible_unit(quantity: str, data: Array) -> str:
-    """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
-    with np.errstate(all="ignore"):
-        size = float(np.ptp(data)) if quantity == "displacement" else float(np.abs(data).max(initial=0.0))
-    sizes = {unit: size * FACTORS[quantity][unit] for unit in _USUAL[quantity]}
-    low, high = {"displacement": STROKES, "voltage": (0.0, HIGHEST_VOLTAGE), "time": (0.0, 1e7)}[quantity]
-    plausible = [unit for unit, value in sizes.items() if low <= value <= high]
-    if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
-        return plausible[0] if plausible else ""
-    return min(plausible, key=lambda unit: abs(np.log10(sizes[unit] / _STROKE)), default="")
+@dataclass(frozen=True, eq=False, slots=True)
+class Column:
+    """One named column of a file.
+
+    `unit`: if the file states it outside the name. `fault`: why it cannot be used, and what to try. `foreign`: whether
+    its samples lie in another file, are computed, or lie in a structure beside plain arrays: it is ignored if another
+    column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
+    `divided`: whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group. `guessed`:
+    what the file does not state about it. `ends`: its first and last cell as a text file has them. `began`: of
+    timestamps, what the first may be: what it counts from, whole seconds and their fraction; two if the order of day
+    and month is unknown. `kept`: whether a record keeps it as a further channel, whatever its name is.
+    """
+
+    name: str
+    data: Array
+    unit: str = ""
+    fault: str = ""
+    foreign: bool = False
+    unnamed: str = ""
+    divided: bool = False
+    guessed: str = ""
+    ends: tuple[str, str] = ("", "")
+    began: tuple[tuple[str, int, float], ...] = ()
+    kept: bool = False
+
+    @property
+    def leaf(self) -> str:
+        """The name without its groups; "Time / s" has none, nor has "flow [l/min]"."""
+        if self.divided:
+            return "/".join(self.name.rsplit("/", 2)[-2:])
+        unit = match[0] if (match := _BRACKETS.search(self.name)) else ""
+        word = self.name.removesuffix(unit)
+        return self.name if " / " in word else word.rsplit("/", 1)[-1] + unit
+
+    @property
+    def _named(self) -> tuple[str, str]:
+        """Quantity and unit in the column's name."""
+        text = self.leaf.strip()
+        if self.divided and (divided := _DIVIDED.fullmatch(text)):
+            return divided[1], divided[2]
+        if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
+            return written[1].strip(), written[2]
+        start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
+        if 0 <= start < len(text) - 1 and text[-1] in "])":
+            word, end = text[:start], start
+            while end and (word[end - 1].isspace() or word[end - 1] == "_"):
+                end -= 1
+            return word[:end].strip(), text[start + 1 : -1].strip()
+        word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
+        return word.strip(), unit.strip()
+
+    @property
+    def parts(self) -> tuple[str, str]:
+        """Quantity and unit of the column: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
+        word, unit = self._named
+        if any(self.unit in known for known in FACTORS.values()):
+            return word, self.unit
+        return word, symbol_of(unit) or symbol_of(self.unit) or unit or self.unit
+
+    @property
+    def contradiction(self) -> str:
+        """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
+
+        A word is no contradiction: LabVIEW states "Volts" for every channel.
+        """
+        named, known = symbol_of(self._named[1]), FACTORS.get(quantity_of(self.unit), {})
+        return named if self.unit in known and known.get(named) != known[self.unit] else ""
+
+    @property
+    def words(self) -> set[str]:
+        """Its name without groups, with and without the unit, in lower case."""
+        return {self.leaf.lower(), self.parts[0].lower()}
+
+    @property
+    def role(self) -> str:
+        """What it is as a further channel of a record: "temperature", "load" or "other", by its name and its unit.
+
+        A temperature has "temp" in its name, or the unit degC or °C; a load has "load", "force" or "kraft".
+        """
+        word, unit = self.parts[0].lower(), self.parts[1]
+        role = quantity_of(unit)
+        parts, units = {"temperature": (("temp",), ("degC", "°C")), "load": (("load", "force", "kraft"), ())}.get(
+            role, ((), ())
+        )
+        return role if unit in units or any(part in word for part in parts) else "other"
+
+    @property
+    def quantities(self) -> set[str]:
+        """The quantities whose words are the column's name; most names have none."""
+        return {quantity for quantity, known in QUANTITIES.items() if self.words & (known.words | known.more)}
 
 
-# The end of a selection that is a guess: "y:um?".
-GUESS = "?"
-
-_QUANTITY_WORDS = {
-    "time": ("time", "t"),
-    "voltage": ("voltage", "v", "drive"),
-    "displacement": ("displacement", "position", "y", "pos"),
-}
-# Words that name a quantity only if its unit is stated too.
-_MORE_WORDS = {
-    "time": [
-        "timestamp",
-        "datetime",
-        "date",
-        "x_value",
-        "x-axis",
-        "second",
-        "seconds",
-        "sec",
-        "zeit",
-        "temps",
-        "tiempo",
-    ],
-    "voltage": ["u", "spannung", "tension", "piezo voltage", "drive voltage", "output voltage", "control voltage"],
-    "displacement": ["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"],
-}
-EXAMPLES = {"time": "time_s", "voltage": "voltage_V", "displacement": "displacement_um"}
-TEXT = (".csv", ".tsv", ".txt", ".dat")
-# A quantity and its unit: "Time / s", "Weg in µm".
-_WRITTEN_OUT = re.compile(r"(.+?)\s+(?:/|in)\s+(\S+)")
-# The same without blanks: "Position/nm".
-_DIVIDED = re.compile(r"\s*([^/]*[^/\s])\s*/\s*([^/\s\[\]()]+)\s*")
-# Characters of a name that a message shows.
-_SHOWN = 60
+def without_groups(column: Column) -> Column:
+    """Return a column of a flat table, where a slash before a unit ends no group: "Position/nm", but not "um/V"."""
+    divided = _DIVIDED.fullmatch(column.name) if len(column.name) <= _SHOWN else None
+    unit = symbol_of(divided[2]) if divided else ""
+    if divided is None or not unit or symbol_of(divided[1].split()[-1]) not in ("", unit):
+        return column
+    return replace(column, divided=True)
 
 
 class ColumnError(FileFormatError):
@@ -160,101 +308,8 @@ class ColumnError(FileFormatError):
         self.column, self.short = column, short
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Column:
-    """One named column of a file.
-
-    Attributes
-    ----------
-    name : str
-    data : (n,) array
-    unit : str
-        The unit if the file states it outside the name.
-    fault : str
-        The reason why it cannot be used, and what to try; empty if it can.
-    foreign : bool
-        Whether its samples lie in another file, are computed, or lie in a structure beside plain arrays: it is
-        ignored if another column fits.
-    unnamed : str
-        If the file has no names, so that the name is a number: the reason, and what to try.
-    divided : bool
-        Whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group.
-    guessed : str
-        What the file does not state about it and was guessed; empty if nothing was.
-    ends : tuple of str
-        Its first and last cell as a text file has them; empty otherwise.
-    began : tuple of tuple
-        Of timestamps, what the first may be: what it counts from, whole seconds and their fraction. Two if the order
-        of day and month is unknown; empty for other columns.
-    """
-
-    name: str
-    data: Array
-    unit: str = ""
-    fault: str = ""
-    foreign: bool = False
-    unnamed: str = ""
-    divided: bool = False
-    guessed: str = ""
-    ends: tuple[str, str] = ("", "")
-    began: tuple[tuple[str, int, float], ...] = ()
-
-    @property
-    def leaf(self) -> str:
-        """The name without its groups; "Time / s" has none."""
-        if self.divided:
-            return "/".join(self.name.rsplit("/", 2)[-2:])
-        return self.name if " / " in self.name else self.name.rsplit("/", 1)[-1]
-
-    @property
-    def parts(self) -> tuple[str, str]:
-        """Quantity and unit of the column: ('drive', 'V') for 'drive_V' or 'drive [V]'."""
-        word, unit = self._named
-        if any(self.unit in known for known in FACTORS.values()):
-            return word, self.unit
-        return word, symbol_of(unit) or symbol_of(self.unit) or unit or self.unit
-
-    @property
-    def contradiction(self) -> str:
-        """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
-
-        A word is no contradiction: LabVIEW states "Volts" for every channel.
-        """
-        named, quantity = symbol_of(self._named[1]), quantity_of(self.unit)
-        known = FACTORS.get(quantity, {})
-        return named if self.unit in known and known.get(named) != known[self.unit] else ""
-
-    @property
-    def _named(self) -> tuple[str, str]:
-        """Quantity and unit in the column's name."""
-        text = self.leaf.strip()
-        if self.divided and (divided := _DIVIDED.fullmatch(text)):
-            return divided[1], divided[2]
-        if len(text) <= _SHOWN and (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
-            return written[1].strip(), written[2]
-        start = min((at for at in (text.find("["), text.find("(")) if at >= 0), default=-1)
-        if 0 <= start < len(text) - 1 and text[-1] in "])":
-            word, unit = _trim(text[:start]), text[start + 1 : -1]
-        else:
-            word, _, unit = self.leaf.rpartition("_") if "_" in self.leaf else (self.leaf, "", "")
-        return word.strip(), unit.strip()
-
-    @property
-    def quantities(self) -> set[str]:
-        """The quantities whose words are the column's name; most names have none."""
-        words = {self.leaf.lower(), self.parts[0].lower()}
-        return {
-            quantity for quantity in _QUANTITY_WORDS if words & {*_QUANTITY_WORDS[quantity], *_MORE_WORDS[quantity]}
-        }
-
-
-def without_groups(column: Column) -> Column:
-    """Return a column of a flat table, where a slash before a unit ends no group: "Position/nm", but not "um/V"."""
-    divided = _DIVIDED.fullmatch(column.name) if len(column.name) <= _SHOWN else None
-    unit = symbol_of(divided[2]) if divided else ""
-    if divided is None or not unit or symbol_of(divided[1].split()[-1]) not in ("", unit):
-        return column
-    return replace(column, divided=True)
+def _option(quantity: str, value: str) -> str:
+    return f'{quantity.replace("_", " ")} "{value}"'
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,21 +345,14 @@ class Selected:
         if scale is not None:
             unit = self.unit or scale.per
             if refusal := scale.refusal(unit):
-                raise self._error(
-                    f" has the unit '{shortened(unit)}', but {refusal}",
-                    "; give a scale for that unit, or leave it out",
-                    change=(f"{self.quantity}_scale",),
-                    usable=False,
-                )
-            factor = scale.apply(unit)
-        elif self.unit in FACTORS[self.quantity]:
-            factor = FACTORS[self.quantity][self.unit]
-        else:
+                problem = f" has the unit '{shortened(unit)}', but {refusal}"
+                advice = "; give a scale for that unit, or leave it out"
+                raise self._error(problem, advice, change=(f"{self.quantity}_scale",), usable=False)
+        elif self.unit not in FACTORS[self.quantity]:
             raise self._unknown_unit()
         # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
-            # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-            values = column.data * factor if scale or factor >= 1 else column.data / round(1 / factor)
+            values: Array = in_si(column.data, self.unit) if scale is None else column.data * scale.apply(unit)
         if self.quantity == "voltage" and scale is None and is_plug(column.name) and is_small(values):
             given = _option("voltage_scale", f"{GAIN} V/V")
             raise self._error(
@@ -323,7 +371,7 @@ class Selected:
         return ColumnError(self.source, self.quantity, problem, advice, self.column if usable else None, short, change)
 
     def _unknown_unit(self) -> ColumnError:
-        quantity, unit, example = self.quantity, self.unit, EXAMPLES[self.quantity]
+        quantity, unit, example = self.quantity, self.unit, QUANTITIES[self.quantity].example
         stated = f" has the unit '{shortened(unit)}', unknown for {quantity}" if unit else " has no unit"
         advice, hint = f"; known are {', '.join(FACTORS[quantity])}. ", ""
         sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
@@ -386,14 +434,6 @@ class Table:
         """Column names as the file has them, with their groups."""
         return tuple(column.name for column in self.columns)
 
-    def has(self, quantity: str) -> bool:
-        """Return whether exactly one column is the `quantity` by its name and unit."""
-        return len(self._candidates(quantity)) == 1
-
-    def fitting(self, quantity: str, wanted: str | None = None) -> int:
-        """Return the number of columns that `select` would choose from."""
-        return len(self._fits(quantity, wanted)[0])
-
     def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
         """Return the column (n,) of a quantity in seconds, volts or metres, see `select`."""
         return self.select(quantity, wanted, scale).values
@@ -402,13 +442,12 @@ class Table:
         """Decide on the column of a `quantity` ("time", "voltage" or "displacement").
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
-        A "?" at its end marks it as a guess.
-        `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or "10 um/V".
-
-        Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid scale.
+        A "?" at its end marks it as a guess. `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or
+        "10 um/V". Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid
+        scale.
         """
         if not isinstance(wanted, str | None):
-            need = f"the name of a column, as '{EXAMPLES[quantity]}'"
+            need = f"the name of a column, as '{QUANTITIES[quantity].example}'"
             raise FileFormatError(argument=quantity, got=repr(wanted), need=need)
         if wanted is None and self.columns and self.columns[0].unnamed:
             raise ColumnError(self.source, quantity, self.columns[0].unnamed, "", change=("columns",))
@@ -429,7 +468,8 @@ class Table:
     def _not_one(self, quantity: str, wanted: str | None, fits: list[Column]) -> ColumnError:
         request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
-        hint = f" A name like '{EXAMPLES[quantity]}' is found by itself." if wanted is None else ""
+        example = QUANTITIES[quantity].example
+        hint = f" A name like '{example}' is found by itself." if wanted is None else ""
         rate = " Without one, give the sample rate in Hz." if quantity == "time" else ""
         return ColumnError(
             self.source,
@@ -438,6 +478,10 @@ class Table:
             f"; the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
             change=(quantity, "sample_rate") if rate else (quantity,),
         )
+
+    def fitting(self, quantity: str, wanted: str | None = None) -> int:
+        """Return the number of columns that `select` would choose from."""
+        return len(self._fits(quantity, wanted)[0])
 
     def _fits(self, quantity: str, wanted: str | None) -> tuple[list[Column], str]:
         """Return the columns of a quantity, or of a name, and the unit that the name states."""
@@ -448,11 +492,11 @@ class Table:
         return self._named(name), unit
 
     def _candidates(self, quantity: str) -> list[Column]:
-        fits = [c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_QUANTITY_WORDS[quantity])]
+        known, units = QUANTITIES[quantity], FACTORS[quantity]
+        fits = [c for c in self.columns if c.words & known.words]
         fits = [c for c in fits if not c.foreign] or fits
-        fits = [c for c in fits if c.parts[1] in FACTORS[quantity]] or fits
-        more = (c for c in self.columns if {c.leaf.lower(), c.parts[0].lower()} & set(_MORE_WORDS[quantity]))
-        return fits or [c for c in more if c.parts[1] in FACTORS[quantity]]
+        fits = [c for c in fits if c.parts[1] in units] or fits
+        return fits or [c for c in self.columns if c.words & known.more and c.parts[1] in units]
 
     def _named(self, name: str) -> list[Column]:
         name = name.strip().strip("/")
@@ -460,27 +504,3 @@ class Table:
         leaf = [c for c in self.columns if c.leaf == name]
         dotted = [c for c in self.columns if c.name.replace("/", ".") == name]
         return exact or leaf or dotted or [c for c in self.columns if c.parts[0] == name]
-
-
-def _option(quantity: str, value: str) -> str:
-    return f'{quantity.replace("_", " ")} "{value}"'
-
-
-def listed(names: tuple[str, ...]) -> str:
-    """Quote names for a message, the first twenty of them."""
-    return ", ".join(f"'{shortened(name)}'" for name in names[:20]) + (
-        f" and {len(names) - 20} more" if len(names) > 20 else ""
-    )
-
-
-def shortened(name: str) -> str:
-    """Return a name from a file for a message: only its beginning if it is long."""
-    return name if len(name) <= _SHOWN else f"{name[:_SHOWN]}..."
-
-
-def _trim(text: str) -> str:
-    """Remove blanks and underscores at the end."""
-    end = len(text)
-    while end and (text[end - 1].isspace() or text[end - 1] == "_"):
-        end -= 1
-    return text[:end]

@@ -1,4 +1,4 @@
-"""Columns of binary files: NumPy, HDF5, Parquet, TDMS and MATLAB; guesses that record files of dehyst keep."""
+"""Columns of binary files: NumPy, HDF5, Parquet, TDMS and MATLAB; what record files of dehyst state about theirs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import IO, Any, NamedTuple
@@ -17,47 +17,52 @@ from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError
 from dehyst._units import COUNTS, quantity_of, symbol_of
-from dehyst.records import hdf5 as hdf5_nodes
 from dehyst.records.formats.columns import Column, listed, shortened
-from dehyst.records.formats.file_content import Allowance, library
+from dehyst.records.formats.file_content import Allowance
 
-# Name of the array of an NPZ, and the beginning of the first line of a text.
-MEMBER = "dehyst-guesses"
-_LINE = f"# {MEMBER}: "
-# Longest text of all guesses [bytes].
+# Name of the array of an NPZ, and the beginning of the first line of a text, in which a record file states in JSON
+# "guesses" by quantity and the columns of "others".
+MEMBER = "dehyst-record"
+LINE = f"# {MEMBER}: "
+# Longest text of it [bytes].
 LONGEST = 4096
 
 
-def stated(guesses: Any) -> str:
-    """Return the guesses of a record as one line of JSON; empty if there are none."""
-    return json.dumps({str(k): str(v) for k, v in guesses.items()}) if isinstance(guesses, Mapping) and guesses else ""
-
-
-def line_of(text: str) -> list[str]:
-    """Return the first line of a text file with guesses, which every other program skips as a comment."""
-    return [_LINE + text] if text else []
-
-
 def in_first_line(data: bytes) -> str:
-    """Return the guesses that `line_of` put before a table; empty if there are none."""
-    if not data.startswith(_LINE.encode()):
-        return ""
-    line = data[len(_LINE) : LONGEST].splitlines()[:1]
+    """Return what a record file states in the first line of its text; empty if it is no record file of dehyst."""
+    line = data[len(LINE) : LONGEST].splitlines()[:1] if data.startswith(LINE.encode()) else []
     return line[0].decode(errors="replace") if line else ""
 
 
 def restored(columns: Sequence[Column], text: str) -> list[Column]:
-    """Return the columns of a record file with the guesses that it states; text that states none is ignored."""
+    """Return the columns of a record file with what it states about them; other text is ignored."""
     try:
-        guesses = json.loads(text) if text else {}
+        stated = json.loads(text) if text else {}
     except (ValueError, RecursionError):
-        guesses = {}
-    known = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
-    return [replace(column, guessed=known.get(column.name.rpartition("_")[0], column.guessed)) for column in columns]
+        stated = {}
+    guesses, others = (stated.get("guesses"), stated.get("others")) if isinstance(stated, dict) else (None, None)
+    words = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
+    kept = others if isinstance(others, list) else []
+    return [
+        replace(one, guessed=words.get(one.parts[0], one.guessed), kept=one.kept or one.name in kept) for one in columns
+    ]
 
 
-# Longest text of a unit [bytes].
-_LONGEST_UNIT = 256
+def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
+    """Return a column for an array of real numbers that is 1-D, or 2-D with one row or column, as in MATLAB."""
+    array = np.asarray(array)
+    if array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
+        return []
+    with np.errstate(all="ignore"):
+        return [Column(name, array.ravel().astype(np.float64, copy=False), unit)]
+
+
+def product(shape: tuple[int, ...]) -> int:
+    """Return the number of elements, however large; negative if a size is."""
+    count = int(np.prod(shape, dtype=object)) if shape else 1
+    return -1 if any(size < 0 for size in shape) else count
+
+
 # Rows or columns of one array that are taken for series of samples.
 _MOST_SERIES = 32
 
@@ -84,43 +89,31 @@ class _Array(NamedTuple):
                 return "table"
         return "series" if self.shape and count > 1 and count == max(self.shape) else ""
 
+    def read(self, allowance: Allowance) -> Any:
+        """Read it after a check of its declared size, as numbers and as it is stored."""
+        count, what = product(self.shape), f"array '{shortened(self.name)}'"
+        allowance.check(count * self.dtype.itemsize, what)
+        allowance.take(count * len(self.dtype.names or "1"), what)
+        with self.open() as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
 
-def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read arrays of an NPZ archive; objects are never opened, because that would run code."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        arrays = [_member(archive, member, allowance) for member in members]
-        series = [array for array in arrays if array.kind == "series"]
-        tables = [array for array in arrays if array.kind == "table"]
-        columns = [column for array in series for column in _series(array, _read(array, allowance), f"{array.name}/")]
-        if not columns and len(tables) == 1:
-            columns = _rows_of(tables[0], allowance)
-        guesses = [str(_read(array, allowance)) for array in arrays if (array.name, array.kind) == (MEMBER, "text")]
-    return restored(columns, "".join(guesses))
+    def series(self, allowance: Allowance, prefix: str = "") -> list[Column]:
+        """Return the columns of an array in one dimension: itself, or its fields."""
+        values = self.read(allowance)
+        if self.dtype.names is None:
+            return vectors(self.name, values)
+        return [column for field in self.dtype.names for column in vectors(f"{prefix}{field}", values[field])]
 
-
-def read_npy(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read one array of NumPy: the fields of a structured one by their names, else its rows or columns."""
-    array = _header(partial(io.BytesIO, data), len(data), allowance.path.stem, allowance)
-    if array.kind == "table":
-        return _rows_of(array, allowance)
-    if array.kind != "series":
-        raise FileFormatError(
-            f"{allowance.path}: no numeric columns found in an array of the shape {array.shape}, need 2 to "
-            f"{_MOST_SERIES} series, each with twice as many samples at least; save one array for each series by "
-            "numpy.savez, with the names time_s, voltage_V and displacement_um"
+    def rows(self, allowance: Allowance) -> list[Column]:
+        """Return the rows of a table without names, or its columns if these are longer."""
+        table = self.read(allowance)
+        rows, kind = (table, "rows") if self.shape[0] < self.shape[1] else (table.T, "columns")
+        unnamed = (
+            f"its one array has shape {self.shape} and no names; name its {len(rows)} {kind}, or save three arrays "
+            "with the names time_s, voltage_V and displacement_um by numpy.savez"
         )
-    return _series(array, _read(array, allowance), "")
-
-
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Allowance) -> _Array:
-    name = member.filename.removesuffix(".npy")
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FileFormatError(
-            f"{allowance.path}: array '{shortened(name)}' is packed in a way that NumPy never uses; save it with "
-            "numpy.savez"
-        )
-    return _header(partial(archive.open, member), member.file_size, name, allowance)
+        with np.errstate(all="ignore"):
+            return [Column(str(k), row.astype(np.float64), unnamed=unnamed) for k, row in enumerate(rows, 1)]
 
 
 def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Allowance) -> _Array:
@@ -133,90 +126,148 @@ def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Al
         version = np.lib.format.read_magic(stream)
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         if version not in read_header:
-            raise FileFormatError(f"{allowance.path}: {what} has names in its type, need numbers; save plain arrays")
+            raise FileFormatError(f"{what} has names in its type, need numbers; save plain arrays")
         shape, _, dtype = read_header[version](stream)
     if dtype.hasobject:
-        raise FileFormatError(
-            f"{allowance.path}: not a readable {allowance.path.suffix} file: {what} holds Python objects, which are "
-            "not opened; save arrays of numbers"
-        )
+        # Objects are never opened, because that would run code.
+        raise FileFormatError(f"{what} holds Python objects, which are not opened; save arrays of numbers")
     array, count = _Array(opened, name, shape, dtype), product(shape)
     if array.kind == "series":
         allowance.check(8 * count, what)
     if array.kind and count * dtype.itemsize > size:
         raise FileFormatError(
-            f"{allowance.path}: {what} declares {count} numbers, but has only {size} bytes; the file is cut off or "
-            "damaged, take a copy"
+            f"{what} declares {count} numbers, but has only {size} bytes; the file is cut off or damaged, take a copy"
         )
     return array
 
 
-def _read(array: _Array, allowance: Allowance) -> Any:
-    """Read an array after a check of its declared size, as numbers and as it is stored."""
-    count, what = product(array.shape), f"array '{shortened(array.name)}'"
-    allowance.check(count * array.dtype.itemsize, what)
-    allowance.take(count * len(array.dtype.names or "1"), what)
-    with array.open() as stream:
-        return np.lib.format.read_array(stream, allow_pickle=False)
+def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read arrays of an NPZ archive."""
+    arrays = []
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for member in archive.infolist():
+            if not member.filename.endswith(".npy"):
+                continue
+            name = member.filename.removesuffix(".npy")
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise FileFormatError(
+                    f"array '{shortened(name)}' is packed in a way that NumPy never uses; save it with numpy.savez"
+                )
+            arrays.append(_header(partial(archive.open, member), member.file_size, name, allowance))
+        tables = [array for array in arrays if array.kind == "table"]
+        columns = [
+            column for array in arrays if array.kind == "series" for column in array.series(allowance, f"{array.name}/")
+        ]
+        if not columns and len(tables) == 1:
+            columns = tables[0].rows(allowance)
+        texts = [str(array.read(allowance)) for array in arrays if (array.name, array.kind) == (MEMBER, "text")]
+    return restored(columns, "".join(texts))
 
 
-def _series(array: _Array, values: Any, prefix: str) -> list[Column]:
-    """Return the columns of an array in one dimension: itself, or its fields."""
-    if array.dtype.names is None:
-        return vectors(array.name, values)
-    return [column for field in array.dtype.names for column in vectors(f"{prefix}{field}", values[field])]
-
-
-def _rows_of(array: _Array, allowance: Allowance) -> list[Column]:
-    """Return the rows of a table without names, or its columns if these are longer."""
-    table = _read(array, allowance)
-    rows, kind = (table, "rows") if array.shape[0] < array.shape[1] else (table.T, "columns")
-    unnamed = (
-        f"its one array has shape {array.shape} and no names; name its {len(rows)} {kind}, or save three arrays with "
-        "the names time_s, voltage_V and displacement_um by numpy.savez"
+def read_npy(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read one array of NumPy: the fields of a structured one by their names, else its rows or columns."""
+    array = _header(partial(io.BytesIO, data), len(data), allowance.stem, allowance)
+    if array.kind == "table":
+        return array.rows(allowance)
+    if array.kind == "series":
+        return array.series(allowance)
+    raise FileFormatError(
+        f"no numeric columns found in an array of the shape {array.shape}, need 2 to {_MOST_SERIES} series, each with "
+        "twice as many samples at least; save one array for each series by numpy.savez, with the names time_s, "
+        "voltage_V and displacement_um"
     )
-    with np.errstate(all="ignore"):
-        return [Column(str(k), row.astype(np.float64), unnamed=unnamed) for k, row in enumerate(rows, 1)]
 
 
-def product(shape: tuple[int, ...]) -> int:
-    """Return the number of elements, however large; negative if a size is."""
-    count = 1
-    for size in shape:
-        count *= int(size)
-    return -1 if any(size < 0 for size in shape) else count
+# A file of measurements has fewer levels of groups and fewer names.
+_DEEPEST, _MOST_NAMES = 64, 100_000
+# Longest text of a unit [bytes].
+_LONGEST_UNIT = 256
+_OWN_SAMPLES = "copy its samples into the file, for instance with h5repack or h5copy"
 
 
-def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
-    """Return a column for an array of real numbers that is 1-D, or 2-D with one row or column, as in MATLAB."""
-    array = np.asarray(array)
-    if array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
-        return []
-    with np.errstate(all="ignore"):
-        return [Column(name, array.ravel().astype(np.float64, copy=False), unit)]
+class Node(NamedTuple):
+    """A dataset of HDF5 by its full name, or the reason why it cannot be a column of a record."""
+
+    name: str
+    dataset: Any
+    fault: str
+
+
+def hdf5_nodes(file: Any) -> Iterator[Node]:
+    """Yield the datasets of all groups that hard links lead to, each once.
+
+    Soft links are ignored, because their targets are found under their own names; external links are yielded with
+    their fault and never followed. Raise `FileFormatError` for groups too deep, or too many names: a damaged file.
+    """
+    import h5py
+
+    def place(item: Any) -> tuple[int, int]:
+        info = h5py.h5o.get_info(item.id)
+        return int(info.fileno), int(info.addr)
+
+    seen = {place(file)}
+    left, count = [("", file["/"], iter(file))], 0
+    while left:
+        prefix, group, keys = left[-1]
+        if (key := next(keys, None)) is None:
+            left.pop()
+            continue
+        name, count = prefix + key, count + 1
+        if count > _MOST_NAMES or len(left) > _DEEPEST:
+            raise FileFormatError(
+                f"more than {_MOST_NAMES} names, or groups more than {_DEEPEST} deep; keep the record's columns only"
+            )
+        link = group.get(key, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            fault = f"is an external link to '{link.filename}', which is not followed; {_OWN_SAMPLES}"
+            yield Node(name, None, fault)
+        elif isinstance(link, h5py.HardLink) and (where := place(item := group[key])) not in seen:
+            seen.add(where)
+            if isinstance(item, h5py.Group):
+                left.append((f"{name}/", item, iter(item)))
+            elif isinstance(item, h5py.Dataset):
+                fault = ""
+                if item.is_virtual:
+                    fault = f"is a virtual dataset, made of others, which are not read; {_OWN_SAMPLES}"
+                elif item.external:
+                    fault = f"has external storage in '{item.external[0][0]}', which is not read; {_OWN_SAMPLES}"
+                yield Node(name, item, fault)
+
+
+def is_vector(dataset: Any) -> bool:
+    """Return whether a dataset declares real numbers in one dimension, or in one row or column."""
+    shape = dataset.shape
+    return shape is not None and len(shape) > 0 and dataset.dtype.kind in "fiu" and dataset.size == max(shape)
+
+
+def samples_of(dataset: Any, name: str, allowance: Allowance) -> NDArray[Any]:
+    """Read a dataset after a check of its declared size and of its chunk size."""
+    allowance.take(int(dataset.size), f"dataset '{name}'")
+    if dataset.chunks:
+        # A whole chunk is in memory, packed and unpacked, however few of its samples exist.
+        allowance.check(product(dataset.chunks) * dataset.dtype.itemsize, f"a chunk of dataset '{name}'")
+    return np.asarray(dataset[()])
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
     """Read datasets of an HDF5 file, in any group; those with samples in another file have a fault."""
-    h5py = library("h5py", f"Reading {allowance.path.suffix} files")
+    import h5py
+
     columns: list[Column] = []
     with h5py.File(io.BytesIO(data), "r") as file:
-        for name, dataset, fault in hdf5_nodes.nodes(file, h5py, allowance):
+        for name, dataset, fault in hdf5_nodes(file):
             if name.startswith("#"):
                 continue
             if fault:
                 columns.append(Column(name, np.empty(0), fault=fault, foreign=True))
-            elif hdf5_nodes.is_vector(dataset) and dataset.size > 1:
-                found = vectors(name, hdf5_nodes.samples(dataset, name, allowance), _unit(dataset))
-                columns += [_with_unit_of_group(column, dataset) for column in found]
+            elif is_vector(dataset) and dataset.size > 1:
+                (column,) = vectors(name, samples_of(dataset, name, allowance), _unit(dataset))
+                if not symbol_of(column.parts[1]) and (unit := _unit(dataset.parent)):
+                    # The unit of the group, unless the column has the name of another quantity.
+                    named = column.quantities
+                    column = replace(column, unit=unit) if not named or quantity_of(unit) in named else column
+                columns.append(column)
     return columns
-
-
-def _with_unit_of_group(column: Column, dataset: Any) -> Column:
-    """Return a column without a unit with that of its group, unless it has the name of another quantity."""
-    unit = "" if symbol_of(column.parts[1]) else _unit(dataset.parent)
-    named = column.quantities
-    return replace(column, unit=unit) if unit and (not named or quantity_of(unit) in named) else column
 
 
 def _unit(item: Any) -> str:
@@ -234,8 +285,9 @@ def _unit(item: Any) -> str:
 
 def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
     """Read columns of numbers, dates and durations of a Parquet file, an index of pandas among them."""
-    library("pyarrow", "Reading Parquet files")
-    file = library("pyarrow.parquet", "Reading Parquet files").ParquetFile(io.BytesIO(data), pre_buffer=False)
+    from pyarrow import parquet
+
+    file = parquet.ParquetFile(io.BytesIO(data), pre_buffer=False)
     wanted = [field.name for field in file.schema_arrow if is_readable(field.type)]
     for name in wanted:
         allowance.take(file.metadata.num_rows, f"column '{shortened(name)}'")
@@ -244,7 +296,8 @@ def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
 
 def is_readable(kind: Any) -> bool:
     """Return whether an Arrow type is that of real numbers, dates or durations."""
-    types = library("pyarrow", "Reading Parquet files").types
+    from pyarrow import types
+
     return any(holds(kind) for holds in (types.is_integer, types.is_floating, types.is_timestamp, types.is_duration))
 
 
@@ -256,17 +309,27 @@ def arrow_columns(table: Any) -> list[Column]:
         numbers = [_arrow_numbers(chunk, bool(resolution)) for chunk in values.chunks] or [np.empty(0)]
         array = np.concatenate(numbers)
         if resolution:
-            array = _elapsed(array, resolution, dates=str(values.type).startswith("timestamp"))
+            # Dates count from the first of them. Whole numbers are subtracted before they become doubles, which resolve
+            # nanoseconds since 1970 to 0.2 us only.
+            missing = array == _MISSING
+            first = array[~missing][:1] if str(values.type).startswith("timestamp") else array[:0]
+            with np.errstate(all="ignore"):
+                array = (array - first if first.size else array) / COUNTS["s"][resolution]
+            array[missing] = np.nan
         index = bool(resolution) and name.startswith("__index_level_")
         found = vectors("time" if index else name, array, "s" if resolution else "")
         columns += [replace(column, foreign=index) for column in found]
     return columns
 
 
+# A date or a duration that is missing.
+_MISSING = np.iinfo(np.int64).min
+
+
 def _arrow_numbers(chunk: Any, ticks: bool) -> NDArray[Any]:
     """Return the numbers of an Arrow array, NaN for missing ones; its own conversion to NumPy would import pandas.
 
-    `ticks`: whether it counts units of time, which stay whole numbers, the least of them for missing ones.
+    `ticks`: whether it counts units of time, which stay whole numbers.
     """
     valid, values = chunk.buffers()
     rows = slice(chunk.offset, chunk.offset + len(chunk))
@@ -275,19 +338,8 @@ def _arrow_numbers(chunk: Any, ticks: bool) -> NDArray[Any]:
         numbers = np.frombuffer(values, dtype=kind)[rows].astype(np.int64 if ticks else np.float64)
     if chunk.null_count:
         bits = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")
-        numbers[bits[rows] == 0] = np.iinfo(np.int64).min if ticks else np.nan
+        numbers[bits[rows] == 0] = _MISSING if ticks else np.nan
     return numbers
-
-
-def _elapsed(ticks: Any, resolution: str, *, dates: bool) -> NDArray[np.float64]:
-    """Return dates as seconds since the first, and durations in seconds."""
-    missing = ticks == np.iinfo(np.int64).min
-    first = ticks[~missing][:1] if dates else ticks[:0]
-    with np.errstate(all="ignore"):
-        # Whole numbers are subtracted first: a double resolves nanoseconds since 1970 to 0.2 us only.
-        elapsed = (ticks - first if first.size else ticks) / COUNTS["s"][resolution]
-    elapsed[missing] = np.nan
-    return np.asarray(elapsed, dtype=np.float64)
 
 
 def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
@@ -295,28 +347,29 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
 
     Raise FileFormatError if its channels have clocks of their own.
     """
-    reader = library("nptdms", "Reading TDMS files").TdmsFile
-    for group in reader.read_metadata(io.BytesIO(data)).groups():
+    from nptdms import TdmsFile
+
+    for group in TdmsFile.read_metadata(io.BytesIO(data)).groups():
         for channel in group.channels():
             allowance.take(len(channel), f"channel '{shortened(channel.name)}'")
     columns: list[Column] = []
     clocks: dict[str, tuple[int, float, float, str]] = {}
-    for group in reader.read(io.BytesIO(data)).groups():
+    for group in TdmsFile.read(io.BytesIO(data)).groups():
         for channel in group.channels():
             have = channel.properties
             unit = str(have.get("unit_string", ""))[:_LONGEST_UNIT].strip()
-            found = vectors(f"{group.name}/{channel.name}", channel[:], unit)
-            columns += found
             times = float(have.get("wf_increment", 0.0)), float(have.get("wf_start_offset", 0.0))
-            clocks |= {column.name: (len(channel), *times, str(have.get("wf_start_time", ""))) for column in found}
+            for column in vectors(f"{group.name}/{channel.name}", channel[:], unit):
+                columns.append(column)
+                clocks[column.name] = (len(channel), *times, str(have.get("wf_start_time", "")))
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
     if any(column.parts[0].lower() in ("time", "t") for column in columns):
         return columns
     runs = set(clocks.values())
     if len(runs) > 1 and all(run[1] > 0 for run in runs):
         raise FileFormatError(
-            f"{allowance.path}: the channels {listed(tuple(clocks))} have clocks of their own: number of samples, "
-            "wf_increment, wf_start_offset or wf_start_time differ",
+            f"the channels {listed(tuple(clocks))} have clocks of their own: number of samples, wf_increment, "
+            "wf_start_offset or wf_start_time differ",
             hint="save each in a file of its own with its time, and join the second one",
             change=("join",),
         )
@@ -333,17 +386,24 @@ _MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
 _MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _CHUNK = 1 << 20
 # Structures in structures.
-_DEEPEST = 8
+_DEEPEST_FIELD = 8
+
+
+def is_hdf5(data: bytes) -> bool:
+    """Return whether a MAT file has version 7.3."""
+    return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
 
 
 def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
     """Read variables of a MAT file of any version; of structures the fields; cells and text are ignored."""
     if is_hdf5(data):
         return read_hdf5(data, allowance)
-    scipy_io = library("scipy.io", "Reading .mat files")
+    import scipy.io
+
     _refuse_inflated(data, allowance)
     wanted, structures = [], []
-    for name, shape, kind in scipy_io.whosmat(io.BytesIO(data)):
+    stream: Any = io.BytesIO(data)
+    for name, shape, kind in scipy.io.whosmat(stream):
         count = product(shape)
         if kind in _MAT_NUMBERS and shape and count > 1 and count == max(shape) and not name.startswith("__"):
             allowance.take(count, f"variable '{shortened(name)}'")
@@ -352,9 +412,8 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
             structures.append(name)
     if not wanted and not structures:
         return []
-    variables = scipy_io.loadmat(
-        io.BytesIO(data), variable_names=[*wanted, *structures], simplify_cells=bool(structures)
-    )
+    names = [*wanted, *structures]
+    variables = scipy.io.loadmat(stream, variable_names=names, simplify_cells=bool(structures))
     columns = [column for name in wanted for column in vectors(name, variables[name])]
     fields = [column for name in structures for column in _fields(name, variables[name], allowance)]
     return columns + [replace(column, foreign=bool(columns)) for column in fields]
@@ -363,17 +422,12 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
 def _fields(name: str, structure: Any, allowance: Allowance, depth: int = 1) -> list[Column]:
     """Return the arrays in a structure, and in the structures in it, as data/t."""
     columns: list[Column] = []
-    for field, value in structure.items() if isinstance(structure, dict) and depth <= _DEEPEST else ():
+    for field, value in structure.items() if isinstance(structure, dict) and depth <= _DEEPEST_FIELD else ():
         found = _fields(f"{name}/{field}", value, allowance, depth + 1)
         if not isinstance(value, dict) and (found := vectors(f"{name}/{field}", value)):
             allowance.take(found[0].data.size, f"field '{shortened(field)}'")
         columns += found
     return columns
-
-
-def is_hdf5(data: bytes) -> bool:
-    """Return whether a MAT file has version 7.3."""
-    return data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5
 
 
 def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
@@ -384,15 +438,9 @@ def _refuse_inflated(data: bytes, allowance: Allowance) -> None:
         kind, length = struct.unpack_from(f"{order}II", data, place)
         place += _MAT_TAG
         if kind == _MAT_COMPRESSED:
-            for piece in _inflate(data[place : place + length]):
-                size += piece
+            inflate, packed = zlib.decompressobj(), data[place : place + length]
+            while packed and not inflate.eof:
+                size += len(inflate.decompress(packed, _CHUNK))
+                packed = inflate.unconsumed_tail
                 allowance.check(size, "its compressed variables")
         place += length
-
-
-def _inflate(packed: bytes) -> Iterator[int]:
-    """Yield the number of bytes of each unpacked piece."""
-    inflate = zlib.decompressobj()
-    while packed and not inflate.eof:
-        yield len(inflate.decompress(packed, _CHUNK))
-        packed = inflate.unconsumed_tail

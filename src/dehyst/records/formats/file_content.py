@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import codecs
-import importlib
 import stat
-from math import inf, nan
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError
 
 # Default limit of the bytes of a file and of its numbers: 20 million samples.
 MOST = 500_000_000
-# Bytes by which an encoding is recognised.
-_HEAD = 4096
 # Bytes of a double.
 _DOUBLE = 8
+# The first bytes of formats, which show that of a pipe without a suffix.
 _MAGIC = {
     b"\x89HDF\r\n\x1a\n": ".h5",
     b"PK\x03\x04": ".npz",
@@ -45,14 +41,13 @@ class Content(NamedTuple):
 
 
 class Allowance:
-    """The memory that the numbers of a file may take; sizes that its headers declare are checked first.
+    """The memory that the numbers of a file may take [bytes], of which sizes that its headers declare are taken first.
 
-    `path`: name of the file in messages. `most`: limit for all numbers together [bytes]. `decimal`: the decimal sign of
-    its text, if the user states it.
+    `stem`: name of the file without its suffix. `decimal`: the decimal sign of its text, if the user states it.
     """
 
-    def __init__(self, path: Path, most: int, decimal: str | None = None) -> None:
-        self.path, self.most, self.left, self.decimal = path, most, most, decimal
+    def __init__(self, most: int, stem: str = "", decimal: str | None = None) -> None:
+        self.most, self.left, self.stem, self.decimal = most, most, stem, decimal
 
     def take(self, numbers: int, what: str) -> None:
         """Reserve memory for a count of numbers; raise FileFormatError if it does not suffice."""
@@ -62,95 +57,49 @@ class Allowance:
     def check(self, size: int, what: str) -> None:
         """Refuse a size [bytes] that is negative or exceeds the remaining memory."""
         if size < 0:
-            raise FileFormatError(f"{self.path}: {what} declares a negative size; the file is damaged, take a copy")
+            raise FileFormatError(f"{what} declares a negative size; the file is damaged, take a copy")
         if size > self.left:
             raise FileFormatError(
-                f"{self.path}: {what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
+                f"{what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
                 f"{_in_words(self.most)} that a file may take",
                 hint=_RAISE,
                 change=("max_bytes",),
             )
 
 
-def content_of(path: Path, most: int) -> Content:
+def content_of(path: Path, most: object) -> Content:
     """Read a regular file, a named pipe or a process substitution; once, and never more than `most` bytes.
 
-    Raises
-    ------
-    FileFormatError
-        A folder, a device, a socket; an empty file; more than `most` bytes.
-    OSError
-        The file cannot be opened.
+    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes, or if that is no
+    positive number. Raise `OSError` if the file cannot be opened.
     """
-    kind = path.stat().st_mode
-    if stat.S_ISDIR(kind):
+    if not isinstance(most, Real) or isinstance(most, bool) or not 1 <= float(most) < float("inf"):
+        need = "a number of bytes above 0"
+        raise FileFormatError(argument="max_bytes", got=repr(most), need=need, hint=f"try {MOST}")
+    allowed, state = int(float(most)), path.stat()
+    if stat.S_ISDIR(state.st_mode):
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
-    if not (stat.S_ISREG(kind) or stat.S_ISFIFO(kind)):
-        word = "a socket" if stat.S_ISSOCK(kind) else "a device"
+    if not (stat.S_ISREG(state.st_mode) or stat.S_ISFIFO(state.st_mode)):
+        word = "a socket" if stat.S_ISSOCK(state.st_mode) else "a device"
         raise FileFormatError(f"{path}: this is {word}, need a file or a pipe; save its data to a file first")
-    size = path.stat().st_size
-    _refuse_large(path, size, most)
-    with path.open("rb") as stream:
-        data = stream.read(most + 1)
-    _refuse_large(path, len(data), most)
-    if not data:
-        raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    return Content(path, data, path.suffix.lower() if stat.S_ISREG(kind) else _suffix(path, data), most)
-
-
-def as_utf8(data: bytes) -> bytes:
-    """Return text in UTF-16, which Windows programs write as "Unicode text", in UTF-8; other bytes as they are."""
-    head = data[:_HEAD]
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif b"\0" in head:
-        # Latin letters and digits leave every second byte 0.
-        zeros = [part.count(0) / max(len(part), 1) for part in (head[::2], head[1::2])]
-        encoding = next(
-            (name for name, share in zip(("utf-16-be", "utf-16-le"), zeros, strict=True) if share > 0.8), ""
-        )
-        if not encoding or min(zeros) > 0:
-            return data
-    else:
-        return data
-    try:
-        return data.decode(encoding).encode()
-    except UnicodeError:
-        return data
-
-
-def bytes_allowed(value: object) -> int:
-    """Return a limit in whole bytes; raise FileFormatError for anything but a positive number."""
-    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
-    if not 1 <= number < inf:
+    size, data = state.st_size, b""
+    if size <= allowed:
+        with path.open("rb") as stream:
+            data = stream.read(allowed + 1)
+        size = len(data)
+    if size > allowed:
         raise FileFormatError(
-            argument="max_bytes", got=repr(value), need="a number of bytes above 0", hint=f"try {MOST}"
-        )
-    return int(number)
-
-
-def library(module: str, purpose: str, extra: str = "files") -> Any:
-    """Return a module of an optional package; raise MissingExtraError if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError.of(module.split(".", maxsplit=1)[0], extra, purpose) from error
-
-
-def _refuse_large(path: Path, size: int, most: int) -> None:
-    if size > most:
-        raise FileFormatError(
-            f"{path}: the file has {'at least ' if size == most + 1 else ''}{_in_words(size)}, more than the "
-            f"{_in_words(most)} that are allowed",
+            f"{path}: the file has {'at least ' if size == allowed + 1 else ''}{_in_words(size)}, more than the "
+            f"{_in_words(allowed)} that are allowed",
             hint=f"{_RAISE}, or shorten it",
             change=("max_bytes",),
         )
-
-
-def _suffix(path: Path, data: bytes) -> str:
-    """Return the suffix of a pipe's name or, as it rarely has one, that of its first bytes; by default text."""
-    guess = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
-    return path.suffix.lower() or guess
+    if not data:
+        raise FileFormatError(f"{path}: the file is empty; export the measurement again")
+    suffix = path.suffix.lower()
+    if not suffix and stat.S_ISFIFO(state.st_mode):
+        suffix = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
+    return Content(path, data, suffix, allowed)
 
 
 def _in_words(size: int) -> str:

@@ -1,4 +1,7 @@
-"""The readable formats: for each suffix the function that reads columns from bytes, and the library it needs."""
+"""The readable formats; those whose library is in C are read in a child process, which a damaged file may crash.
+
+One helper process imports the libraries once, and forks a child with bounds of memory and CPU time for each file.
+"""
 
 from __future__ import annotations
 
@@ -12,76 +15,55 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
+from importlib import import_module
+from importlib.util import find_spec
 from math import ceil
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from dehyst import _errors
-from dehyst._errors import DehystError, FileFormatError
+from dehyst._errors import DehystError, FileFormatError, MissingExtraError
 from dehyst.records import hdf5
+from dehyst.records.formats import containers, vendor_files
 from dehyst.records.formats.columns import TEXT, Column
-from dehyst.records.formats.containers import (
-    in_first_line,
-    is_hdf5,
-    read_hdf5,
-    read_mat,
-    read_npy,
-    read_npz,
-    read_parquet,
-    read_tdms,
-    restored,
-)
-from dehyst.records.formats.file_content import Allowance, Content, as_utf8, library
-from dehyst.records.formats.text_table import read_text
-from dehyst.records.formats.vendor_files import is_gcs, is_labview, read_gcs, read_labview, read_xlsx
-from dehyst.records.hdf5 import Stored
-
-_NAMES = {".parquet": "Parquet", ".tdms": "TDMS"}
+from dehyst.records.formats.file_content import Allowance, Content
+from dehyst.records.formats.text_table import as_utf8, read_text
 
 
 class Format(NamedTuple):
-    """A readable format.
+    """A readable format: the function of bytes and their allowance that returns columns, and the library it needs.
 
-    `load`: function of the bytes and their allowance that returns columns. `library`: module of an optional package
-    that it needs; empty without one. `isolated`: whether it runs in a separate process, because a damaged file may
-    crash or stop its C library.
+    `library`: module in C of an optional package, for which it is read in a child process; empty without one. `name`:
+    in messages, by default the suffix.
     """
 
     load: Callable[[bytes, Allowance], list[Column]]
     library: str = ""
-    isolated: bool = False
+    name: str = ""
 
 
 def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
     """Read a text file in the format that its first bytes show."""
     data = as_utf8(data)
-    if is_labview(data):
-        return read_labview(data, allowance)
-    columns = read_gcs(data, allowance) if is_gcs(data) else read_text(data, allowance)
-    return restored(columns, in_first_line(data))
+    if vendor_files.is_labview(data):
+        return vendor_files.read_labview(data, allowance)
+    read = vendor_files.read_gcs if vendor_files.is_gcs(data) else read_text
+    return containers.restored(read(data, allowance), containers.in_first_line(data))
 
 
 LOADERS: dict[str, Format] = {
     **dict.fromkeys((*TEXT, ".lvm", ".asc"), Format(_read_text)),
-    ".xlsx": Format(read_xlsx, "openpyxl", isolated=True),
-    ".mat": Format(read_mat, "scipy.io", isolated=True),
-    ".h5": Format(read_hdf5, "h5py", isolated=True),
-    ".hdf5": Format(read_hdf5, "h5py", isolated=True),
-    ".parquet": Format(read_parquet, "pyarrow.parquet", isolated=True),
-    ".tdms": Format(read_tdms, "nptdms", isolated=True),
-    ".npy": Format(read_npy),
-    ".npz": Format(read_npz),
+    ".xlsx": Format(vendor_files.read_xlsx, "openpyxl"),
+    ".mat": Format(containers.read_mat, "scipy.io"),
+    ".h5": Format(containers.read_hdf5, "h5py"),
+    ".hdf5": Format(containers.read_hdf5, "h5py"),
+    ".parquet": Format(containers.read_parquet, "pyarrow.parquet", "Parquet"),
+    ".tdms": Format(containers.read_tdms, "nptdms", "TDMS"),
+    ".npy": Format(containers.read_npy),
+    ".npz": Format(containers.read_npz),
 }
-
-
-def package(content: Content) -> tuple[str, str]:
-    """Return the module that reads a file, and its purpose; MAT files of version 7.3 are HDF5."""
-    module = "h5py" if content.suffix == ".mat" and is_hdf5(content.data) else LOADERS[content.suffix].library
-    return module, f"Reading {_NAMES.get(content.suffix, content.suffix)} files"
-
-
 # CPU time for a file [s], and the bytes that add another second.
 _SECONDS, _A_SECOND = 5, 5_000_000
 # Memory of the libraries beside twice the numbers of a file [bytes].
@@ -98,33 +80,55 @@ class Loaded(NamedTuple):
     """Columns of a file, and its name and meta if dehyst wrote the file."""
 
     columns: list[Column]
-    stored: Stored | None
+    stored: hdf5.Stored | None
 
 
 def load(content: Content) -> Loaded:
-    """Read a file's columns, in the helper process if its format needs isolation.
+    """Read a file's columns, in a child process if its format needs a library; raise FileFormatError.
 
-    Raise `FileFormatError` or `MissingExtraError`.
+    Raise `MissingExtraError` if the library is not installed.
     """
-    if not LOADERS[content.suffix].isolated or not sys.executable or getattr(sys, "frozen", False):
-        return _load_here(content)
-    demand_library(*package(content))
-    with _LOCK:
-        return _HELPER.load(content)
+    module = _library(content)
+    if module:
+        package = module.split(".", maxsplit=1)[0]
+        if sys.modules.get(module, ...) is None or find_spec(package) is None:
+            name = LOADERS[content.suffix].name or content.suffix
+            raise MissingExtraError.of(package, "files", f"Reading {name} files")
+        if sys.executable and not getattr(sys, "frozen", False):
+            with _LOCK:
+                return _HELPER.load(content)
+    return _load_here(content)
 
 
-def demand_library(module: str, purpose: str) -> None:
-    """Raise MissingExtraError, as the helper does, if a module is not installed."""
-    from importlib.util import find_spec
+def _library(content: Content) -> str:
+    """Return the module that reads a file; MAT files of version 7.3 are HDF5."""
+    if content.suffix == ".mat" and containers.is_hdf5(content.data):
+        return "h5py"
+    return LOADERS[content.suffix].library
 
-    if sys.modules.get(module, ...) is None or find_spec(module.split(".", maxsplit=1)[0]) is None:
-        library(module, purpose)
 
-
-def close() -> None:
-    """Stop the helper; it is started again when needed."""
-    with _LOCK:
-        _HELPER.close()
+def _load_here(content: Content) -> Loaded:
+    """Read a file in this process; its name comes before each message."""
+    try:
+        kept = content.with_meta and content.suffix in hdf5.SUFFIXES
+        stored = hdf5.decode(content.data, 2, content.most) if kept else None
+        allowance = Allowance(content.most, content.path.stem, content.decimal)
+        return Loaded(LOADERS[content.suffix].load(content.data, allowance), stored)
+    except FileFormatError as error:
+        raise type(error)(**vars(error) | {"message": f"{content.path}: {error.message}"}) from error
+    except DehystError:
+        raise
+    except MemoryError as error:
+        raise FileFormatError(
+            f"{content.path}: reading it takes more memory than {content.most / 1e6:.4g} MB of numbers should",
+            hint="the file is damaged, or allow more bytes",
+            change=("max_bytes",),
+        ) from error
+    except Exception as error:  # Every library has its own errors for broken content.
+        raise FileFormatError(
+            f"{content.path}: not a readable {content.suffix} file ({str(error)[:300] or type(error).__name__}); check "
+            "that the suffix fits"
+        ) from error
 
 
 class _Helper:
@@ -135,11 +139,17 @@ class _Helper:
         self._owner = 0
 
     def load(self, content: Content) -> Loaded:
-        process = self._running()
-        # The bytes follow the request.
-        request = [*content._replace(path=str(content.path), data=len(content.data))]  # type: ignore[arg-type]
+        if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
+            self.close()
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+            command = [sys.executable, "-c", _START, json.dumps(sys.path)]
+            self._process = subprocess.Popen(command, start_new_session=True, **pipes)  # type: ignore[call-overload]
+            self._owner = os.getpid()
+        process = self._process
         try:
-            answer = _exchange(process, request, content.data)
+            answer = _exchange(process.stdin, process.stdout, content)  # type: ignore[arg-type]
+        except DehystError:
+            raise
         except BaseException:
             # An interrupted exchange cannot be resumed.
             process.kill()
@@ -149,45 +159,33 @@ class _Helper:
             status = process.wait()
             self.close()
             raise FileFormatError(_crash_message(content, status))
-        if isinstance(answer, DehystError):
-            raise answer
         return answer
 
     def close(self) -> None:
         process, self._process = self._process, None
         if process is not None and self._owner == os.getpid():
             for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    try:
-                        pipe.close()
-                    except BrokenPipeError:
-                        continue
+                with suppress(BrokenPipeError):
+                    pipe.close()  # type: ignore[union-attr]
             process.wait()
-
-    def _running(self) -> subprocess.Popen[bytes]:
-        if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
-            return self._process
-        self.close()
-        command = [sys.executable, "-c", _START, json.dumps(sys.path)]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
-        )
-        self._owner = os.getpid()
-        return self._process
 
 
 _HELPER, _LOCK = _Helper(), threading.Lock()
-atexit.register(close)
 
 
-def _exchange(process: subprocess.Popen[bytes], request: list[Any], data: bytes) -> Loaded | DehystError | None:
-    """Send a file; return its columns or the error to raise, None without an answer."""
-    requests, answers = process.stdin, process.stdout
-    assert requests is not None
-    assert answers is not None
+@atexit.register
+def close() -> None:
+    """Stop the helper; it is started again when needed."""
+    with _LOCK:
+        _HELPER.close()
+
+
+def _exchange(requests: BinaryIO, answers: BinaryIO, content: Content) -> Loaded | None:
+    """Send a file, the bytes after the request; return its columns, None without an answer, or raise its error."""
+    request = [str(content.path), len(content.data), *content[2:]]
     try:
         requests.write(json.dumps(request).encode() + b"\n")
-        requests.write(data)
+        requests.write(content.data)
         requests.flush()
     except BrokenPipeError:
         return None
@@ -196,16 +194,14 @@ def _exchange(process: subprocess.Popen[bytes], request: list[Any], data: bytes)
         return None
     answer = json.loads(line)
     if "error" in answer:
-        error: DehystError = getattr(_errors, answer["error"])(**answer["fields"])
-        return error
+        raise getattr(_errors, answer["error"])(**answer["fields"])
     columns = []
     for size, stated in answer["columns"]:
         values = np.empty(size)
-        raw = values.view(np.uint8)
-        if raw.size and answers.readinto(raw) < raw.size:  # type: ignore[attr-defined]
+        if size and answers.readinto(values.view(np.uint8)) < values.nbytes:  # type: ignore[attr-defined]
             return None
         columns.append(Column(**stated | {"data": values, "ends": tuple(stated["ends"])}))
-    return Loaded(columns, Stored(*answer["stored"]) if answer["stored"] else None)
+    return Loaded(columns, hdf5.Stored(*answer["stored"]) if answer["stored"] else None)
 
 
 def _crash_message(content: Content, status: int) -> str:
@@ -218,28 +214,6 @@ def _crash_message(content: Content, status: int) -> str:
         f"{content.path}: not a readable {content.suffix} file: its library {how}; the file is damaged: take it from a "
         "copy, or export the measurement again"
     )
-
-
-def _load_here(content: Content) -> Loaded:
-    """Read a file in this process; convert the errors of every library for broken content."""
-    try:
-        kept = content.with_meta and content.suffix in hdf5.SUFFIXES
-        stored = hdf5.decode(content.path, 2, content.data, content.most) if kept else None
-        allowance = Allowance(content.path, content.most, content.decimal)
-        return Loaded(LOADERS[content.suffix].load(content.data, allowance), stored)
-    except DehystError:
-        raise
-    except MemoryError as error:
-        raise FileFormatError(
-            f"{content.path}: reading it takes more memory than {content.most / 1e6:.4g} MB of numbers should",
-            hint="the file is damaged, or allow more bytes",
-            change=("max_bytes",),
-        ) from error
-    except Exception as error:
-        raise FileFormatError(
-            f"{content.path}: not a readable {content.suffix} file ({str(error)[:300] or type(error).__name__}); check "
-            "that the suffix fits"
-        ) from error
 
 
 def _seconds(content: Content) -> int:
@@ -265,8 +239,8 @@ def serve() -> None:
 
 def _answer_in_child(content: Content, answers: BinaryIO) -> int:
     """Answer in a forked child; return 0, or the status with which it ended."""
-    with suppress(DehystError):
-        library(*package(content))  # once, not in each child
+    with suppress(ImportError):
+        import_module(_library(content))  # Once, not in each child.
     child = os.fork()
     if not child:
         try:
@@ -283,19 +257,17 @@ def _limit(content: Content) -> None:
     """Bound the memory and the CPU time of this process."""
     import resource
 
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for kind, allowed in ((resource.RLIMIT_CPU, _seconds(content)), (resource.RLIMIT_AS, _memory(content.most))):
-        _, hard = resource.getrlimit(kind)
-        resource.setrlimit(kind, (allowed if hard == resource.RLIM_INFINITY else min(allowed, hard), hard))
-
-
-def _memory(most: int) -> int:
-    """Return the address space of this process, plus the space that reading may add [bytes]."""
     try:
         present = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         present = 1 << 32
-    return present + 2 * most + _BESIDE
+    for kind, allowed in (
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CPU, _seconds(content)),
+        (resource.RLIMIT_AS, present + 2 * content.most + _BESIDE),
+    ):
+        _, hard = resource.getrlimit(kind)
+        resource.setrlimit(kind, (allowed if hard == resource.RLIM_INFINITY else min(allowed, hard), hard))
 
 
 def _answer(content: Content, answers: BinaryIO) -> None:

@@ -16,9 +16,10 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst.records.formats.columns import Column, listed, shortened
-from dehyst.records.formats.file_content import Allowance, library
-from dehyst.records.formats.table_layout import SIGNS, WRITTEN, Cells, Layout, notation_of, pointed
-from dehyst.records.formats.text_table import WIDEST, Text, columns_below, read_text, text_of
+from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.notation import SIGNS, WRITTEN, Cells, notation_of, pointed
+from dehyst.records.formats.table_layout import Layout
+from dehyst.records.formats.text_table import WIDEST, TextTable, read_text, text_of
 from dehyst.records.formats.timestamps import clock_of, moment
 
 GCS_END = "# END_HEADER"
@@ -41,46 +42,37 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read a GCS array: its columns by the names in the header, and their time by its sample time.
-
-    The header states no units.
+    """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units.
 
     Raise `FileFormatError` if the separator is unknown, the sample time is no positive number, or the rows are no
     table.
     """
-    text = text_of(data, allowance)
+    text = text_of(data)
     end = _END.search(text.data)
     if end is None:
-        raise FileFormatError(f"{allowance.path}: got no line {GCS_END}, need one before the rows; record again")
+        raise FileFormatError(f"got no line {GCS_END}, need one before the rows; record again")
     lines = text.data[: end.start()].decode(text.encoding).split("\n")
     header = dict(gcs_entries(lines))
     separator = GCS_SEPARATORS.get(header.get("SEPARATOR", "32"), "")
     if separator == "":
-        raise FileFormatError(
-            f"{allowance.path}: got SEPARATOR = {shortened(header['SEPARATOR'])}, need 32 (space), 9, 44 or 59; record "
-            "again"
-        )
+        got = f"SEPARATOR = {shortened(header['SEPARATOR'])}"
+        raise FileFormatError(f"got {got}, need 32 (space), 9, 44 or 59; record again")
     start = min(end.end() + 1, len(text.data))
     row = text.data[start : start + 10_000].lstrip().split(b"\n")[0].decode(text.encoding)
     names = tuple(header.get(f"NAME{k}") or f"column {k + 1}" for k in range(len(row.split(separator))))
-    columns = columns_below(text, Layout(start, len(lines), separator, names, (), row), allowance)
-    return [*_clock(header, columns, allowance), *columns]
-
-
-def _clock(header: dict[str, str], columns: list[Column], allowance: Allowance) -> list[Column]:
-    """Return the time column; none if the header states no sample time."""
+    columns = TextTable.of(text, Layout(start, len(lines), separator, names, row=row)).columns(allowance)
     if "SAMPLE_TIME" not in header:
-        return []
+        return columns
     try:
         step = float(header["SAMPLE_TIME"])
     except ValueError:
         step = 0.0
     if not 0 < step < float("inf"):
-        stated = shortened(header["SAMPLE_TIME"])
-        raise FileFormatError(f"{allowance.path}: got SAMPLE_TIME = {stated}, need a time above 0 s; record again")
+        got = f"SAMPLE_TIME = {shortened(header['SAMPLE_TIME'])}"
+        raise FileFormatError(f"got {got}, need a time above 0 s; record again")
     samples = len(columns[0].data)
     allowance.take(samples, "the time of its samples")
-    return [Column("time", np.arange(float(samples)) * step, "s")]
+    return [Column("time", np.arange(float(samples)) * step, "s"), *columns]
 
 
 # The name of a column of times, and the part of a sample by which the clocks of channels may differ.
@@ -99,16 +91,17 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
     fewer samples than the header states.
     """
-    text = text_of(data, allowance)
+    text = text_of(data)
     parts = text.data.split(_LABVIEW_END)
     if len(parts) != 3:
         count = max(len(parts) - 2, 0)
-        raise FileFormatError(
-            f"{allowance.path}: got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own"
-        )
-    comma = "\nSeparator\tComma" in parts[0].decode(text.encoding) or b"\nSeparator,Comma" in parts[0]
+        raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
+    comma = b"\nSeparator\tComma" in parts[0] or b"\nSeparator,Comma" in parts[0]
     sign = "," if comma else "\t"
-    header = {cells[0]: cells[1:] for cells in _lines(parts[1], text, sign)}
+    stated, header = (
+        {cells[0]: cells[1:] for line in part.decode(text.encoding).split("\n") if (cells := _cells_of(line, sign))}
+        for part in parts[:2]
+    )
     body = parts[2].partition(b"\n")[2]
     head, _, rows = body.partition(b"\n")
     names = [cell.strip() for cell in head.decode(text.encoding).split(sign)]
@@ -116,11 +109,14 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     cut = sign.encode()
     rows = b"\n".join(cut.join(line.split(cut)[: len(names)]) for line in rows.split(b"\n") if line.strip())
     first = text.data[: len(text.data) - len(body)].count(b"\n") + 1
-    table = Layout(0, first, sign, tuple(names), (), "")
-    stated = {cells[0]: cells[1:] for cells in _lines(parts[0], text, sign)}.get("Decimal_Separator", [""])[:1]
-    decimal = next((mark for mark in stated if mark in SIGNS), None)
-    columns = columns_below(text._replace(data=rows), table, allowance, decimal)
-    return _with_header(columns, _Segment.of(header, [name for name in names if name != _CLOCK]), allowance)
+    decimal = next((mark for mark in stated.get("Decimal_Separator", [])[:1] if mark in SIGNS), None)
+    table = TextTable.of(text._replace(data=rows), Layout(0, first, sign, tuple(names)))
+    columns = table.columns(allowance, decimal)
+    return _with_header(columns, _Segment.of(header, [name for name in names if name != _CLOCK]))
+
+
+def _cells_of(line: str, sign: str) -> list[str]:
+    return [cell.strip() for cell in line.split(sign)] if line.strip() else []
 
 
 class _Segment(NamedTuple):
@@ -182,12 +178,7 @@ def _simultaneous(starts: set[str], slack: float) -> bool:
     return len(days) == 1 and bool(np.ptp(times) <= slack)
 
 
-def _lines(part: bytes, text: Text, sign: str) -> list[list[str]]:
-    lines = part.decode(text.encoding).split("\n")
-    return [[cell.strip() for cell in line.split(sign)] for line in lines if line.strip()]
-
-
-def _with_header(columns: list[Column], segment: _Segment, allowance: Allowance) -> list[Column]:
+def _with_header(columns: list[Column], segment: _Segment) -> list[Column]:
     """Return the channels with their units, after their time: a column of it, else the step of the header.
 
     Raise FileFormatError if they have clocks of their own, or fewer samples than the header states.
@@ -198,16 +189,15 @@ def _with_header(columns: list[Column], segment: _Segment, allowance: Allowance)
     most = max((number for number in segment.samples if number is not None), default=0.0)
     if count < most:
         raise FileFormatError(
-            f"{allowance.path}: its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a "
-            "complete copy, or correct Samples in its header to read what is there"
+            f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
+            "correct Samples in its header to read what is there"
         )
     apart = segment.differing()
     if any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]):
         apart.append("X_Value")
     if apart:
         raise FileFormatError(
-            f"{allowance.path}: the channels {listed(tuple(segment.names))} have clocks of their own: "
-            f"{', '.join(apart)} differ",
+            f"the channels {listed(tuple(segment.names))} have clocks of their own: {', '.join(apart)} differ",
             hint="save each in a file of its own, and join the second one",
             change=("join",),
         )
@@ -229,14 +219,10 @@ _MOST_ROWS, _CELL = 1 << 20, 32
 def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the tables of a workbook; the names of several sheets are put before those of their columns.
 
-    Raises
-    ------
-    FileFormatError
-        No sheet with a table, or more than allowed.
-    MissingExtraError
-        If openpyxl is not installed.
+    Raise `FileFormatError` for no sheet with a table, or more than allowed.
     """
-    openpyxl = library("openpyxl", "Reading .xlsx files")
+    import openpyxl
+
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.infolist():
             allowance.check(member.file_size, f"sheet '{member.filename}'")
@@ -244,11 +230,12 @@ def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
         sheets = {sheet.title: _text(sheet, allowance) for sheet in workbook.worksheets}
     sheets = {title: text for title, text in sheets.items() if sum(map(bool, map(bytes.strip, text.split(b"\n")))) > 1}
     if not sheets:
-        raise FileFormatError(f"{allowance.path}: no sheet with rows found; save the measurement in a sheet")
-    if len(sheets) == 1:
-        return read_text(next(iter(sheets.values())), allowance, ".")
-    columns = [(title, column) for title, text in sheets.items() for column in read_text(text, allowance, ".")]
-    return [replace(column, name=f"{title}/{column.name}") for title, column in columns]
+        raise FileFormatError("no sheet with rows found; save the measurement in a sheet")
+    return [
+        column if len(sheets) == 1 else replace(column, name=f"{title}/{column.name}")
+        for title, text in sheets.items()
+        for column in read_text(text, allowance, ".")
+    ]
 
 
 def _text(sheet: Any, allowance: Allowance) -> bytes:
@@ -266,8 +253,8 @@ def _text(sheet: Any, allowance: Allowance) -> bytes:
         if number > _MOST_ROWS or len(given) > WIDEST:
             what = f"{_MOST_ROWS} rows" if number > _MOST_ROWS else f"{WIDEST} columns"
             raise FileFormatError(
-                f"{allowance.path}: sheet '{shortened(sheet.title)}' has more than {what}, which is no measurement; "
-                "keep time, voltage and displacement only"
+                f"sheet '{shortened(sheet.title)}' has more than {what}, which is no measurement; keep time, voltage "
+                "and displacement only"
             )
         cells += len(given)
         allowance.check(_CELL * cells, f"the cells of sheet '{shortened(sheet.title)}'")
@@ -290,11 +277,10 @@ def _point(table: list[list[Any]], allowance: Allowance) -> None:
     def where(place: int) -> str:
         before = data[:place]
         column = before.count(b"\t", before.rfind(b"\n") + 1) + 1
-        row = before.count(b"\n") + 1
-        return f"row {row}, column {column}"
+        return f"row {before.count(10) + 1}, column {column}"
 
     data = "".join("\t".join(row) + "\n" for row in texts).encode()
-    cells = Cells(data, 0, "\t", where, str(allowance.path))
+    cells = Cells(data, 0, "\t", where)
     lines = pointed(cells, notation_of(cells, allowance.decimal), numbers_only=True).decode().split("\n")
     for row, line in zip(table, lines, strict=False):
         row[:] = [text or cell for cell, text in zip(row, line.split("\t"), strict=False)]

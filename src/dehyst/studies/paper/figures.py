@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -28,6 +28,7 @@ _LINES: dict[str, dict[str, Any]] = {
 }
 _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_Place: TypeAlias = Literal["", "upper left", "upper right"]
 # What draws on the axes; tables by suffix of the file's name, or the only one; size and number of the axes.
 _Figure = tuple[Callable[..., None], Mapping[str, Any], dict[str, Any]]
 
@@ -72,18 +73,23 @@ def _major(found: Experiment) -> tuple[Array, Array, Array]:
     return record.time, record.voltage, 1e6 * record.displacement
 
 
-def _letter(ax: Axes, text: str) -> None:
-    ax.set_title(text, loc="left", fontsize=8.5)
+def _finish(
+    ax: Axes, x: str, y: str, legend: _Place = "", letter: str = "", *, zero: bool = False, **limits: Any
+) -> None:
+    """Label axes; set a legend at a place, a letter above them, and a line at zero, where they are asked for."""
+    ax.set(xlabel=x, ylabel=y, **limits)
+    if legend:
+        ax.legend(loc=legend)
+    if letter:
+        ax.set_title(letter, loc="left", fontsize=8.5)
+    if zero:
+        ax.axhline(0, color=INK, lw=0.6)
 
 
 def _span(ax: Axes, x: float, one: float, other: float) -> None:
     """Draw a double arrow along the ordinate."""
     arrow = {"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", (x, one), (x, other), arrowprops=arrow)
-
-
-def _zero(ax: Axes) -> None:
-    ax.axhline(0, color=INK, lw=0.6)
 
 
 def _legend_above(ax: Axes) -> None:
@@ -102,8 +108,7 @@ def _typical_loop(found: Experiment, _: Experiment) -> _Figure:
         for k in (int(0.72 * CYCLE), int(1.26 * CYCLE)):
             arrow = {"arrowstyle": "-|>", "color": plots.MEASURED, "lw": 1.0}
             ax.annotate("", (v[k + 12], y[k + 12]), (v[k - 12], y[k - 12]), arrowprops=arrow)
-        ax.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT, xlim=(-5, 207))
-        ax.legend(loc="upper left")
+        _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left", xlim=(-5, 207))
 
     return draw, {"time_s": time, "voltage_V": v, "displacement_um": y}, {"size": (COLUMN, 2.7)}
 
@@ -122,16 +127,13 @@ def _antisymmetry(found: Experiment, symmetric: Experiment) -> _Figure:
         for branch, face in ((loop.descending, INK), (loop.ascending, "white")):
             left.plot(branch[1:-1, 1], 1e6 * branch[1:-1, 0], ls="none", marker="o", ms=3, mfc=face, mec=INK, mew=0.7)
         left.plot(peak / 2, ends / 2, marker="+", ms=9, mew=1.1, color=INK, ls="none", label="centre")
-        left.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT)
-        left.legend(loc="upper left")
-        _letter(left, "(a)")
-        _zero(right)
+        _finish(left, _VOLTAGE, _DISPLACEMENT, "upper left", "(a)")
+        right.axhline(0, color=INK, lw=0.6)
         right.plot(pairs, off, marker="o", ms=4, lw=0.8, color=plots.MEASURED, label="virtual E-280.10")
         right.plot(pairs, off_symmetric, label="without its asymmetric map", color=plots.FALLING, **hollow)
-        right.set(xlabel="pair of break points i", ylabel="midpoint less v₀/2 (V)", ylim=(None, 1.45 * off.max() + 0.5))
+        ends_of_y = (None, 1.45 * off.max() + 0.5)
+        _finish(right, "pair of break points i", "midpoint less v₀/2 (V)", "upper right", "(b)", ylim=ends_of_y)
         right.set_xticks(pairs)
-        right.legend(loc="upper right")
-        _letter(right, "(b)")
 
     data = {
         "": {"voltage_V": v, "displacement_um": y, "turned_voltage_V": peak - v, "turned_displacement_um": ends - y},
@@ -186,9 +188,7 @@ def _initial_states(found: Experiment, _: Experiment) -> _Figure:
     def draw(left: Axes, right: Axes) -> None:
         plots.line(left, v, relaxed, color=plots.MEASURED, lw=1.2, label="relaxed")
         plots.line(left, v, energised, color=plots.SIMULATED, lw=1.0, ls=_DASHED, label="pre-energised at 100 V")
-        left.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT)
-        left.legend(loc="upper left")
-        _letter(left, "(a)")
+        _finish(left, _VOLTAGE, _DISPLACEMENT, "upper left", "(a)")
         measured = {"color": plots.MEASURED, "lw": 2.4, "alpha": 0.6, "label": "measured, from T₀/2 on"}
         plots.line(right, v[: half + 1], moved[: half + 1], color=_GREY, lw=1.0, label="measured, first rise")
         plots.line(right, v[half:], moved[half:], **measured)
@@ -196,9 +196,7 @@ def _initial_states(found: Experiment, _: Experiment) -> _Figure:
             style = {**_LINES[key], "label": f"Eq. 10, {_LINES[key]['label']}"}
             right.axhline(1e6 * found.trials[key].shift, **style)
         lowest = 1e6 * found.shift.loop - 0.25
-        right.set(xlabel=_VOLTAGE, ylabel="pre-energised less relaxed (µm)", ylim=(lowest, 0.25))
-        right.legend(loc="upper right")
-        _letter(right, "(b)")
+        _finish(right, _VOLTAGE, "pre-energised less relaxed (µm)", "upper right", "(b)", ylim=(lowest, 0.25))
 
     data = {"time_s": time, "voltage_V": v, "relaxed_um": relaxed, "energised_um": energised}
     return draw, data, {"size": (PAGE, 2.9), "columns": 2}
@@ -225,13 +223,9 @@ def _loops(found: Experiment, _: Experiment) -> _Figure:
                 last = slice(s.stop - CYCLE - 1, s.stop)
                 miss = 100 * (y[last] - simulated[last]) / found.truth.stroke
                 plots.line(lower, v[last], miss, color=colour, ls=dashes, lw=0.9, label=loop)
-            _zero(lower)
-            lower.set_xlabel(_VOLTAGE)
-            _letter(upper, title)
-        axes[0].set_ylabel(_DISPLACEMENT)
-        axes[3].set_ylabel("residual (% of range)")
-        axes[0].legend(loc="upper left")
-        axes[3].legend(loc="upper left")
+            legend: _Place = "upper left" if upper is axes[0] else ""
+            _finish(upper, "", _DISPLACEMENT if legend else "", legend, title)
+            _finish(lower, _VOLTAGE, "residual (% of range)" if legend else "", legend, zero=True)
 
     data = {"time_s": run.record.time, "voltage_V": v, "displacement_um": 1e6 * y, "true_um": 1e6 * run.true}
     data |= {f"{key}_um": 1e6 * found.trials[key].simulated for key in shown}
@@ -248,9 +242,7 @@ def _parallel_spring(found: Experiment, _: Experiment) -> _Figure:
         ax.plot(x, linear, color=plots.MEASURED, lw=1.0, ls=_DASHED, label="keq x")
         ax.plot(x, p.nonlinear, color=plots.SIMULATED, lw=1.0, marker="s", ms=2.6, label="g")
         ax.plot(other_x, other.parallel, color=_GREEN, lw=1.0, ls=_DOTTED, label="h, whole record")
-        _zero(ax)
-        ax.set(xlabel="deformation x (µm)", ylabel="force (N)")
-        ax.legend(loc="upper left")
+        _finish(ax, "deformation x (µm)", "force (N)", "upper left", zero=True)
 
     data = {"x_um": x, "h_N": p.parallel, "linear_N": linear, "g_N": p.nonlinear}
     data |= {"whole_record_x_um": other_x, "whole_record_h_N": other.parallel}
@@ -273,8 +265,8 @@ def _right_extreme(found: Experiment, _: Experiment) -> _Figure:
         ends = (y.max() - step, y.max())
         _span(ax, peak + 2.4, *ends)
         ax.text(peak + 3.2, sum(ends) / 2, "first\nsegment", va="center", fontsize=8)
-        ax.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT, xlim=(None, peak + 15), ylim=(None, y.max() + 0.55 * step))
-        ax.legend(loc="upper left")
+        _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left")
+        ax.set(xlim=(None, peak + 15), ylim=(None, y.max() + 0.55 * step))
 
     data = {"voltage_V": v, "displacement_um": y, **{f"{key}_um": values for key, values in simulated.items()}}
     return draw, data, {"size": (COLUMN, 3.0)}
@@ -289,12 +281,9 @@ def _control_voltages(found: Experiment, _: Experiment) -> _Figure:
         for key, voltage in sent.items():
             plots.line(upper, time, voltage, **_LINES[key])
             plots.line(lower, time, voltage - nominal, **_LINES[key])
-        upper.set(ylabel=_VOLTAGE, ylim=(-8, 208))
+        _finish(upper, "", _VOLTAGE, letter="(a)", ylim=(-8, 208))
+        _finish(lower, _TIME, "less nominal (V)", letter="(b)", zero=True)
         _legend_above(upper)
-        _letter(upper, "(a)")
-        _zero(lower)
-        lower.set(xlabel=_TIME, ylabel="less nominal (V)")
-        _letter(lower, "(b)")
 
     data = {"time_s": time, "nominal_V": nominal, **{f"{key}_V": voltage for key, voltage in sent.items()}}
     return draw, data, {"size": (COLUMN, 4.0), "rows": 2, "share": True}
@@ -309,7 +298,7 @@ def _trajectories(found: Experiment, _: Experiment) -> _Figure:
         plots.line(ax, time, wanted, color=_GREY, lw=3.2, alpha=0.5, label="wanted")
         for key, y in reached.items():
             plots.line(ax, time, y, **_LINES[key])
-        ax.set(xlabel=_TIME, ylabel=_DISPLACEMENT)
+        _finish(ax, _TIME, _DISPLACEMENT)
         _legend_above(ax)
 
     data = {"time_s": time, "wanted_um": wanted, **{f"{key}_um": y for key, y in reached.items()}}
@@ -324,13 +313,10 @@ def _tracking_errors(found: Experiment, symmetric: Experiment) -> _Figure:
         for ax, shown, tried in ((upper, keys, found), (middle, keys[1:], found), (lower, keys[1:], symmetric)):
             for key in shown:
                 plots.line(ax, time, tried.trials[key].tracking.error, **_LINES[key])
-            _zero(ax)
-            ax.set_ylabel("error (% of range)")
+        for ax, text in ((upper, "(a)"), (middle, "(b) magnified"), (lower, "(c) without the asymmetric map")):
+            _finish(ax, _TIME if ax is lower else "", "error (% of range)", letter=text, zero=True)
         _legend_above(upper)
         lower.set_ylim(middle.get_ylim())
-        lower.set_xlabel(_TIME)
-        for ax, text in ((upper, "(a)"), (middle, "(b) magnified"), (lower, "(c) without the asymmetric map")):
-            _letter(ax, text)
 
     data = {"time_s": time, "nominal_percent": nominal}
     for prefix, tried in (("", found), ("without_map_", symmetric)):

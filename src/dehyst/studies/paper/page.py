@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from dehyst.report.html import MINUS, Row, bullets, document, escape, table
+from dehyst._views.html import escape
+from dehyst.report.html import MINUS, Row, bullets, document, table
 from dehyst.studies.paper import tables
 from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
 from dehyst.studies.paper.figures import Plate
@@ -17,6 +18,7 @@ th small{display:block;font-weight:400;color:#666}
 td.text,th.text{min-width:9.5rem}
 h3{margin-top:1rem}
 """
+_NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
 _TITLE = "The paper's experiment on a virtual actuator"
 _SOURCE = (
     "T.-J. Yeh, S.-W. Lu, T.-Y. Wu, Modeling and Identification of Hysteresis in Piezoelectric Actuators, ASME J. Dyn. "
@@ -99,9 +101,12 @@ def _limits(experiments: Mapping[str, Experiment]) -> str:
     for title, found in experiments.items():
         rows: list[Row] = []
         for row in tables.limits(found):
-            errors = (_value(error, "%") for error in row.errors.values())
-            outcome = row.outcome.replace("_", " ").lower()
-            rows.append((row.words, str(row.plan.elements), row.norm, *errors, outcome))
+            method = "The paper's method" if row["method"] == "breakpoints" else "Whole record"
+            given = "descending tops added" if row["descending_tops"] else ""
+            given = "perfect sensor" if row["perfect_sensor"] else given
+            errors = (_value(row[key], "%") for key in (*PEAKS, "tracking"))
+            outcome = row["outcome"].replace("_", " ").lower()
+            rows.append(((method, given), str(row["elements"]), _NORMS[row["norm"]], *errors, outcome))
         under = tables.floors(found)
         chords = ", ".join(f"{under[f'chords_{n}']:.2f} % (N = {n})" for n in (10, 20, 40))
         note = (

@@ -12,7 +12,7 @@ from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.model import Physical
 from dehyst.studies.paper import experiment
-from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment, PaperPlan
+from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
 CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
@@ -33,7 +33,6 @@ MODELS = {
     "goldfarb": ("Goldfarb and Celanovic", "N = 10, relaxed"),
     "goldfarb_energised": ("Goldfarb and Celanovic", "N = 10, pre-energised"),
 }
-_NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
 _ACTUATOR = "highest_V=highest width asymmetry bend plays"
 
 
@@ -64,32 +63,6 @@ class Quantity:
         return {**json_values(self, "key quantity=words unit paper actuator"), **models, **against}
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A row of what limits the errors: one identification, its largest errors [% of the range] and its outcome."""
-
-    plan: PaperPlan
-    errors: Mapping[str, float]
-    outcome: str
-
-    @property
-    def words(self) -> tuple[str, str]:
-        """Method, and its records."""
-        method = "The paper's method" if self.plan.method == "breakpoints" else "Whole record"
-        given = "perfect sensor" if self.plan.noiseless else "descending tops added" if self.plan.tops else ""
-        return method, given
-
-    @property
-    def norm(self) -> str:
-        """The minimised function of the residuals."""
-        return _NORMS[self.plan.norm]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        plan = json_values(self.plan, "key method elements norm descending_tops=tops perfect_sensor=noiseless")
-        return {**plan, **self.errors, "outcome": self.outcome}
-
-
 def summary(found: Experiment) -> tuple[Quantity, ...]:
     """Return the paper's numbers beside those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
@@ -117,14 +90,15 @@ def summary(found: Experiment) -> tuple[Quantity, ...]:
     )
 
 
-def limits(found: Experiment) -> tuple[Limit, ...]:
-    """Return every identification with its errors against the truth."""
+def limits(found: Experiment) -> list[dict[str, Any]]:
+    """Return every identification with its errors against the truth [% of the range], as JSON values."""
     rows = []
     for plan in PLANS:
         trial = found.trials[plan.key]
+        plan_values = json_values(plan, "key method elements norm descending_tops=tops perfect_sensor=noiseless")
         errors = {loop: trial.errors[loop].true for loop in PEAKS} | {"tracking": trial.tracking.largest}
-        rows.append(Limit(plan, errors, trial.outcome))
-    return tuple(rows)
+        rows.append({**plan_values, **errors, "outcome": trial.outcome})
+    return rows
 
 
 def floors(found: Experiment) -> dict[str, float]:
@@ -160,7 +134,7 @@ def as_dict(found: Experiment) -> dict[str, Any]:
     return {
         "actuator": {"stroke_um": 1e6 * truth.stroke, **json_values(truth, _ACTUATOR), **noise},
         "summary": [row.as_dict() for row in summary(found)],
-        "limits": [row.as_dict() for row in limits(found)],
+        "limits": limits(found),
         "floors_percent": floors(found),
         "shift_um": {"loop": 1e6 * moved.loop, "deviation": 1e6 * moved.deviation, "rest": 1e6 * moved.rest},
         "table1": {key: column.tolist() for key, column in table1(found).items()},

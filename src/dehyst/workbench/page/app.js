@@ -1,28 +1,47 @@
-// Start of the page: builds its steps, then listens to the server.
-import { byId, say } from "./dom.js";
-import { buildExport } from "./exports.js";
-import { buildModels } from "./models.js";
-import { buildPath } from "./path.js";
-import { buildRecords } from "./records.js";
-import { buildRig } from "./rig.js";
-import { buildRigBar } from "./rig_bar.js";
+// Start of the page: its steps, files that are dropped anywhere, and what happens when it is left.
+import { byId } from "./dom.js";
+import { exportView } from "./exports.js";
+import { modelView } from "./models.js";
+import { pathView } from "./path_step.js";
+import { isSending, recordsView, sendAll } from "./records.js";
+import { rigView } from "./rig.js";
+import { buildRigBar, canMove } from "./rig_bar.js";
 import { connect, session, watch } from "./state.js";
 import { buildSteps } from "./steps.js";
-import { buildTrust } from "./trust.js";
-import { canMove } from "./stop.js";
-import { bindDrops, isSending } from "./upload.js";
+import { trustView } from "./trust.js";
 
-for (const build of [buildRecords, buildModels, buildTrust, buildPath, buildExport, buildRig, buildRigBar, buildSteps]) build();
-bindDrops();
-watch("connection", (connected) => {
-  say(byId("connection"), connected ? "Connected" : "The server does not answer; trying again");
-  document.body.classList.toggle("offline", !connected);
+watch("state", ({ folder }) => {
+  byId("folder").textContent = folder ?? "\u2013";
+  byId("connection").textContent = session.connected ? "Connected" : "The server does not answer; trying again";
+  document.body.classList.toggle("offline", !session.connected);
+  document.title = `${folder ? `${folder} \u00b7 ` : ""}dehyst workbench`;
 });
-watch("state", (state) => {
-  say(byId("folder"), state.folder ?? "\u2013");
-  document.title = `${state.folder ? `${state.folder} \u00b7 ` : ""}dehyst workbench`;
+buildRigBar();
+buildSteps({
+  records: recordsView,
+  model: modelView,
+  trust: trustView,
+  path: pathView,
+  export: exportView,
+  rig: rigView,
 });
-const keeper = new Worker("/page/keepalive.js");
+
+let depth = 0; // of elements that a file was dragged into
+const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+const cover = (change) => {
+  depth = change === 0 ? 0 : Math.max(0, depth + change);
+  byId("drop-cover").hidden = depth === 0;
+};
+window.addEventListener("dragenter", (event) => holdsFiles(event) && cover(1));
+window.addEventListener("dragleave", (event) => holdsFiles(event) && cover(-1));
+window.addEventListener("dragover", (event) => event.preventDefault());
+window.addEventListener("drop", (event) => {
+  event.preventDefault();
+  cover(0);
+  if (holdsFiles(event)) sendAll(event.dataTransfer.files);
+});
+
+const keeper = new Worker("/page/keepalive.js", { type: "module" });
 // Leaving the page ends an upload and what a rig plays.
 window.addEventListener("beforeunload", (event) => {
   const { rig, jobs } = session.state;

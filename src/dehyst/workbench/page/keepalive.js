@@ -1,4 +1,6 @@
 // A worker that gives signs of life while the browser asks whether to leave, which holds up the page: for some seconds.
+import { events } from "./api.js";
+
 const LONGEST = 10_000; // milliseconds; then the rig's watchdog stops it
 const PERIOD = 150;
 let socket = null;
@@ -9,7 +11,7 @@ self.onmessage = ({ data: asking }) => {
   socket?.close();
   if (!asking) return;
   const end = Date.now() + LONGEST;
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
+  socket = events(location);
   timer = setInterval(() => {
     if (Date.now() > end) clearInterval(timer);
     else if (socket.readyState === WebSocket.OPEN) socket.send('{"kind":"alive"}');

@@ -1,154 +1,250 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
-import { remove } from "./api.js";
-import { byId, errorPlace, h, keyed, say, show } from "./dom.js";
-import { identifyForm } from "./identify.js";
+import { example, readRecord, recordColumns, remove, upload } from "./api.js";
+import { h } from "./dom.js";
+import { Figure } from "./figure.js";
+import { announce, button, facts, fold, list, problem } from "./forms.js";
+import { identifyCard } from "./identify.js";
 import { inPage } from "./labels.js";
-import { duration, range, short, whole } from "./numbers.js";
+import { bytes, duration, percent, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
-import { RecordFigure } from "./record_figure.js";
-import { readyRecords, session, watch } from "./state.js";
-import { onStep } from "./steps.js";
-import { sendAll, sendExample } from "./upload.js";
+import { readyRecords, redraw, session } from "./state.js";
+import { isOpen, openStep } from "./steps.js";
 
-// Colours of curves; their values are in app.css.
+// Colours of curves; their values are in style.css.
 export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
+export const VOLTS = { label: "Voltage (V)", unit: "V" };
+export const MICROMETRES = { label: "Displacement (\u00b5m)", unit: "\u00b5m" };
+export const SECONDS_AXIS = { label: "Time (s)", unit: "s" };
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
 const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
+const uploads = [];
 export const roleOf = (id) => roles.get(id) ?? "train";
-export const colourOf = (id) => COLOURS[Math.max(0, session.state.records.findIndex((one) => one.id === id)) % COLOURS.length];
-
-let figure = null;
-let problem = null;
-
-export function buildRecords() {
-  const panel = byId("records");
-  const input = h("input", { type: "file", id: "file", multiple: true, class: "unseen" });
-  input.addEventListener("change", () => {
-    sendAll(input.files);
-    input.value = "";
-  });
-  problem = errorPlace();
-  figure = new RecordFigure();
-  panel.append(
-    h("h2", { class: "unseen" }, "Records"),
-    h(
-      "div",
-      { class: "drop", id: "drop" },
-      h("p", { class: "big" }, "Drop a record here"),
-      h("p", {}, "A measurement of your actuator: time, voltage and displacement. CSV and other text, Excel, LabVIEW (LVM, TDMS), MATLAB, HDF5, NumPy, Parquet."),
-      h("p", {}, "Units stand in the names of the columns:"),
-      h("pre", {}, SAMPLE),
-      h("p", { class: "row" }, input, h("label", { for: "file", class: "button main" }, "Choose a file"), h("button", { type: "button", id: "example", onclick: sendExample }, "Try with an example")),
-      h("p", { class: "muted" }, "Files stay on this computer. The example is a record of a virtual actuator."),
-    ),
-    h("ul", { id: "uploads", class: "uploads" }),
-    journey(),
-    h(
-      "div",
-      { class: "split", id: "records-body", hidden: true },
-      h("div", { class: "side" }, h("ul", { id: "record-list", class: "cards", "aria-label": "Records" }), problem, identifyForm()),
-      h("div", { class: "stage" }, figure.element),
-    ),
-  );
-  watch("state", refresh);
-  onStep("records", () => figure.draw(seenRecords()));
-}
+const colourOf = (id) => COLOURS[Math.max(0, session.state.records.findIndex((one) => one.id === id)) % COLOURS.length];
 
 const SAMPLE = "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02";
 const JOURNEY = [
   ["Record", "Play loops of several heights and write down time, voltage and displacement."],
   ["Identify", "One click. A first model exists within seconds; it comes with the error to expect, in words."],
-  ["Trust", "See measured and simulated, what the records determine, and what to record next."],
+  ["Trust", "See where the records turned, what the model promises along your path, and what to record next."],
   ["Voltage", "Draw a path or choose a scan: the voltage appears as you drag. Download it as CSV."],
   ["Use", "Play it on a rig from here, or export C, an FMU, WebAssembly or a wave table."],
 ];
+export const journey = (id, steps) =>
+  h("ol", { class: "journey", id, key: id }, steps.map(([title, text]) => h("li", {}, h("b", {}, title), text)));
 
-const journey = () => h("ol", { class: "journey", id: "journey" }, JOURNEY.map(([title, text]) => h("li", {}, h("b", {}, title), text)));
-
-const seenRecords = () => readyRecords().filter((one) => !unseen.has(one.id));
-
-function refresh(state) {
-  show(byId("records-body"), state.records.length > 0);
-  show(byId("journey"), state.records.length === 0);
-  byId("drop").classList.toggle("small", state.records.length > 0);
-  const items = state.records.map((one) => ({ ...one, role: roleOf(one.id), seen: !unseen.has(one.id), colour: colourOf(one.id) }));
+export function recordsView({ records }) {
   // What is open comes first, the newest on top.
-  const open = items.filter((one) => one.status !== "ready").reverse();
+  const open = records.filter((one) => one.status !== "ready").reverse();
   const first = open.find((one) => one.status === "refused" && one.columns?.length)?.id;
-  keyed(byId("record-list"), [...open, ...items.filter((one) => one.status === "ready")], { create: (one) => card(one, one.id === first) });
-  for (const { id, status } of state.records) {
-    if (status === "refused" && lately.get(id) === "reading") byId("record-list").querySelector(`[data-key="${id}"]`).scrollIntoView({ block: "nearest" });
+  const cards = [...open, ...readyRecords()].map((one) => card(one, one.id === first));
+  figure.draw(readyRecords().filter((one) => !unseen.has(one.id)));
+  scrollToRefused(records);
+  return [
+    h("h2", { class: "unseen" }, "Records"),
+    dropPlace(records.length > 0),
+    h("ul", { id: "uploads", class: "uploads" }, uploads.map(uploadRow)),
+    records.length === 0 && journey("journey", JOURNEY),
+    records.length > 0 &&
+      h(
+        "div",
+        { class: "split", id: "records-body", key: "body" },
+        h(
+          "div",
+          { class: "side" },
+          h("ul", { id: "record-list", class: "cards", "aria-label": "Records" }, cards),
+          problem("records"),
+          identifyCard(),
+        ),
+        h("div", { class: "stage" }, readyRecords().length > 0 && figure.element),
+      ),
+  ];
+}
+
+function dropPlace(small) {
+  const choose = (event) => {
+    sendAll(event.target.files);
+    event.target.value = "";
+  };
+  return h(
+    "div",
+    { class: small ? "drop small" : "drop", id: "drop" },
+    h("p", { class: "big" }, "Drop a record here"),
+    h(
+      "p",
+      {},
+      "A measurement of your actuator: time, voltage and displacement. CSV and other text, Excel, LabVIEW (LVM, " +
+        "TDMS), MATLAB, HDF5, NumPy, Parquet.",
+    ),
+    h("p", {}, "Units stand in the names of the columns:"),
+    h("pre", {}, SAMPLE),
+    h(
+      "p",
+      { class: "row" },
+      h("input", { type: "file", id: "file", multiple: true, class: "unseen", onchange: choose }),
+      h("label", { for: "file", class: "button main" }, "Choose a file"),
+      button("Try with an example", "example", async () => send(await example()), { id: "example" }),
+    ),
+    problem("example"),
+    h("p", { class: "muted" }, "Files stay on this computer. The example is a record of a virtual actuator."),
+  );
+}
+
+// Files on their way to the server.
+export const isSending = () => uploads.some((one) => !one.error);
+
+export function sendAll(files) {
+  openStep("records");
+  for (const file of files) send(file);
+}
+
+async function send(file) {
+  const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size, share: 0 };
+  const limit = session.state.upload_limit;
+  uploads.push(one);
+  try {
+    if (limit && file.size > limit) {
+      throw new Error(`it has ${bytes(file.size)}, and at most ${bytes(limit)} can be read`);
+    }
+    await upload(file, (share) => {
+      one.share = share;
+      redraw();
+    });
+    uploads.splice(uploads.indexOf(one), 1);
+    announce(`${file.name} was sent and is being read.`);
+  } catch (error) {
+    one.error = error.message;
+  }
+  redraw();
+}
+
+function uploadRow(one) {
+  const { key, name, size, share, error } = one;
+  const dismiss = () => {
+    uploads.splice(uploads.indexOf(one), 1);
+    redraw();
+  };
+  if (error) {
+    const words = h("p", { class: "error", role: "alert" }, `${name} was not sent: ${error}`);
+    return h("li", { key }, words, h("button", { type: "button", class: "quiet", onclick: dismiss }, "Dismiss"));
+  }
+  const bar = h("progress", { max: "1", value: share, "aria-label": `Upload of ${name}` });
+  return h("li", { key }, h("span", {}, `${name}, ${bytes(size)}: ${percent(100 * share)} sent`), bar);
+}
+
+// A file that was refused is brought into view once.
+function scrollToRefused(records) {
+  for (const { id, status } of records) {
+    if (status === "refused" && lately.get(id) === "reading") {
+      setTimeout(() => document.getElementById(`record-${id}`)?.scrollIntoView({ block: "nearest" }));
+    }
     lately.set(id, status);
   }
-  show(figure.element, readyRecords().length > 0);
-  figure.draw(seenRecords());
 }
 
 function card(record, first) {
-  const parts = { reading: readingCard, ready: readyCard, refused: refusedCard }[record.status](record, first);
-  return h("li", { class: `card ${record.status}` }, parts);
+  const { id, name, status } = record;
+  const drop = button("Remove", `records ${id}`, () => remove("records", id), {
+    class: "quiet",
+    "aria-label": `Remove ${name} from the list`,
+  });
+  const swatch = h("i", { class: "swatch", style: `background:var(--${colourOf(id)})` });
+  const content = { reading: readingCard, ready: readyCard, refused: refusedCard }[status];
+  return h(
+    "li",
+    { class: `card ${status}`, key: id, id: `record-${id}` },
+    h("div", { class: "card-head" }, swatch, h("h3", {}, name), drop),
+    problem(`records ${id}`),
+    content(record, first),
+  );
 }
 
-const head = (record, ...more) =>
-  h("div", { class: "card-head" }, h("i", { class: `swatch ${record.colour}` }), h("h3", {}, record.name), ...more, deleteButton(record));
-
-function readingCard(record) {
-  return [head(record), h("p", { class: "muted" }, "Reading\u2026"), h("progress", { "aria-label": `Reading ${record.name}` })];
-}
+const readingCard = ({ name }) => [
+  h("p", { class: "muted" }, "Reading\u2026"),
+  h("progress", { "aria-label": `Reading ${name}` }),
+];
 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
-  const form = readingForm(record);
+  const { error, columns, hint, id } = record;
+  const help = hint && h("p", {}, "The marked options may mend it.");
+  const summary = h("summary", {}, "Say how to read it");
   return [
-    head(record),
-    h("p", { class: "error", role: "alert" }, inPage(record.error ?? "It could not be read.")),
-    record.columns?.length ? h("details", { open: first }, h("summary", {}, "Say how to read it"), record.hint && h("p", {}, "The marked options may mend it."), form) : form,
+    h("p", { class: "error", role: "alert" }, inPage(error ?? "It could not be read.")),
+    columns?.length
+      ? h("details", { open: first }, summary, help, readingForm(record))
+      : button("Read again", `reading ${id}`, () => readRecord(id, record.options), { class: "quiet" }),
+    !columns?.length && problem(`reading ${id}`),
   ];
 }
 
 function readyCard(record) {
+  const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement, words } = record;
+  const tick = (label, checked, change) => {
+    const onchange = (event) => {
+      change(event.target.checked);
+      redraw();
+    };
+    const box = h("input", { type: "checkbox", checked, "aria-label": `${label}: ${name}`, onchange });
+    return h("label", { class: "tick" }, box, label);
+  };
+  const role = (label, own) => tick(label, roleOf(id) === own, (on) => roles.set(id, on ? own : "none"));
   return [
-    head(record),
-    h(
-      "dl",
-      { class: "facts" },
-      ...fact("Samples", `${whole(record.samples)} in ${duration(record.seconds)}, ${short(record.rate_hz, 4)} Hz`),
-      ...fact("Voltage", range(record.voltage, "V")),
-      ...fact("Displacement", range(record.displacement_um, "\u00b5m")),
-    ),
-    record.words?.length > 0 && h("details", {}, h("summary", {}, "How the file was understood"), h("ul", {}, record.words.map((one) => h("li", {}, one))), readingForm(record)),
+    facts([
+      ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
+      ["Voltage", range(voltage, "V")],
+      ["Displacement", range(displacement, "\u00b5m")],
+    ]),
+    words?.length > 0 && fold("How the file was understood", list(words), readingForm(record)),
     h(
       "div",
       { class: "row" },
-      tick(record, "train", "Train", record.role === "train", (on) => roles.set(record.id, on ? "train" : "none")),
-      tick(record, "validate", "Validate", record.role === "validate", (on) => roles.set(record.id, on ? "validate" : "none")),
-      tick(record, "seen", "Draw", record.seen, (on) => (on ? unseen.delete(record.id) : unseen.add(record.id))),
+      role("Train", "train"),
+      role("Validate", "validate"),
+      tick("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
     ),
   ];
 }
 
-export const fact = (name, value) => [h("dt", {}, name), h("dd", {}, value)];
+// How each view takes its axes from the columns of a record.
+const VIEWS = {
+  loops: { x: VOLTS, y: MICROMETRES, columns: ["voltage", "displacement"] },
+  time: { x: SECONDS_AXIS, y: MICROMETRES, columns: ["time", "displacement"] },
+  voltage: { x: SECONDS_AXIS, y: VOLTS, columns: ["time", "voltage"] },
+};
 
-function tick(record, name, label, checked, change) {
-  const box = h("input", { type: "checkbox", checked, "data-name": `${record.id}-${name}`, "aria-label": `${label}: ${record.name}` });
-  box.addEventListener("change", () => {
-    change(box.checked);
-    refresh(session.state);
-    document.dispatchEvent(new Event("roles"));
-  });
-  return h("label", { class: "tick" }, box, label);
-}
+class RecordFigure extends Figure {
+  constructor() {
+    const views = [
+      ["loops", "Loops"],
+      ["time", "Displacement over time"],
+      ["voltage", "Voltage over time"],
+    ];
+    super({ title: "What was measured", views, choose: () => this.draw(this.records), tall: true });
+  }
 
-function deleteButton(record) {
-  const drop = async () => {
-    say(problem, "");
+  // Draw these records, if they are not drawn already and someone can see them.
+  async draw(records) {
+    this.records = records;
+    const version = (one) => `${JSON.stringify(one.options)} ${one.samples}`;
+    const stamp = `${this.view} ${records.map((one) => `${one.id}:${version(one)}`).join(" ")}`;
+    if (stamp === this.stamp || !isOpen("records")) return;
+    this.stamp = stamp;
+    const { x, y, columns } = VIEWS[this.view];
     try {
-      await remove(`/api/records/${record.id}`);
+      const data = await Promise.all(records.map((one) => recordColumns(one, version(one))));
+      if (this.stamp !== stamp) return;
+      const series = records.map(({ id, name }, k) => {
+        const [across, up] = columns.map((column) => data[k][column]);
+        return { key: id, name, colour: colourOf(id), x: across, y: up, rising: columns[0] === "time" };
+      });
+      const names = records.map((one) => `${one.name}, ${whole(one.samples)} samples`).join("; ");
+      this.set({ x, y, series }, { spoken: `${y.label} over ${x.label.toLowerCase()} of ${names}.` });
     } catch (error) {
-      say(problem, error.message);
+      this.stamp = null;
+      this.output.textContent = error.message;
     }
-  };
-  return h("button", { type: "button", class: "quiet", onclick: drop, "aria-label": `Remove ${record.name} from the list` }, "Remove");
+  }
 }
+const figure = new RecordFigure();

@@ -1,168 +1,256 @@
 // The sixth step: connect, look at the plan, confirm the limits, arm, calibrate or play, watch.
-import { post } from "./api.js";
-import { action, byId, errorPlace, field, h, keyed, number, say, show } from "./dom.js";
-import { fact } from "./records.js";
-import { LiveFigures } from "./live.js";
-import { duration, parsed, range, short, whole } from "./numbers.js";
-import { planTable, resultBlock } from "./rig_plan.js";
-import { WORDS } from "./rig_bar.js";
+import { rig as request } from "./api.js";
+import { h, table } from "./dom.js";
+import { Figure } from "./figure.js";
+import { Form, button, facts, fold, list, options, problem } from "./forms.js";
+import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
+import { MICROMETRES, SECONDS_AXIS, VOLTS, journey } from "./records.js";
+import { STATUS, canMove } from "./rig_bar.js";
 import { session, watch } from "./state.js";
-import { onStep } from "./steps.js";
-import { canMove } from "./stop.js";
+import { isOpen } from "./steps.js";
 
-let live = null;
-let problem = null;
-const connect = {};
-const arm = {};
-const plan = {};
-const play = {};
+const LIMITS = {
+  low: { label: "Lowest", unit: "V" },
+  high: { label: "Highest", unit: "V" },
+  slew: { label: "Slew rate", unit: "V/s", above: 0 },
+};
+const begin = { low: "0", high: "100", slew: "1000" };
+const connecting = new Form("connect", {
+  address: {
+    label: "Address",
+    value: "sim://play",
+    hint: "sim://play (simulated), pi://HOST:PORT, epics://PREFIX or ni://DEVICE",
+  },
+  ...Object.fromEntries(Object.entries(LIMITS).map(([name, one]) => [name, { ...one, value: begin[name] }])),
+});
+const planning = new Form("plan", {
+  frequency: { label: "Loops a second", unit: "Hz", value: "1", above: 0 },
+  rounds: { label: "Further rounds", value: "2", least: 0 },
+  goal: { label: "Goal", unit: "%", value: "1", above: 0 },
+});
+const arming = new Form("arm", LIMITS);
+const playing = new Form("play", { voltage: { label: "Voltage", choices: [] } });
 
-export function buildRig() {
-  live = new LiveFigures();
-  problem = errorPlace();
-  byId("rig").append(
-    h("h2", { class: "unseen" }, "Rig"),
-    h("p", { class: "error", role: "alert", id: "rig-error" }),
-    problem,
-    h("div", { class: "split" }, h("div", { class: "side" }, connectCard(), connectedCard(), planCard(), armCard(), playCard()), h("div", { class: "stage rig-stage", id: "rig-stage" }, steps(), h("div", { id: "rig-result" }), h("div", { id: "rig-live", hidden: true }, live.element), h("div", { id: "rig-plan" }), h("ul", { id: "rig-words", class: "remarks" }))),
-  );
-  watch("state", refresh);
-  watch("live", (message) => {
-    live.add(message);
-    show(byId("rig-live"), live.count > 0);
-  });
-  onStep("rig", () => live.count && live.draw());
-}
+const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.number("slew") });
+const calibration = () =>
+  Object.fromEntries(Object.keys(planning.fields).map((name) => [name, planning.number(name)]));
+const act = (text, work, properties) => button(text, "rig", work, { class: "main", ...properties });
 
 const STEPS = [
-  ["Connect", "The controller is opened and asked for its range. Nothing moves. A stop appears above and stays in sight; Escape presses it from anywhere."],
+  [
+    "Connect",
+    "The controller is opened and asked for its range. Nothing moves. A stop appears above and stays in sight; " +
+      "Escape presses it from anywhere.",
+  ],
   ["Look at the plan", "What a calibration would play: voltages, rates, time. Nothing is sent."],
-  ["Arm", "You type the limits again. From then on a watchdog in a process of its own ramps to the safe voltage if this page, the server or the network is lost."],
+  [
+    "Arm",
+    "You type the limits again. From then on a watchdog in a process of its own ramps to the safe voltage if this " +
+      "page, the server or the network is lost.",
+  ],
   ["Calibrate or play", "You watch the loop as it is measured. Each sample is written to disk as it arrives."],
 ];
-const steps = () => h("ol", { class: "journey", id: "rig-steps" }, STEPS.map(([title, text]) => h("li", {}, h("b", {}, title), text)));
 
-const button = (text, work, properties = {}) => action(h("button", { type: "button", class: "main", ...properties }, text), problem, work);
-
-function valueOf(input, label, least = -Infinity) {
-  const value = parsed(input.value);
-  if (value === null || !(value > least)) throw new Error(`${label}: got ${input.value || "nothing"}, need a number${least === 0 ? " above 0" : ""}.`);
-  return value;
-}
-
-function limitsOf({ low, high }) {
-  const limits = [valueOf(low, "Lowest voltage"), valueOf(high, "Highest voltage")];
-  if (!(limits[0] < limits[1])) throw new Error("The lowest voltage is not below the highest one.");
-  return limits;
+export function rigView({ rig, voltages }) {
+  const here = !["none", "lost"].includes(rig.status);
+  const connected = here && rig.status !== "connecting";
+  const moving = ["playing", "calibrating", "stopping"].includes(rig.status);
+  return [
+    h("h2", { class: "unseen" }, "Rig"),
+    h("p", { class: "error", role: "alert" }, rig.error),
+    problem("rig"),
+    h(
+      "div",
+      { class: "split" },
+      h(
+        "div",
+        { class: "side" },
+        !here && connectCard(),
+        connected && connectedCard(rig),
+        connected && planCard(rig),
+        rig.status === "connected" && armCard(rig),
+        rig.status === "armed" && voltages.length > 0 && playCard(voltages),
+      ),
+      h(
+        "div",
+        { class: "stage rig-stage", "data-moving": String(moving) },
+        !here && journey("rig-steps", STEPS),
+        h("div", { id: "rig-result" }, rig.result && resultBlock(rig.result)),
+        h("div", { id: "rig-live", hidden: live.count === 0 }, live.view()),
+        h("div", { id: "rig-plan" }, rig.plan && planTable(rig.plan)),
+        h("ul", { id: "rig-words", class: "remarks" }, (rig.words ?? []).map((one) => h("li", {}, one))),
+      ),
+    ),
+  ];
 }
 
 function connectCard() {
-  Object.assign(connect, {
-    address: h("input", { type: "text", autocomplete: "off", spellcheck: "false", value: "sim://play", list: "rig-addresses" }),
-    low: number({ value: "0" }),
-    high: number({ value: "100" }),
-    slew: number({ value: "1000" }),
-  });
-  const addresses = ["sim://play", "pi://192.168.0.10:50000", "epics://PREFIX"];
-  const work = () => post("/api/rig/connect", { address: connect.address.value.trim(), limits: limitsOf(connect), slew: valueOf(connect.slew, "Largest slew rate", 0) });
+  const { values } = connecting;
+  const connect = () => request("connect", { address: values.address.trim(), ...limits(connecting) });
   return h(
     "div",
-    { class: "card", id: "rig-connect" },
+    { class: "card", id: "rig-connect", key: "connect" },
     h("h3", {}, "1. Connect"),
-    h("datalist", { id: "rig-addresses" }, addresses.map((value) => h("option", { value }))),
-    field("Address", connect.address, { hint: "sim://play (simulated), pi://HOST:PORT, epics://PREFIX or ni://DEVICE" }),
-    h("div", { class: "fields three" }, field("Lowest", connect.low, { unit: "V" }), field("Highest", connect.high, { unit: "V" }), field("Slew rate", connect.slew, { unit: "V/s" })),
+    connecting.field("address"),
+    connecting.row(Object.keys(LIMITS), "fields three"),
     h("p", { class: "muted" }, "Nothing moves before you arm. No voltage leaves these limits."),
-    button("Connect", work),
+    act("Connect", connect),
   );
 }
 
-function connectedCard() {
-  return h(
-    "div",
-    { class: "card", id: "rig-connected", hidden: true },
-    h("h3", {}, "Connected"),
-    h("dl", { class: "facts", id: "rig-facts" }),
-    h("p", { class: "row" }, button("Disarm", () => post("/api/rig/disarm"), { id: "rig-disarm", class: "" }), button("Disconnect", () => post("/api/rig/disconnect"), { class: "" })),
-  );
-}
-
-// What is missing before a calibration can begin.
-const NEEDS = {
-  connected: () => "Calibrating needs an armed rig: look at the plan, then arm.",
-  armed: (rig) => (rig.plan ? "" : "Look at the plan first."),
-};
-
-const calibration = () => ({ frequency: valueOf(plan.frequency, "Loops a second", 0), rounds: valueOf(plan.rounds, "Rounds", -1), goal: valueOf(plan.goal, "Goal", 0) });
-
-function planCard() {
-  Object.assign(plan, { frequency: number({ value: "1" }), rounds: number({ value: "2" }), goal: number({ value: "1" }) });
-  return h(
-    "div",
-    { class: "card", id: "rig-calibration", hidden: true },
-    h("h3", {}, "2. Plan a calibration"),
-    h("div", { class: "fields three" }, field("Loops a second", plan.frequency, { unit: "Hz" }), field("Further rounds", plan.rounds), field("Goal", plan.goal, { unit: "%" })),
-    h("p", { class: "row" }, button("Show the plan", () => post("/api/rig/plan", calibration())), button("Calibrate", () => post("/api/rig/calibrate", calibration()), { id: "rig-calibrate" })),
-    h("p", { class: "muted", id: "rig-calibrate-words" }),
-  );
-}
-
-// Arming repeats the limits: the person types them again. The rig's process compares, and that it is the rig shown here.
-function armCard() {
-  Object.assign(arm, { low: number({ id: "arm-low" }), high: number({ id: "arm-high" }), slew: number({ id: "arm-slew" }) });
-  const work = async () => {
-    await post("/api/rig/arm", { identity: session.state.rig.identity, limits: limitsOf(arm), slew: valueOf(arm.slew, "Largest slew rate", 0) });
-    for (const input of Object.values(arm)) input.value = "";
-  };
-  return h(
-    "div",
-    { class: "card danger", id: "rig-arm", hidden: true },
-    h("h3", {}, "3. Arm"),
-    h("p", { id: "rig-arm-words" }),
-    h("div", { class: "fields three" }, field("Lowest", arm.low, { unit: "V" }), field("Highest", arm.high, { unit: "V" }), field("Slew rate", arm.slew, { unit: "V/s" })),
-    button("Arm with these limits", work, { class: "main armed" }),
-  );
-}
-
-function playCard() {
-  play.select = h("select", {});
-  return h(
-    "div",
-    { class: "card", id: "rig-play", hidden: true },
-    h("h3", {}, "4. Play a voltage"),
-    field("Voltage", play.select),
-    button("Play", () => post("/api/rig/play", { voltage: play.select.value })),
-  );
-}
-
-function refresh(state) {
-  const { rig } = state;
-  const here = !["none", "lost"].includes(rig.status);
-  say(byId("rig-error"), rig.error ?? "");
-  show(byId("rig-connect"), !here);
-  show(byId("rig-steps"), !here);
-  for (const id of ["rig-connected", "rig-calibration"]) show(byId(id), here && rig.status !== "connecting");
-  show(byId("rig-arm"), rig.status === "connected");
-  show(byId("rig-play"), rig.status === "armed" && state.voltages.length > 0);
-  show(byId("rig-disarm"), canMove(rig));
-  show(byId("rig-live"), live.count > 0);
-  byId("rig-stage").dataset.moving = String(["playing", "calibrating", "stopping"].includes(rig.status));
-  byId("rig-calibrate").disabled = rig.status !== "armed" || !rig.plan;
-  say(byId("rig-calibrate-words"), NEEDS[rig.status]?.(rig) ?? "");
-  say(byId("rig-arm-words"), `Rig: ${rig.identity}. Type the limits again to confirm them: ${range(rig.limits, "V")}, at most ${short(rig.slew)} V/s. Check the actuator and the amplifier first. Safe voltage: ${short(rig.safe)} V.`);
-  keyed(byId("rig-facts"), facts(rig), { key: ([name]) => name, create: ([name, value]) => h("div", {}, fact(name, value)) });
-  keyed(byId("rig-plan"), rig.plan ? [{ id: "plan", plan: rig.plan }] : [], { create: (one) => h("div", {}, planTable(one.plan)) });
-  keyed(byId("rig-result"), rig.result ? [{ id: "result", result: rig.result }] : [], { create: (one) => h("div", {}, resultBlock(one.result)) });
-  keyed(byId("rig-words"), (rig.words ?? []).map((text, k) => ({ id: k, text })), { create: (one) => h("li", {}, one.text) });
-  keyed(play.select, state.voltages.map(({ id, name, seconds, samples }) => ({ id, name, seconds, samples })), { create: (one) => h("option", { value: one.id }, `${one.name}: ${whole(one.samples)} samples, ${duration(one.seconds)}`) });
-}
-
-function facts(rig) {
-  return [
-    ["Status", WORDS[rig.status] ?? rig.status],
+function connectedCard(rig) {
+  const about = [
+    ["Status", STATUS[rig.status] ?? rig.status],
     ["Address", rig.address ?? ""],
     ["Limits", range(rig.limits, "V")],
     ["Largest slew rate", `${short(rig.slew)} V/s`],
     ["Safe voltage", `${short(rig.safe)} V`],
   ];
+  return h(
+    "div",
+    { class: "card", id: "rig-connected", key: "connected" },
+    h("h3", {}, "Connected"),
+    facts(about),
+    h(
+      "p",
+      { class: "row" },
+      canMove(rig) && act("Disarm", () => request("disarm"), { class: "" }),
+      act("Disconnect", () => request("disconnect"), { class: "" }),
+    ),
+  );
 }
+
+function planCard(rig) {
+  let missing = "";
+  if (rig.status === "connected") missing = "Calibrating needs an armed rig: look at the plan, then arm.";
+  else if (rig.status === "armed" && !rig.plan) missing = "Look at the plan first.";
+  const ready = rig.status === "armed" && rig.plan;
+  const calibrate = act("Calibrate", () => request("calibrate", calibration()), ready ? {} : { disabled: true });
+  return h(
+    "div",
+    { class: "card", id: "rig-calibration", key: "calibration" },
+    h("h3", {}, "2. Plan a calibration"),
+    planning.row(Object.keys(planning.fields), "fields three"),
+    h("p", { class: "row" }, act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
+    h("p", { class: "muted" }, missing),
+  );
+}
+
+function armCard({ identity, limits: ends, slew, safe }) {
+  const confirm = `Type the limits again to confirm them: ${range(ends, "V")}, at most ${short(slew)} V/s.`;
+  const check = `Check the actuator and the amplifier first. Safe voltage: ${short(safe)} V.`;
+  const arm = async () => {
+    await request("arm", { identity, ...limits(arming) });
+    for (const name of Object.keys(LIMITS)) arming.values[name] = "";
+  };
+  return h(
+    "div",
+    { class: "card danger", id: "rig-arm", key: "arm" },
+    h("h3", {}, "3. Arm"),
+    h("p", {}, `Rig: ${identity}. ${confirm} ${check}`),
+    arming.row(Object.keys(LIMITS), "fields three"),
+    act("Arm with these limits", arm, { class: "main armed" }),
+  );
+}
+
+function playCard(voltages) {
+  const { values, fields } = playing;
+  const words = ({ name, samples, seconds }) => `${name}: ${whole(samples)} samples, ${duration(seconds)}`;
+  fields.voltage.choices = voltages.map((one) => [one.id, words(one)]);
+  if (!voltages.some((one) => one.id === values.voltage)) values.voltage = voltages[0].id;
+  const play = () => request("play", { voltage: values.voltage });
+  const title = h("h3", {}, "4. Play a voltage");
+  return h("div", { class: "card", id: "rig-play", key: "play" }, title, playing.field("voltage"), act("Play", play));
+}
+
+// What a calibration would play, which is shown before anything is armed; and what came of it.
+function planTable({ steps, seconds: all }) {
+  const text = { text: "What", class: "text" };
+  const heads = ["Step", text, "Samples", "Time", "Lowest (V)", "Highest (V)", "Steepest (V/s)"];
+  const rows = steps.map(({ step, what, samples, seconds, lowest_V, highest_V, steepest_V_per_s }) => [
+    String(step),
+    h("td", { class: "text" }, what ?? ""),
+    samples === undefined ? "" : whole(samples),
+    duration(seconds),
+    ...[lowest_V, highest_V, steepest_V_per_s].map((one) => short(one)),
+  ]);
+  return [
+    h("h3", {}, "What a calibration plays"),
+    table("Plan of the calibration", heads, rows),
+    h("p", { class: "muted" }, `It takes about ${duration(all)} in all.`),
+  ];
+}
+
+function resultBlock({ kind, good, samples, compensated_percent: error, nominal_percent: nominal, warnings, command }) {
+  if (kind !== "calibration") {
+    const recorded = h("p", { class: "first" }, `Recorded ${whole(samples ?? 0)} samples.`);
+    return h("div", { class: "outcome green", role: "status" }, recorded);
+  }
+  const rest = `of the stroke is the largest error on the measured path; ${percent(nominal)} by a straight gain`;
+  return h(
+    "div",
+    { class: `outcome ${good ? "green" : "amber"}`, role: "status" },
+    h("strong", {}, good ? "Calibrated" : "Calibrated, with care"),
+    h("b", {}, percent(error), " ", h("small", {}, rest)),
+    list(warnings),
+    command && fold("The same in a terminal", h("pre", {}, command)),
+  );
+}
+
+const ROOM = 30_000; // samples that are kept
+const STRIP = 20; // seconds of the strips
+const NAMES = ["t", "v", "y", "expected"];
+
+// The last samples of a rig: strips over time, and the loop.
+class LiveFigures {
+  constructor() {
+    this.loop = new Figure({ title: "Loop, live" });
+    this.voltage = new Figure({ title: `Voltage, last ${STRIP} s` });
+    this.displacement = new Figure({ title: `Displacement, last ${STRIP} s` });
+    this.kept = Object.fromEntries(NAMES.map((name) => [name, new Float64Array(ROOM)]));
+    this.count = 0;
+  }
+
+  view() {
+    const strips = h("div", {}, this.voltage.element, this.displacement.element);
+    if (this.count > 0) this.draw();
+    return h("div", { class: "live" }, this.loop.element, strips);
+  }
+
+  add(message) {
+    const { t = [] } = message;
+    if (this.count > 0 && t.length && t[0] < this.kept.t[this.count - 1]) this.count = 0;
+    if (this.count + t.length > ROOM) this.halve();
+    for (const name of NAMES) this.kept[name].set(t.map((_, i) => message[name]?.[i] ?? NaN), this.count);
+    this.count += t.length;
+  }
+
+  halve() {
+    const half = ROOM / 2;
+    for (const values of Object.values(this.kept)) values.copyWithin(0, this.count - half, this.count);
+    this.count = half;
+  }
+
+  draw() {
+    const [t, v, y, expected] = NAMES.map((name) => this.kept[name].subarray(0, this.count));
+    const now = t[this.count - 1];
+    const seconds = { ...SECONDS_AXIS, range: [Math.max(t[0], now - STRIP), Math.max(now, t[0] + 1)] };
+    const both = (x, rising) => [
+      { name: "measured", colour: "measured", x, y, rising },
+      ...(expected.some(Number.isFinite) ? [{ name: "expected", colour: "simulated", x, y: expected, rising }] : []),
+    ];
+    const voltage = [{ name: "voltage", colour: "measured", x: t, y: v, rising: true }];
+    this.loop.set({ x: VOLTS, y: MICROMETRES, series: both(v, false) }, { keep: true });
+    this.voltage.set({ x: seconds, y: VOLTS, series: voltage }, { keep: true });
+    this.displacement.set({ x: seconds, y: MICROMETRES, series: both(t, true) }, { keep: true });
+  }
+}
+
+const live = new LiveFigures();
+watch("live", (message) => {
+  const began = live.count === 0;
+  live.add(message);
+  if (!isOpen("rig")) return;
+  live.draw();
+  if (began) document.getElementById("rig-live").hidden = false;
+});

@@ -1,10 +1,13 @@
-// The bar that stays in sight while a rig is connected: what it does, and the stop.
-import { byId, h, say, show } from "./dom.js";
+// The bar that stays in sight while a rig is connected: what it does, and the stop. The stop goes to the listener of
+// the process that holds the rig and to the server, both at once. Either is enough. Both answer when that process
+// confirms it.
+import { stopRequests } from "./api.js";
+import { byId, fill, h } from "./dom.js";
+import { announce } from "./forms.js";
 import { percent, short } from "./numbers.js";
 import { session, watch } from "./state.js";
-import { bindStopKey, canMove, stop } from "./stop.js";
 
-export const WORDS = {
+export const STATUS = {
   connecting: "connecting",
   connected: "connected, not armed",
   armed: "armed",
@@ -13,57 +16,95 @@ export const WORDS = {
   stopping: "stopping",
   lost: "lost",
 };
-const parts = {};
-let answer = ""; // to the stop, until the rig is armed again
-let moved = false;
+const MOVING = new Set(["armed", "playing", "calibrating", "stopping"]);
+export const canMove = (rig) => MOVING.has(rig.status);
+
+const STOP = { type: "button", onclick: press, "aria-keyshortcuts": "Escape" };
+// Milliseconds after which no answer will come.
+const PATIENCE = 4000;
+const last = { values: [], answer: "", moved: false, pressed: false }; // the answer counts until the rig is armed again
 
 export function buildRigBar() {
-  parts.button = h("button", { type: "button", class: "stop", onclick: press, "aria-keyshortcuts": "Escape" }, "STOP", h("small", {}, "Esc"));
-  parts.name = h("b", {});
-  parts.status = h("span", { class: "rig-status", role: "status" });
-  parts.values = h("span", { class: "rig-values" });
-  parts.progress = h("progress", { max: "1", "aria-label": "Progress of the rig", hidden: true });
-  parts.answer = h("p", { class: "rig-answer", role: "alert" });
-  byId("rig-bar").append(h("div", { class: "rig-words" }, parts.name, parts.status, parts.values, parts.progress), parts.answer, parts.button);
-  bindStopKey(press);
-  watch("state", refresh);
-  watch("live", (live) => values(live.v?.at(-1), live.y?.at(-1)));
-  watch("connection", () => refresh(session.state));
+  window.addEventListener("keydown", byKey, { capture: true });
+  watch("state", ({ rig }) => {
+    last.values = [rig.voltage, rig.displacement_um];
+    if (canMove(rig) && !last.moved) last.answer = "";
+    last.moved = canMove(rig);
+    draw();
+  });
+  watch("live", ({ v, y }) => {
+    last.values = [v?.at(-1), y?.at(-1)];
+    draw();
+  });
+}
+
+// Escape stops from anywhere on the page while the rig can move.
+function byKey(event) {
+  if (event.key !== "Escape" || event.repeat || !canMove(session.state.rig)) return;
+  event.preventDefault();
+  event.stopPropagation();
+  press();
 }
 
 async function press() {
-  parts.button.classList.add("pressed");
-  answer = await stop().catch((error) => error.message);
-  say(parts.answer, answer);
-  parts.button.classList.remove("pressed");
+  last.pressed = true;
+  draw();
+  last.answer = await stop().catch((error) => error.message);
+  last.pressed = false;
+  draw();
 }
 
-function refresh({ rig }) {
-  show(byId("rig-bar"), rig.status !== "none");
-  const moves = canMove(rig);
-  if (moves && !moved) answer = "";
-  moved = moves;
-  say(parts.answer, (!moves && (rig.words ?? []).slice(-2).join(" ")) || answer);
-  if (rig.status === "none") return;
-  byId("rig-bar").dataset.status = rig.status;
-  parts.name.title = rig.name ?? "";
-  say(parts.name, [rig.name, rig.axis && `axis ${rig.axis}`].filter(Boolean).join(", ") || rig.address || "Rig");
-  const silent = Number.isFinite(rig.silent) ? ` (the rig's process does not answer since ${rig.silent} s: switch the amplifier off by hand)` : "";
-  const gone = session.connected ? silent : " (the server does not answer; STOP still works)";
-  say(parts.status, `${WORDS[rig.status] ?? rig.status}${rig.step ? `: ${rig.step}` : ""}${gone}`);
-  values(rig.voltage, rig.displacement_um);
-  const share = rig.progress;
-  show(parts.progress, typeof share === "number");
-  if (typeof share === "number") {
-    parts.progress.value = share;
-    parts.progress.title = percent(100 * share);
+// Resolve with a sentence on what was confirmed; reject if nothing was.
+async function stop() {
+  const ways = stopRequests(session.state.rig.stop, PATIENCE);
+  announce("Stop requested.");
+  try {
+    return await Promise.any(ways.map(async ([who, answer]) => confirmed(await answer, who)));
+  } catch {
+    throw new Error(
+      "NOBODY CONFIRMED THE STOP. Switch the amplifier off by hand. The rig's watchdog ramps to the safe voltage " +
+        "when it hears nothing.",
+    );
   }
 }
 
-function values(voltage, displacement) {
-  const shown = [
-    Number.isFinite(voltage) && `${short(voltage, 4)} V`,
-    Number.isFinite(displacement) && `${short(displacement, 4)} \u00b5m`,
-  ].filter(Boolean);
-  say(parts.values, shown.join(" \u00b7 "));
+function confirmed(answer, who) {
+  if (answer.status === 409) return "Nothing was armed, and the voltage was not moved.";
+  if (!answer.ok) throw new Error(`${who}: ${answer.status}`);
+  return `Stop received by ${who} and confirmed; the voltage ramps to its safe value.`;
+}
+
+function draw() {
+  const { rig } = session.state;
+  const bar = byId("rig-bar");
+  bar.hidden = rig.status === "none";
+  bar.dataset.status = rig.status;
+  fill(bar, rig.status === "none" ? [] : contents(rig));
+}
+
+function contents({ name, axis, address, status, step, silent, progress, words = [] }) {
+  const title = [name, axis && `axis ${axis}`].filter(Boolean).join(", ") || address || "Rig";
+  let gone = "";
+  if (!session.connected) gone = " (the server does not answer; STOP still works)";
+  else if (Number.isFinite(silent)) {
+    gone = ` (the rig's process does not answer since ${silent} s: switch the amplifier off by hand)`;
+  }
+  const doing = step ? `: ${step}` : "";
+  const units = ["V", "\u00b5m"];
+  const values = last.values.map((one, k) => Number.isFinite(one) && `${short(one, 4)} ${units[k]}`).filter(Boolean);
+  const answer = (!last.moved && words.slice(-2).join(" ")) || last.answer;
+  const known = typeof progress === "number";
+  const share = { value: known ? progress : 0, title: known && percent(100 * progress), hidden: !known };
+  return [
+    h(
+      "div",
+      { class: "rig-words" },
+      h("b", { title: name }, title),
+      h("span", { class: "rig-status", role: "status" }, `${STATUS[status] ?? status}${doing}${gone}`),
+      h("span", { class: "rig-values" }, values.join(" \u00b7 ")),
+      h("progress", { max: "1", "aria-label": "Progress of the rig", ...share }),
+    ),
+    h("p", { class: "rig-answer", role: "alert" }, answer),
+    h("button", { ...STOP, class: last.pressed ? "stop pressed" : "stop" }, "STOP", h("small", {}, "Esc")),
+  ];
 }

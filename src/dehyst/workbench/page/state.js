@@ -1,4 +1,5 @@
 // The state that the server holds, as this page last heard it. Views subscribe; nothing here draws.
+import { events } from "./api.js";
 
 const NOTHING = { records: [], models: [], voltages: [], jobs: [], files: [], rig: { status: "none" }, log: [] };
 const FIRST_WAIT = 300;
@@ -6,11 +7,11 @@ const LONGEST_WAIT = 5000;
 
 export const session = { state: NOTHING, connected: false };
 
-const watchers = { state: [], live: [], connection: [] };
+const watchers = { state: [], live: [] };
 let socket = null;
 let wait = FIRST_WAIT;
 
-// Call `watcher` with each new state, live message or change of the connection.
+// Call `watcher` with each new state, which may have to be drawn anew, or with each live message.
 export const watch = (kind, watcher) => watchers[kind].push(watcher);
 
 const tell = (kind, value) => {
@@ -23,8 +24,17 @@ const tell = (kind, value) => {
   }
 };
 
+// Draw anew soon: what this page alone knows has changed.
+let asked;
+export function redraw() {
+  asked ??= setTimeout(() => {
+    asked = undefined;
+    tell("state", session.state);
+  });
+}
+
 export function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
+  socket = events(location);
   socket.addEventListener("open", () => {
     wait = FIRST_WAIT;
     linked(true);
@@ -40,7 +50,7 @@ export function connect() {
 function linked(connected) {
   if (session.connected === connected) return;
   session.connected = connected;
-  tell("connection", connected);
+  redraw();
 }
 
 // The rig's watchdog waits for an answer to each of these: it comes before anything is drawn.
@@ -49,12 +59,10 @@ function receive(message) {
     if (socket.readyState === WebSocket.OPEN) socket.send('{"kind":"alive"}');
   }
   if (message.kind === "live") tell("live", message);
-  if (message.kind === "state") receiveState(message.state);
-}
-
-export function receiveState(state) {
-  session.state = { ...NOTHING, ...state, rig: state.rig ?? NOTHING.rig };
-  tell("state", session.state);
+  if (message.kind === "state") {
+    session.state = { ...NOTHING, ...message.state, rig: message.state.rig ?? NOTHING.rig };
+    tell("state", session.state);
+  }
 }
 
 const among = (items, id) => items.find((one) => one.id === id);
@@ -62,21 +70,21 @@ export const recordOf = (id) => among(session.state.records, id);
 export const modelOf = (id) => among(session.state.models, id);
 export const readyModels = () => session.state.models.filter((one) => one.status === "ready");
 export const readyRecords = () => session.state.records.filter((one) => one.status === "ready");
-export const jobsOf = (subject, kind) =>
-  session.state.jobs.filter((one) => one.subject === subject && (kind === undefined || one.kind === kind));
+// The jobs of a kind that are to be shown: those that run, and the last one if it failed.
+export function openJobs(kind, subject) {
+  const all = session.state.jobs.filter((one) => one.kind === kind && (!subject || one.subject === subject));
+  return all.filter((one, k) => one.status === "running" || (one.status === "failed" && k === all.length - 1));
+}
 
 // What this page alone knows: which model the person looks at. It survives a reload, and is no secret.
 const CHOSEN = "dehyst-model";
 
 export function chosenModel() {
   const ready = readyModels();
-  const id = sessionStorage.getItem(CHOSEN);
-  return ready.find((one) => one.id === id) ?? ready.at(-1) ?? null;
+  return among(ready, sessionStorage.getItem(CHOSEN)) ?? ready.at(-1) ?? null;
 }
 
-export const rememberModel = (id) => sessionStorage.setItem(CHOSEN, id);
-
 export function chooseModel(id) {
-  rememberModel(id);
-  tell("state", session.state);
+  sessionStorage.setItem(CHOSEN, id);
+  redraw();
 }

@@ -1,36 +1,74 @@
-// What to expect of a model: first in words with a number and a colour, then why.
+// What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
 import { h } from "./dom.js";
+import { button, fold, list, options, problem } from "./forms.js";
+import { cancelJob, fileAddress } from "./api.js";
 import { inPage } from "./labels.js";
 import { length, percent } from "./numbers.js";
+import { chooseModel, chosenModel, readyModels } from "./state.js";
+import { openStep } from "./steps.js";
 
 const LIGHTS = {
   ready: ["green", "Ready for use"],
   usable: ["amber", "Usable, with care"],
   "not usable": ["red", "Not usable"],
 };
-
-export const readiness = (verdict) => String(verdict.readiness).toLowerCase().replaceAll("_", " ");
+const readiness = (verdict) => String(verdict.readiness).toLowerCase().replaceAll("_", " ");
 export const lightOf = (verdict) => LIGHTS[readiness(verdict)] ?? ["amber", String(verdict.readiness)];
 
-export function verdictBlock(model) {
-  const { verdict } = model;
+// What the records did not show: it limits what the verdict holds for.
+export const remarksOf = (verdict) => (verdict.remarks ?? []).map(inPage);
+
+// Half the width of the trust band, in micrometres: the largest error to expect.
+export const bandOf = (model) => model?.verdict?.largest_um ?? 0;
+
+export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
-  const reasons = (verdict.why ?? []).map(inPage);
+  const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
+  const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
+  const told = h("small", {}, `of the stroke (${length(um)}) is the largest error to expect`);
   return h(
     "div",
     { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", {}, words),
-    h("b", {}, percent(verdict.largest_percent), " ", h("small", {}, `of the stroke (${length(verdict.largest_um)}) is the largest error to expect`)),
-    h("p", {}, `RMS ${percent(verdict.rms_percent)}, from ${basis(verdict.basis)}; goal ${percent(verdict.goal)}.`),
-    reasons.length > 0 && h("details", {}, h("summary", {}, reasons.length === 1 ? "One thing to know" : `${reasons.length} things to know`), h("ul", {}, reasons.map((one) => h("li", {}, one)))),
-    remarksOf(verdict).length > 0 && h("ul", { class: "remarks" }, remarksOf(verdict).map((one) => h("li", {}, one))),
+    h("b", {}, percent(largest), " ", told),
+    h("p", {}, `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
+    why.length > 0 && fold(things, list(why.map(inPage))),
+    list(remarksOf(verdict), "remarks"),
   );
 }
 
-// What the records did not show: it limits what the verdict is worth.
-export const remarksOf = (verdict) => (verdict.remarks ?? []).map(inPage);
+export const goTo = (step, text) =>
+  h("button", { type: "button", class: "main", onclick: () => openStep(step, { focus: true }) }, text);
 
-const basis = (text) => text || "the records";
+// Of a step that needs a model, while there is none.
+export const needsModel = (words) => h("div", { class: "empty" }, h("p", {}, words), goTo("records", "To the records"));
 
-// Half the width of the trust band, in micrometres: the largest error to expect.
-export const bandOf = (model) => model?.verdict?.largest_um ?? 0;
+// A choice of the model that all steps speak of, if there is more than one.
+export function modelChoice() {
+  const models = readyModels();
+  if (models.length < 2) return null;
+  const onchange = (event) => chooseModel(event.target.value);
+  const about = { "aria-label": "Model", class: "model-choice", value: chosenModel().id, onchange };
+  const select = h("select", about, options(models.map((one) => [one.id, one.name])));
+  return h("p", { class: "row model-row" }, h("span", {}, "Model "), select);
+}
+
+export const fileLink = (path, text, attributes = {}) =>
+  h("a", { href: fileAddress(path), download: path.split("/").at(-1), ...attributes }, text);
+
+// Running and failed jobs, with the way to end them.
+export const jobCards = (jobs) =>
+  jobs.map(({ id, status, error, progress }) => {
+    if (status === "failed") {
+      const alert = h("p", { class: "error", role: "alert" }, inPage(error ?? "It failed."));
+      return h("li", { class: "card refused", key: id }, alert);
+    }
+    return h(
+      "li",
+      { class: "card", key: id },
+      h("p", { role: "status" }, progress || "Computing\u2026"),
+      h("progress", { "aria-label": "Job" }),
+      button("Cancel", `job ${id}`, () => cancelJob(id), { class: "quiet" }),
+      problem(`job ${id}`),
+    );
+  });

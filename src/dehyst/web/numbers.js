@@ -1,6 +1,8 @@
-// Numbers as text, and the ticks of an axis. `ticks`, `written` and `digits` are as in the report's charts.js.
+// Numbers as text, text as numbers, and the ticks of an axis.
 const MINUS = "\u2212";
+const DASH = "\u2013";
 
+// Decimals that show a step of this size.
 export function digits(step, more = 0) {
   return Math.max(0, Math.min(12, more - Math.floor(Math.log10(step) + 1e-9)));
 }
@@ -10,14 +12,26 @@ export function written(value, decimals) {
   return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
 }
 
-export function ticks(low, high, most) {
+// At most about `most` round values of a range, as [value, text]. Values of a logarithmic axis are exponents of ten.
+export function ticks([low, high], most, log = false) {
+  const values = [];
+  if (log) {
+    const every = Math.ceil((high - low) / Math.max(most, 1));
+    const steps = high - low < 2 ? [1, 2, 5] : [1];
+    for (let power = Math.floor(low); power <= high; power += Math.max(every, 1)) {
+      for (const step of steps) values.push([power + Math.log10(step), short(step * 10 ** power, 1)]);
+    }
+    return values.filter(([value]) => value >= low - 1e-9 && value <= high + 1e-9);
+  }
   const rough = (high - low) / Math.max(most, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
   const factor = [1, 2, 2.5, 5, 10].find((one) => one * power >= rough * (1 - 1e-9)) ?? 10;
   const step = factor * power;
-  const values = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) values.push(k * step);
-  return { values, decimals: digits(step, factor === 2.5 ? 1 : 0) };
+  const decimals = digits(step, factor === 2.5 ? 1 : 0);
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) {
+    values.push([k * step, written(k * step, decimals)]);
+  }
+  return values;
 }
 
 // The lowest and the highest finite value of arrays, with a margin of `pad` of their distance.
@@ -41,7 +55,7 @@ export function extent(columns, pad = 0) {
 
 // A number with three significant digits, without an exponent where people do not expect one.
 export function short(value, significant = 3) {
-  if (value === null || value === undefined || !Number.isFinite(value)) return "\u2013";
+  if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
   if (value === 0) return "0";
   const size = Math.abs(value);
   if (size >= 1e7 || size < 1e-4) return value.toExponential(significant - 1).replaceAll("-", MINUS);
@@ -61,7 +75,7 @@ export function roundDown(value) {
 
 // An end that is zero but for rounding is written as 0.
 export function range(pair, unit, significant = 4) {
-  if (pair?.length !== 2) return `\u2013 ${unit}`;
+  if (pair?.length !== 2) return `${DASH} ${unit}`;
   const [low, high] = pair.map((one) => short(Math.abs(one) < 1e-5 * (pair[1] - pair[0]) ? 0 : one, significant));
   return `${low} to ${high} ${unit}`;
 }
@@ -70,14 +84,14 @@ export const percent = (value) => `${short(value, value >= 10 ? 3 : 2)} %`;
 
 // A length given in micrometres, in the unit in which it is read most easily.
 export function length(um) {
-  if (!Number.isFinite(um)) return "\u2013";
+  if (!Number.isFinite(um)) return DASH;
   return Math.abs(um) < 1 ? `${short(um * 1e3)} nm` : `${short(um)} \u00b5m`;
 }
 
 export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
 export function duration(seconds) {
-  if (!Number.isFinite(seconds)) return "\u2013";
+  if (!Number.isFinite(seconds)) return DASH;
   if (seconds < 100) return `${short(seconds)} s`;
   const minutes = Math.floor(seconds / 60);
   const rest = Math.round(seconds - 60 * minutes);
@@ -85,7 +99,7 @@ export function duration(seconds) {
 }
 
 export function bytes(count) {
-  if (!Number.isFinite(count)) return "\u2013";
+  if (!Number.isFinite(count)) return DASH;
   if (count < 1000) return `${count} bytes`;
   return count < 1e6 ? `${short(count / 1e3)} kB` : `${short(count / 1e6)} MB`;
 }
@@ -96,4 +110,22 @@ export function parsed(text) {
   if (clean === "") return null;
   const number = Number(/^[-+]?\d*,\d+(e[-+]?\d+)?$/i.test(clean) ? clean.replace(",", ".") : clean);
   return Number.isFinite(number) ? number : NaN;
+}
+
+// A number that a person typed, or null if it is `optional` and empty; an Error names the field.
+export function numberFrom(text, label, { above = -Infinity, least = -Infinity, optional = false } = {}) {
+  const value = parsed(text);
+  if (value === null && optional) return null;
+  if (value !== null && value > above && value >= least) return value;
+  let need = "a number";
+  if (above > -Infinity) need = `a number above ${above}`;
+  if (least > -Infinity) need = `a number, ${least} or more`;
+  throw new Error(`${label}: got ${text.trim() || "nothing"}, need ${need}.`);
+}
+
+// Voltage limits that a person typed.
+export function limitsFrom(low, high) {
+  const limits = [numberFrom(low, "Lowest voltage"), numberFrom(high, "Highest voltage")];
+  if (!(limits[0] < limits[1])) throw new Error("The lowest voltage is not below the highest one.");
+  return limits;
 }

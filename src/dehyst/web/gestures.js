@@ -1,98 +1,95 @@
-// Moving a chart's view by pointer and keys. A chart's `editor`, if it has one, is asked first.
+// Moving a chart's view by pointer and keys.
 const LEAST_DRAG = 6;
 const WHEEL = 0.0015;
 
+export const KEYS =
+  "Keys: arrows move, plus and minus zoom, 0 shows all. Pointer: drag a box to zoom, or click and turn the wheel; " +
+  "drag with Shift or the middle button to move; double-click shows all.";
+
 export function bindGestures(chart) {
   const { top } = chart;
-  top.addEventListener("pointerdown", (event) => begin(chart, event));
-  top.addEventListener("pointermove", (event) => move(chart, event));
-  top.addEventListener("pointerup", (event) => end(chart, event));
-  top.addEventListener("pointercancel", () => cancel(chart));
-  top.addEventListener("pointerleave", () => leave(chart));
-  top.addEventListener("dblclick", (event) => chart.editor?.double?.(event) || chart.show(chart.home));
-  top.addEventListener("keydown", (event) => key(chart, event));
+  top.onpointerdown = (event) => begin(chart, event);
+  top.onpointermove = (event) => move(chart, chart.place(event));
+  top.onpointerup = () => end(chart);
+  top.onpointercancel = () => cancel(chart);
+  top.onpointerleave = () => leave(chart);
+  top.ondblclick = (event) => chart.double(event) || chart.show(chart.home);
+  top.onkeydown = (event) => key(chart, event);
   top.addEventListener("wheel", (event) => wheel(chart, event), { passive: false });
 }
 
 function begin(chart, event) {
-  if (!chart.area) return;
+  if (!chart.area || event.button > 1) return;
   chart.top.setPointerCapture(event.pointerId);
-  if (event.button === 0 && !event.shiftKey && chart.editor?.begin(event)) return;
-  if (event.button > 1) return;
   const pans = event.button === 1 || event.shiftKey;
   if (pans) event.preventDefault();
   chart.drag = { pans, from: chart.place(event), view: chart.view };
 }
 
-function move(chart, event) {
-  if (!chart.area || chart.editor?.move(event)) return;
-  const at = chart.place(event);
-  const { drag } = chart;
+function move(chart, at) {
+  const { area, drag } = chart;
+  if (!area) return;
   if (!drag) {
     chart.read(at);
     return;
   }
   chart.nearest = null;
   if (drag.pans) {
-    const share = { x: (drag.from.x - at.x) / chart.area.width, y: (at.y - drag.from.y) / chart.area.height };
+    const share = { x: (drag.from.x - at.x) / area.width, y: (at.y - drag.from.y) / area.height };
     chart.show({ x: shifted(drag.view.x, share.x), y: shifted(drag.view.y, share.y) });
     return;
   }
   const far = Math.hypot(at.x - drag.from.x, at.y - drag.from.y) > LEAST_DRAG;
-  chart.box = far ? boxed(chart, drag.from, at) : null;
-  chart.requestTop();
+  chart.box = far ? boxed(area, drag.from, at) : null;
+  chart.request(false);
 }
 
-function end(chart, event) {
-  if (chart.editor?.end(event)) return;
+function end(chart) {
   const { box } = chart;
   cancel(chart);
   if (!box) return;
-  chart.show({
-    x: [chart.vx(box.left), chart.vx(box.right)],
-    y: [chart.vy(box.bottom), chart.vy(box.top)],
-  });
+  chart.show({ x: [chart.vx(box.left), chart.vx(box.right)], y: [chart.vy(box.bottom), chart.vy(box.top)] });
 }
 
 function cancel(chart) {
   chart.drag = null;
   chart.box = null;
-  chart.requestTop();
+  chart.request(false);
 }
 
 function leave(chart) {
   if (chart.drag) return;
   chart.nearest = null;
   chart.readout("");
-  chart.requestTop();
+  chart.request(false);
 }
 
 // What a drag marks: all heights if it is nearly level, all of the abscissa if it is nearly upright.
-function boxed(chart, from, to) {
-  const { left, top, width, height } = chart.area;
+function boxed({ left, top, width, height }, from, to) {
   const within = (value, low, size) => Math.min(Math.max(value, low), low + size);
   const xs = [from.x, to.x].map((x) => within(x, left, width)).sort((a, b) => a - b);
   const ys = [from.y, to.y].map((y) => within(y, top, height)).sort((a, b) => a - b);
   const level = ys[1] - ys[0] < 2 * LEAST_DRAG;
-  const steep = xs[1] - xs[0] < 2 * LEAST_DRAG;
+  const steep = xs[1] - xs[0] < 2 * LEAST_DRAG && !level;
   return {
-    left: steep && !level ? left : xs[0],
-    right: steep && !level ? left + width : xs[1],
+    left: steep ? left : xs[0],
+    right: steep ? left + width : xs[1],
     top: level ? top : ys[0],
     bottom: level ? top + height : ys[1],
   };
 }
 
-export const shifted = ([low, high], share) => [low + share * (high - low), high + share * (high - low)];
+const shifted = ([low, high], share) => [low + share * (high - low), high + share * (high - low)];
 
 // A range that is `factor` times as wide, about a value that keeps its place.
-export const scaled = ([low, high], factor, about = (low + high) / 2) => [
+const scaled = ([low, high], factor, about = (low + high) / 2) => [
   about - factor * (about - low),
   about + factor * (high - about),
 ];
 
+// Over a chart that nobody clicked at, the wheel moves the page.
 function wheel(chart, event) {
-  if (!chart.area) return;
+  if (!chart.area || document.activeElement !== chart.top) return;
   event.preventDefault();
   const lines = event.deltaMode === 1 ? 20 : 1;
   const factor = Math.exp(Math.max(-1, Math.min(1, WHEEL * lines * event.deltaY)));
@@ -105,9 +102,9 @@ function wheel(chart, event) {
 }
 
 function key(chart, event) {
-  if (event.ctrlKey || event.metaKey || chart.editor?.key(event)) return;
+  if (event.ctrlKey || event.metaKey) return;
   const { x, y } = chart.view;
-  const views = {
+  const view = {
     "+": { x: scaled(x, 0.7), y: scaled(y, 0.7) },
     "=": { x: scaled(x, 0.7), y: scaled(y, 0.7) },
     "-": { x: scaled(x, 1 / 0.7), y: scaled(y, 1 / 0.7) },
@@ -117,8 +114,8 @@ function key(chart, event) {
     ArrowDown: { x, y: shifted(y, -0.1) },
     0: chart.home,
     Home: chart.home,
-  };
-  if (!(event.key in views)) return;
+  }[event.key];
+  if (!view) return;
   event.preventDefault();
-  chart.show(views[event.key]);
+  chart.show(view);
 }

@@ -1,0 +1,1 @@
+"""What pages are made of: charts, the editor of a path, numbers, style. One folder for reports, workbench and site."""

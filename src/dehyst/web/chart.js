@@ -1,0 +1,404 @@
+// A chart on two canvases: curves below, what follows the pointer above. Thousands or millions of samples.
+import { make, h } from "./dom.js";
+import { bindGestures } from "./gestures.js";
+import { digits, extent, short, ticks, written } from "./numbers.js";
+import { nearest, paintLines, thinPath, thinTime } from "./thinning.js";
+
+const MARGIN = { left: 48, right: 16, top: 10, bottom: 40 };
+const TITLE = 32; // pixels for the title of an upright axis, and the gap beside its numbers
+const REST = 150; // milliseconds after the last movement until all is drawn finely
+const REACH = 40; // pixels from the pointer to a sample that is read out
+const MANY = 3000; // vertices from which on a curve is inked pixel by pixel
+const MOST_MOVING = 500_000; // samples of a path that are looked at while the view moves
+
+const charts = new Set();
+
+// On paper all are light and fine.
+for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
+  window.addEventListener(kind, () => {
+    document.documentElement.classList.toggle("paper", paper);
+    for (const chart of charts) chart.draw();
+  });
+}
+
+// What a chart shows:
+//     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
+//     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
+//     series  [{ name, colour, x, y, kind, ... }], each of a kind
+//             "line"    width, dash, opacity; `rising` if x rises; `around` is half the height of a band about it
+//             "points"  width, opacity, hollow, and the `names` of single points
+//             "area"    from y to `top`
+//             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker
+//     shaded  [[from, to], ...] of x;  band: [low, high] of y;  levels: [{ value, name, colour }]
+// A series that is `silent` is neither in the legend nor read out. Colours are names of the page's style.
+export class Chart {
+  // `readout` is called with a sentence about the sample under the pointer, or ""; `moved` when the view does.
+  constructor(holder, { label, readout = () => {}, moved = () => {} }) {
+    this.holder = holder;
+    this.base = make(h("canvas", { "aria-hidden": "true" }));
+    this.top = make(h("canvas", { tabindex: "0", role: "img", "aria-label": label }));
+    holder.append(this.base, this.top);
+    this.readout = readout;
+    this.moved = moved;
+    this.drawn = () => {}; // called after each drawing
+    this.double = () => false; // asked first at a double click
+    this.spec = { x: {}, y: {}, series: [] };
+    this.home = { x: [0, 1], y: [0, 1] };
+    this.view = this.home;
+    this.frames = 0;
+    bindGestures(this);
+    charts.add(this);
+    new ResizeObserver(() => this.request()).observe(holder);
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.request());
+  }
+
+  // Show other curves. The view stays if the person moved it and `keep` is set.
+  set(spec, { keep = false } = {}) {
+    const moved = this.view !== this.home;
+    this.spec = spec;
+    const visible = spec.series.filter((one) => !one.hidden);
+    const levels = (spec.levels ?? []).map((one) => one.value);
+    const heights = visible.flatMap((one) => (one.top ? [one.y, one.top] : [one.y]));
+    this.home = {
+      x: spec.x.range ?? extent(visible.map((one) => one.x), 0.02),
+      y: spec.y.range ?? extent([...heights, levels, spec.band ?? []], 0.06),
+    };
+    if (!(keep && moved)) this.view = this.home;
+    this.nearest = null;
+    this.request();
+  }
+
+  show(view) {
+    const wide = ([low, high]) => high - low > 1e-9 * Math.max(Math.abs(low), Math.abs(high), 1e-12);
+    if (!wide(view.x) || !wide(view.y)) return;
+    this.view = view;
+    this.moved(view !== this.home);
+    this.moving = true;
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => {
+      this.moving = false;
+      this.request();
+    }, REST);
+    this.request();
+  }
+
+  // Draw at the next frame: all, or what follows the pointer.
+  request(all = true) {
+    this.whole ||= all;
+    this.asked ??= requestAnimationFrame(() => {
+      this.asked = undefined;
+      if (this.whole) this.draw();
+      else this.drawTop();
+    });
+  }
+
+  draw() {
+    this.whole = false;
+    if (this.holder.clientWidth === 0 || !this.spec.x.label) return;
+    const began = performance.now();
+    this.measure();
+    const pen = this.pen(this.base);
+    this.axes(pen);
+    this.within(pen, () => {
+      pen.translate(this.area.left, this.area.top);
+      this.backdrop(pen);
+      for (const one of this.spec.series) if (!one.hidden) KINDS[one.kind ?? "line"](this, pen, one);
+      this.levels(pen);
+    });
+    this.frames += 1;
+    this.took = performance.now() - began;
+    this.drawTop();
+    this.drawn();
+  }
+
+  measure() {
+    const { clientWidth, clientHeight } = this.holder;
+    const style = getComputedStyle(this.holder);
+    this.colour = (name) => style.getPropertyValue(`--${name}`).trim() || "#888";
+    this.font = `12px ${style.fontFamily}`;
+    this.scale = document.documentElement.classList.contains("paper") ? 2 : window.devicePixelRatio || 1;
+    for (const canvas of [this.base, this.top]) {
+      const [width, height] = [Math.round(clientWidth * this.scale), Math.round(clientHeight * this.scale)];
+      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    }
+    const height = Math.max(clientHeight - MARGIN.top - MARGIN.bottom, 20);
+    const { y, right } = this.spec;
+    this.up = ticks(this.view.y, height / 45, y.log);
+    this.upRight = right ? ticks(this.view.y.map((one) => one * right.factor), height / 45) : [];
+    const pen = this.pen(this.base);
+    const room = (values) => Math.max(0, ...values.map(([, text]) => pen.measureText(text).width)) + TITLE;
+    const left = Math.max(MARGIN.left, room(this.up));
+    const width = Math.max(clientWidth - left - (right ? room(this.upRight) : MARGIN.right), 20);
+    this.area = { left, top: MARGIN.top, width, height };
+    this.across = ticks(this.view.x, width / 80, this.spec.x.log);
+  }
+
+  pen(canvas) {
+    const pen = canvas.getContext("2d");
+    pen.setTransform(this.scale, 0, 0, this.scale, 0, 0);
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    pen.font = this.font;
+    return pen;
+  }
+
+  within(pen, draw) {
+    pen.save();
+    pen.beginPath();
+    pen.rect(this.area.left, this.area.top, this.area.width, this.area.height);
+    pen.clip();
+    draw();
+    pen.restore();
+  }
+
+  // Values to pixels of the area.
+  frame() {
+    const { x, y } = this.view;
+    const { width, height } = this.area;
+    return { x0: x[0], kx: width / (x[1] - x[0]), y0: y[1], ky: -height / (y[1] - y[0]), width, height };
+  }
+
+  // Values to pixels of the canvas, and back.
+  px(value) {
+    const { x0, kx } = this.frame();
+    return this.area.left + (value - x0) * kx;
+  }
+
+  py(value) {
+    const { y0, ky } = this.frame();
+    return this.area.top + (value - y0) * ky;
+  }
+
+  vx(pixel) {
+    const { x0, kx } = this.frame();
+    return x0 + (pixel - this.area.left) / kx;
+  }
+
+  vy(pixel) {
+    const { y0, ky } = this.frame();
+    return y0 + (pixel - this.area.top) / ky;
+  }
+
+  axes(pen) {
+    const { left, top, width, height } = this.area;
+    const { x, y, right } = this.spec;
+    pen.lineWidth = 1;
+    pen.textAlign = "center";
+    pen.textBaseline = "top";
+    for (const [value, text] of this.across) {
+      const at = Math.round(this.px(value)) + 0.5;
+      this.rule(pen, at, top, at, top + height);
+      this.text(pen, text, at, top + height + 6);
+    }
+    this.text(pen, x.label, left + width / 2, top + height + 23);
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    for (const [value, text] of this.up) {
+      const at = Math.round(this.py(value)) + 0.5;
+      this.rule(pen, left, at, left + width, at);
+      this.text(pen, text, left - 6, at);
+    }
+    pen.textAlign = "left";
+    for (const [value, text] of this.upRight) this.text(pen, text, left + width + 6, this.py(value / right.factor));
+    this.upright(pen, y.label, 12);
+    if (right) this.upright(pen, right.label, this.holder.clientWidth - 8);
+  }
+
+  rule(pen, x0, y0, x1, y1, colour = "grid") {
+    pen.strokeStyle = this.colour(colour);
+    pen.beginPath();
+    pen.moveTo(x0, y0);
+    pen.lineTo(x1, y1);
+    pen.stroke();
+  }
+
+  text(pen, words, x, y) {
+    pen.fillStyle = this.colour("ink");
+    pen.fillText(words, x, y);
+  }
+
+  upright(pen, words, x) {
+    pen.save();
+    pen.translate(x, this.area.top + this.area.height / 2);
+    pen.rotate(-Math.PI / 2);
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    this.text(pen, words, 0, 0);
+    pen.restore();
+  }
+
+  backdrop(pen) {
+    const { shaded = [], band } = this.spec;
+    const { x0, kx, y0, ky, width, height } = this.frame();
+    pen.fillStyle = this.colour("shade");
+    for (const [from, to] of shaded) pen.fillRect((from - x0) * kx, 0, Math.max((to - from) * kx, 1), height);
+    if (!band) return;
+    pen.fillStyle = this.colour("band");
+    pen.fillRect(0, (band[1] - y0) * ky, width, (band[0] - band[1]) * ky);
+  }
+
+  // Horizontal lines; those with a name, such as limits, are dashed.
+  levels(pen) {
+    const { y0, ky, width } = this.frame();
+    pen.textAlign = "right";
+    for (const { value, name, colour = "ink" } of this.spec.levels ?? []) {
+      const y = Math.round((value - y0) * ky) + 0.5;
+      pen.lineWidth = name ? 1.5 : 1;
+      pen.setLineDash(name ? [6, 4] : []);
+      this.rule(pen, 0, y, width, y, colour);
+      pen.setLineDash([]);
+      pen.textBaseline = y < 18 ? "top" : "bottom";
+      pen.fillStyle = this.colour(colour);
+      if (name) pen.fillText(name, width - 4, y < 18 ? y + 3 : y - 2);
+    }
+  }
+
+  drawTop() {
+    if (!this.area) return;
+    const pen = this.pen(this.top);
+    this.within(pen, () => {
+      pen.strokeStyle = this.colour("ink");
+      pen.fillStyle = this.colour("band");
+      if (this.nearest) {
+        pen.lineWidth = 1.5;
+        pen.beginPath();
+        pen.arc(this.px(this.nearest.x), this.py(this.nearest.y), 5, 0, 2 * Math.PI);
+        pen.stroke();
+      }
+      if (this.box) {
+        const { left, top, right, bottom } = this.box;
+        pen.lineWidth = 1;
+        pen.fillRect(left, top, right - left, bottom - top);
+        pen.strokeRect(left, top, right - left, bottom - top);
+      }
+    });
+  }
+
+  place(event) {
+    const box = this.top.getBoundingClientRect();
+    return { x: event.clientX - box.left, y: event.clientY - box.top };
+  }
+
+  // Read out the sample nearest to a place on the canvas.
+  read(at) {
+    const frame = this.frame();
+    const spot = { x: at.x - this.area.left, y: at.y - this.area.top };
+    let best = null;
+    for (const one of this.spec.series) {
+      if (one.hidden || one.silent || one.kind === "cells") continue;
+      const hit = nearest(one.x, one.y, frame, spot, REACH, one.rising);
+      if (hit && (best === null || hit.away < best.away)) best = { ...hit, one };
+    }
+    this.nearest = best && { x: best.one.x[best.index], y: best.one.y[best.index] };
+    this.readout(best ? this.sentence(this.nearest, best.one.names?.[best.index] ?? best.one.name) : "");
+    this.request(false);
+  }
+
+  sentence({ x, y }, name) {
+    const { spec, view } = this;
+    const value = (number, [low, high], { unit = "", log }) =>
+      `${log ? short(10 ** number) : written(number, digits((high - low) / 2000))} ${unit}`.trim();
+    const parts = [name, value(x, view.x, spec.x), value(y, view.y, spec.y)];
+    const { factor } = spec.right ?? {};
+    const second = factor ? ` (${value(y * factor, view.y.map((one) => one * factor), spec.right)})` : "";
+    return parts.filter(Boolean).join(" \u00b7 ") + second;
+  }
+}
+
+// How a series of each kind is drawn; the pen's origin is the corner of the area.
+const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawCells };
+
+function thin(chart, { x, y, rising }) {
+  if (rising) return thinTime(x, y, chart.frame());
+  return thinPath(x, y, chart.frame(), chart.moving ? Math.ceil(x.length / MOST_MOVING) : 1);
+}
+
+function drawLine(chart, pen, one) {
+  const vertices = thin(chart, one);
+  const { px, py, pen: down, count } = vertices;
+  if (one.around > 0) drawAround(chart, pen, one, vertices);
+  pen.strokeStyle = chart.colour(one.colour);
+  pen.fillStyle = pen.strokeStyle;
+  pen.lineWidth = one.width ?? 1.4;
+  pen.globalAlpha = one.opacity ?? 1;
+  if (count > MANY && !one.dash) {
+    paintLines(pen, vertices, chart.area, chart.scale, pen.lineWidth, pen.strokeStyle);
+  } else {
+    pen.lineJoin = "round";
+    pen.setLineDash(one.dash ?? []);
+    pen.beginPath();
+    for (let i = 0; i < count; i += 1) {
+      if (down[i]) pen.lineTo(px[i], py[i]);
+      else pen.moveTo(px[i], py[i]);
+    }
+    pen.stroke();
+    pen.setLineDash([]);
+    if (count === 1) pen.fillRect(px[0] - 1, py[0] - 1, 2, 2);
+  }
+  pen.globalAlpha = 1;
+}
+
+// The band about a curve: parallelograms of one sense of rotation, so that none cuts a hole.
+function drawAround(chart, pen, one, { px, py, pen: down, count }) {
+  const half = Math.abs(one.around * chart.frame().ky);
+  if (half < 0.5) return;
+  pen.fillStyle = chart.colour("band");
+  pen.beginPath();
+  for (let i = 1; i < count; i += 1) {
+    if (!down[i]) continue;
+    const [a, b] = px[i - 1] <= px[i] ? [i - 1, i] : [i, i - 1];
+    const wide = Math.max(px[b] - px[a], 0.7);
+    pen.moveTo(px[a], py[a] - half);
+    pen.lineTo(px[a] + wide, py[b] - half);
+    pen.lineTo(px[a] + wide, py[b] + half);
+    pen.lineTo(px[a], py[a] + half);
+    pen.closePath();
+  }
+  pen.fill("nonzero");
+}
+
+function drawPoints(chart, pen, one) {
+  const size = one.width ?? 3;
+  pen.fillStyle = chart.colour(one.hollow ? "paper" : one.colour);
+  pen.strokeStyle = chart.colour(one.colour);
+  pen.lineWidth = 1.2;
+  pen.globalAlpha = one.opacity ?? 1;
+  const { px, py, count } = thin(chart, { ...one, rising: false });
+  for (let i = 0; i < count; i += 1) {
+    if (size <= 4 && !one.hollow) {
+      pen.fillRect(px[i] - size / 2, py[i] - size / 2, size, size);
+      continue;
+    }
+    pen.beginPath();
+    pen.arc(px[i], py[i], size / 2, 0, 2 * Math.PI);
+    pen.fill();
+    if (one.hollow) pen.stroke();
+  }
+  pen.globalAlpha = 1;
+}
+
+function drawArea(chart, pen, { x, y, top, colour, opacity = 1 }) {
+  const { x0, kx, y0, ky } = chart.frame();
+  pen.fillStyle = chart.colour(colour);
+  pen.globalAlpha = opacity;
+  pen.beginPath();
+  for (let i = 0; i < x.length; i += 1) pen.lineTo((x[i] - x0) * kx, (y[i] - y0) * ky);
+  for (let i = x.length - 1; i >= 0; i -= 1) pen.lineTo((x[i] - x0) * kx, (top[i] - y0) * ky);
+  pen.fill();
+  pen.globalAlpha = 1;
+}
+
+function drawCells(chart, pen, { x, y, values, colour }) {
+  const { x0, kx, y0, ky } = chart.frame();
+  const largest = values.reduce((most, one) => Math.max(most, one), 0);
+  pen.fillStyle = chart.colour(colour);
+  values.forEach((value, k) => {
+    const [i, j] = [k % (x.length - 1), Math.floor(k / (x.length - 1))];
+    if (!(value > 0)) return;
+    // Whole pixels, so that no seams show.
+    const [left, right] = [i, i + 1].map((k) => Math.round((x[k] - x0) * kx));
+    const [bottom, top] = [j, j + 1].map((k) => Math.round((y[k] - y0) * ky));
+    pen.globalAlpha = value / largest;
+    pen.fillRect(left, top, right - left, bottom - top);
+  });
+  pen.globalAlpha = 1;
+}

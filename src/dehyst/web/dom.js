@@ -1,0 +1,105 @@
+// Elements of a page from descriptions. What is described anew is changed in place: focus, scrolling, and what a person
+// typed or opened stay.
+
+export const byId = (id) => document.getElementById(id);
+
+// h("button", { class: "main", onclick: f, disabled: true }, "Identify"): a child may be a description, text or an
+// element that is there already. In place of a child that is null or false there is nothing. Children of which there
+// may be more or fewer have a `key`.
+export const h = (tag, properties, ...children) => ({ tag, properties: properties ?? {}, children: children.flat(9) });
+
+// Return the element or text that is described.
+export function make(one) {
+  if (one instanceof Node) {
+    one.held = true;
+    return one;
+  }
+  if (one?.tag) return changed(document.createElement(one.tag), one);
+  return document.createTextNode(textOf(one));
+}
+
+const textOf = (child) => (child === null || child === undefined || child === false ? "" : String(child));
+
+// Make the children of an element those that are described: what has the same key is changed, or else what is in place.
+export function fill(parent, ...described) {
+  const children = described.flat(9);
+  const keys = new Set(children.map((one) => one?.properties?.key));
+  const keyed = new Map();
+  for (const old of [...parent.childNodes]) {
+    const key = old.given?.key;
+    if (key === undefined) continue;
+    if (keys.has(key)) keyed.set(key, old);
+    else old.remove();
+  }
+  let place = parent.firstChild;
+  for (const one of children) {
+    const key = one?.properties?.key;
+    const old = key === undefined ? place : keyed.get(key);
+    const node = fits(old, one) ? changed(old, one) : make(one);
+    const inPlace = key === undefined && place && place.given?.key === undefined && !children.includes(place);
+    if (node === place) place = place.nextSibling;
+    else if (inPlace) place = swapped(place, node).nextSibling;
+    else parent.insertBefore(node, place);
+  }
+  while (place) {
+    const next = place.nextSibling;
+    place.remove();
+    place = next;
+  }
+}
+
+function swapped(old, node) {
+  old.replaceWith(node);
+  return node;
+}
+
+// Can this node become what is described? An element that somebody made and holds cannot.
+function fits(node, one) {
+  if (!node || node.held || one instanceof Node) return false;
+  if (!one?.tag) return node.nodeType === Node.TEXT_NODE;
+  return node.localName === one.tag && node.given?.key === one.properties.key;
+}
+
+function changed(node, one) {
+  if (!one?.tag) {
+    if (node.data !== textOf(one)) node.data = textOf(one);
+    return node;
+  }
+  const [before, after] = [node.given ?? {}, one.properties];
+  for (const name of Object.keys({ ...before, ...after })) {
+    if (before[name] !== after[name]) assign(node, name, after[name]);
+  }
+  node.given = after;
+  fill(node, ...one.children);
+  // A choice has its options now.
+  if (before.value !== after.value) node.value = after.value ?? "";
+  return node;
+}
+
+function assign(element, name, value) {
+  if (name === "key") return;
+  if (name.startsWith("on")) element[name] = value ?? null;
+  else if (name === "style") element.style.cssText = value ?? "";
+  else if (value === undefined || value === null || value === false) element.removeAttribute(name);
+  else element.setAttribute(name, value === true ? "" : value);
+  if (name === "checked") element.checked = Boolean(value);
+}
+
+export function table(caption, heads, rows) {
+  return h(
+    "div",
+    { class: "wide", tabindex: "0", role: "region", "aria-label": caption },
+    h(
+      "table",
+      {},
+      h("caption", { class: "unseen" }, caption),
+      h("thead", {}, h("tr", {}, heads.map((head) => h("th", { scope: "col", class: head.class }, head.text ?? head)))),
+      h("tbody", {}, rows.map((row) => h("tr", {}, row.map(cell)))),
+    ),
+  );
+}
+
+const cell = (value, column) => {
+  if (value?.tag === "td") return value;
+  return column === 0 ? h("th", { scope: "row" }, value) : h("td", {}, value);
+};

@@ -1,0 +1,93 @@
+// A chart with what belongs to it: heading, views to choose from, legend, read-out, the way back to the whole.
+import { Chart } from "./chart.js";
+import { fill, h, make } from "./dom.js";
+import { KEYS } from "./gestures.js";
+
+export class Figure {
+  // `views` are [name, title] pairs; `choose` is called with the name of the view that the person chose. `more` stands
+  // behind the title.
+  constructor({ title, label = title, views = [], choose = () => {}, tall = false, help = true, keys = KEYS, more }) {
+    Object.assign(this, { title, views, choose, more, keys, help, hidden: new Set(), view: views[0]?.[0] });
+    this.holder = make(h("div", { class: tall ? "chart tall" : "chart" }));
+    this.chart = new Chart(this.holder, {
+      label: `${label}. ${KEYS}`,
+      readout: (text) => {
+        this.output.textContent = text;
+      },
+      moved: () => this.write(),
+    });
+    this.output = make(h("output", { class: "readout", "aria-live": "off" }));
+    this.element = make(h("figure", { class: "figure" }));
+    this.write();
+  }
+
+  pick(name) {
+    if (this.view === name) return;
+    this.view = name;
+    this.choose(name);
+    this.write();
+  }
+
+  // Show curves; those that the person took out of the legend stay out. `spoken` is a sentence for those who do not see
+  // the picture.
+  set(spec, { spoken, ...options } = {}) {
+    this.spec = spec;
+    for (const one of spec.series) one.hidden = this.hidden.has(one.key ?? one.name);
+    this.chart.set(spec, options);
+    if (spoken) this.chart.top.setAttribute("aria-label", `${spoken} ${this.keys}`);
+    this.write();
+  }
+
+  write() {
+    const { chart, spec } = this;
+    const reset = () => {
+      chart.show(chart.home);
+      chart.top.focus();
+    };
+    const view = ([name, text]) => {
+      const pressed = String(name === this.view);
+      const onclick = () => this.pick(name);
+      return h("button", { type: "button", class: "view", "aria-pressed": pressed, onclick }, text);
+    };
+    const views = this.views.map(view);
+    const help = () => [h("summary", {}, "How to move in this picture"), h("p", {}, this.keys)];
+    fill(
+      this.element,
+      h(
+        "div",
+        { class: "figure-head" },
+        this.title && h("h3", {}, this.title),
+        this.more,
+        views.length > 0 && h("div", { class: "views", role: "group", "aria-label": "View" }, views),
+        h("button", { type: "button", class: "reset", hidden: chart.view === chart.home, onclick: reset }, "Show all"),
+      ),
+      h("ul", { class: "legend" }, spec && this.legend(spec)),
+      this.holder,
+      h("div", { class: "figure-foot" }, this.output, this.help && h("details", { class: "keys" }, help())),
+    );
+  }
+
+  // Of several series with one name the first is listed; all are shown and hidden together.
+  legend({ series, notes = [] }) {
+    const named = new Map(series.filter((one) => one.name && !one.silent).map((one) => [one.key ?? one.name, one]));
+    const toggle = (key) => {
+      if (!this.hidden.delete(key)) this.hidden.add(key);
+      this.set(this.spec, { keep: true });
+    };
+    const button = ([key, one]) =>
+      h(
+        "button",
+        { type: "button", class: "series", "aria-pressed": String(!one.hidden), onclick: () => toggle(key) },
+        swatch(one.colour),
+        one.name,
+      );
+    return [
+      ...[...named].map((one) => h("li", { key: one[0] }, button(one))),
+      ...notes.map(([colour, text]) =>
+        h("li", { class: "note", key: `note ${text}` }, colour && swatch(colour), text),
+      ),
+    ];
+  }
+}
+
+const swatch = (colour) => h("i", { class: "swatch", style: `background:var(--${colour})` });

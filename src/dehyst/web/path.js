@@ -1,0 +1,111 @@
+// A wanted path (time in s, displacement in um): its points, samples and voltage. The voltage is computed here, by the
+// WebAssembly of the model; displacements of the compensator are in metres.
+const MICRO = 1e-6;
+export const MOST_SAMPLES = 2_000_000;
+
+// Straight lines between points, sampled at `rate` (Hz) as the server does it.
+export function sampled(points, rate) {
+  const begin = points[0][0];
+  const count = Math.round((points.at(-1)[0] - begin) * rate) + 1;
+  if (!(count >= 2)) throw new Error(`${rate} Hz gives fewer than two samples; give a higher rate.`);
+  if (count > MOST_SAMPLES) {
+    throw new Error(`${rate} Hz gives ${count} samples, and at most ${MOST_SAMPLES} are drawn; give a lower rate.`);
+  }
+  const time = new Float64Array(count);
+  const wanted = new Float64Array(count);
+  let k = 0;
+  for (let i = 0; i < count; i += 1) {
+    const t = begin + i / rate;
+    while (k < points.length - 2 && points[k + 1][0] <= t) k += 1;
+    const [[t0, y0], [t1, y1]] = [points[k], points[k + 1]];
+    time[i] = t;
+    wanted[i] = t >= t1 ? y1 : y0 + ((y1 - y0) * (t - t0)) / (t1 - t0);
+  }
+  return { time, wanted };
+}
+
+// Points with one moved: it stays between its neighbours in time, `gap` seconds away at least; the first stays at 0.
+export function moved(points, index, [time, displacement], gap) {
+  const low = index === 0 ? points[0][0] : points[index - 1][0] + gap;
+  const high = index === 0 ? points[0][0] : (points[index + 1]?.[0] ?? Infinity) - gap;
+  const at = Math.min(Math.max(time, low), Math.max(low, high));
+  return points.map((one, k) => (k === index ? [at, displacement] : one));
+}
+
+// Points with one more, and its place among them; no change if it lies closer than `gap` seconds to another.
+export function inserted(points, [time, displacement], gap) {
+  if (points.some((one) => Math.abs(one[0] - time) < gap) || time < points[0][0]) return { points, index: -1 };
+  const index = points.filter((one) => one[0] < time).length;
+  return { points: [...points.slice(0, index), [time, displacement], ...points.slice(index)], index };
+}
+
+// Points without one; two stay at least, and the first does not go.
+export function removed(points, index) {
+  return points.length <= 2 || index <= 0 ? points : points.filter((_, k) => k !== index);
+}
+
+// Voltages for wanted displacements, what they reach, and the same of a straight gain within the same limits.
+export function plan(compensator, wanted) {
+  const metres = Float64Array.from(wanted, (y) => MICRO * y);
+  compensator.reset();
+  const way = compensator.lead(metres[0]);
+  const { voltage, displacement, clamped } = compensator.trajectory(metres);
+  const straight = straightGain(compensator, metres);
+  const reached = inMicrometres(displacement);
+  const straightReached = inMicrometres(compensator.simulate(straight));
+  const count = (code) => clamped.reduce((sum, one) => sum + (one === code), 0);
+  return {
+    voltage,
+    reached,
+    clamped,
+    straight,
+    straightReached,
+    missed: largestDifference(reached, wanted),
+    straightMissed: largestDifference(straightReached, wanted),
+    clamps: { limited: count(1), slewed: count(2) },
+    steepest: compensator.period ? largestDifference(voltage.subarray(1), voltage) / compensator.period : NaN,
+    way: way * compensator.period, // seconds from the model's start to the first sample, within the slew rate
+  };
+}
+
+// One gain and one offset: the ends of the voltage's range belong to the ends of the model's reach.
+function straightGain({ about, limits: [low, high], slewRate, period }, metres) {
+  const gain = (about.limits[1] - about.limits[0]) / (about.reach[1] - about.reach[0]);
+  const change = slewRate === null ? Infinity : slewRate * period;
+  const wanted = (y) => about.limits[0] + gain * (y - about.reach[0]);
+  let before = wanted(metres[0]);
+  return metres.map((y) => {
+    const within = Math.min(Math.max(wanted(y), before - change), before + change);
+    before = Math.min(high, Math.max(low, within));
+    return before;
+  });
+}
+
+const inMicrometres = (metres) => Float32Array.from(metres, (y) => y / MICRO);
+
+function largestDifference(some, others) {
+  let most = 0;
+  for (let i = 0; i < some.length; i += 1) most = Math.max(most, Math.abs(some[i] - others[i]));
+  return most;
+}
+
+// The turning points of a voltage, where it goes back by more than `band`, and its last value. The first value is one
+// if it is an end of the range: of another it is not known from where the voltage came.
+export function turningPoints(values, band) {
+  const ends = [Math.min, Math.max].map((end) => values.reduce((one, other) => end(one, other)));
+  const turns = ends.some((end) => Math.abs(values[0] - end) <= band) ? [values[0]] : [];
+  let direction = 0;
+  let [low, high] = [values[0], values[0]];
+  for (const value of values) {
+    if (value > high) high = value;
+    if (value < low) low = value;
+    if (direction >= 0 && high - value > band) {
+      if (direction) turns.push(high);
+      [direction, low] = [-1, value];
+    } else if (direction <= 0 && value - low > band) {
+      if (direction) turns.push(low);
+      [direction, high] = [1, value];
+    }
+  }
+  return [...turns, values.at(-1)];
+}

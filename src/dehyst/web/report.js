@@ -1,0 +1,44 @@
+// Draws the charts whose numbers a page holds.
+import { h } from "./dom.js";
+import { Figure } from "./figure.js";
+
+const COLUMNS = ["x", "y", "top", "values"];
+
+// A column is 32-bit floats, or 16-bit steps from its lowest value with one code for a missing value.
+function column(stored) {
+  const bytes = Uint8Array.from(atob(stored.floats ?? stored.steps), (letter) => letter.charCodeAt(0)).buffer;
+  if (stored.floats !== undefined) return new Float32Array(bytes);
+  const values = (code) => (code === 65535 ? NaN : stored.low + stored.step * code);
+  return Float64Array.from(new Uint16Array(bytes), values);
+}
+
+// Draw the charts of a report in their places below `root`; return the figures.
+export function drawCharts(root, { columns, charts }) {
+  const decoded = columns.map(column);
+  // A page without this script's own policy allows no style in its text.
+  for (const one of root.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
+  return [...root.querySelectorAll("[data-chart]")].map((place) => {
+    const { title, role, label, ...spec } = charts[place.dataset.chart];
+    const figure = new Figure({ title, label, help: false, more: role && h("span", { class: "role" }, role) });
+    const decode = (one) => COLUMNS.filter((name) => name in one).map((name) => [name, decoded[one[name]]]);
+    spec.series = spec.series.map((one) => ({ ...one, ...Object.fromEntries(decode(one)) }));
+    place.replaceChildren(figure.element);
+    figure.set(spec);
+    return figure;
+  });
+}
+
+// The parts of a report below its title, for a place on another page; and its figures.
+export function reportParts(text) {
+  // Its style is that of this page, whose policy may allow no other.
+  const page = new DOMParser().parseFromString(text.replace(/<style>.*?<\/style>/s, ""), "text/html");
+  const stored = page.getElementById("chart-data");
+  const element = document.createElement("div");
+  element.className = "report";
+  element.append(...page.querySelector("main").children);
+  for (const one of element.querySelectorAll("h1, nav")) one.remove();
+  return { element, figures: stored ? drawCharts(element, JSON.parse(stored.textContent)) : [] };
+}
+
+const stored = document.getElementById("chart-data");
+if (stored) drawCharts(document, JSON.parse(stored.textContent));

@@ -1,0 +1,312 @@
+"""Further channels of a record: each way in, through every operation, and each way out; what cannot be one."""
+
+import h5py
+import numpy as np
+import pandas as pd
+import pint
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+import xarray
+
+from dehyst import FileFormatError, RecordError
+from dehyst.identification.preprocessing.cleaning import remove_glitches
+from dehyst.identification.preprocessing.preparation import block_means
+from dehyst.records import Record, Recording, read, write_columns, write_hdf5, write_record
+from dehyst.records.record import Channel
+from dehyst.records.recording import Journal, salvage
+
+N = 120
+T = np.arange(N) * 0.01
+V = 50 - 50 * np.cos(2 * np.pi * T / 0.4)
+Y = 1e-7 * V
+TEMPERATURE = 20 + T
+LOAD = 3 - T
+HUMIDITY = 40 + 2 * T
+OTHERS = {"temperature_C": TEMPERATURE, "load_N": LOAD, "humidity [%]": HUMIDITY}
+FILE = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
+RECORD = Record(T, V, Y, "r", others=OTHERS)
+
+
+def shown(record):
+    return {one.column: (one.name, one.unit, one.role) for one in record.others}
+
+
+ALL = {
+    "temperature_C": ("temperature", "degC", "temperature"),
+    "load_N": ("load", "N", "load"),
+    "humidity [%]": ("humidity", "%", "other"),
+}
+
+
+def assert_all(record):
+    """A record holds all three, to the last bit."""
+    assert shown(record) == ALL
+    for one, values in zip(record.others, OTHERS.values(), strict=True):
+        assert np.array_equal(one.values, values)
+        assert not one.values.flags.writeable
+
+
+def test_by_arrays():
+    assert_all(RECORD)
+    assert_all(Record.from_arrays(T, V, Y * 1e6, others=OTHERS))
+    assert [one.role for one in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
+    assert repr(RECORD).endswith("um, temperature, load, humidity>")
+    assert "20 to 21.19 °C" in RECORD._repr_html_()
+    assert Record(T, V, Y).others == ()
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "name", "expected"),
+    [
+        ("temperature_K", TEMPERATURE + 273.15, "temperature", TEMPERATURE),
+        ("Temperature [degC]", TEMPERATURE, "Temperature", TEMPERATURE),
+        ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
+        ("Force_mN", LOAD * 1e3, "Force", LOAD),
+        ("load_kN", LOAD / 1e3, "load", LOAD),
+    ],
+)
+def test_units_are_those_of_the_quantity(column, values, name, expected):
+    (one,) = Record(T, V, Y, others={column: values}).others
+    assert one.name == name
+    assert one.values == pytest.approx(expected, rel=1e-12)
+    assert one.unit == {"temperature": "degC", "load": "N"}[one.role]
+
+
+@pytest.mark.parametrize(
+    ("column", "values"),
+    [
+        ("charge_C", V),
+        ("order_N", V),
+        ("flow [l/min]", V),
+        ("monitor_mV", V),
+    ],
+)
+def test_what_is_no_temperature_or_load_is_kept_as_it_is(column, values):
+    (one,) = Record(T, V, Y, others={column: values}).others
+    assert (one.role, one.column) == ("other", column)
+    assert np.array_equal(one.values, values)
+
+
+def test_quantities_are_converted():
+    units = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+    record = Record(
+        T, V, Y, others={"temperature_C": units.Quantity(TEMPERATURE + 273.15, "K"), "load_N": LOAD * 1e3 * units.mN}
+    )
+    assert record.others[0].values == pytest.approx(TEMPERATURE)
+    assert record.others[1].values == pytest.approx(LOAD)
+    with pytest.raises(RecordError, match="load_N: got a quantity in second, need one that can be converted to N"):
+        Record(T, V, Y, others={"load_N": T * units.s})
+
+
+@pytest.mark.parametrize(
+    ("others", "words"),
+    [
+        ({"temperature_C": T[1:]}, "columns differ in length"),
+        ({"temperature_C": np.where(T[3] == T, np.nan, 20.0)}, r"temperature\[3\] = nan degC"),
+        ({"temperature_C": T + 1e31}, r"temperature\[0\] = 1e\+31 degC is no temperature"),
+        ({"temperature_C": T + 1000.5}, r"temperature\[0\] = 1000.5 degC, need -273.15 to 1000 degC"),
+        ({"temperature_K": T - 1}, r"temperature\[0\] = -274.15 degC"),
+        ({"temperature": T}, "got 'temperature .*', need a name with its unit"),
+        ({"_C": T}, "need a name with its unit"),
+        ({"a,b_C": T}, "need a name with its unit"),
+        ({"a\nb_C": T}, "need a name with its unit"),
+        ({"temperature_C": ["warm"] * N}, "temperature_C is no array of numbers"),
+        ({"temperature_C": np.ones((N, 2))}, r"temperature_C has shape \(120, 2\)"),
+        ({"temperature_C": T, "temperature_K": T + 273}, "got the name 'temperature' twice"),
+        ({"voltage_V": V}, "got the name 'voltage' twice"),
+        ({"time_s": T}, "got the name 'time' twice"),
+    ],
+)
+def test_what_cannot_be_a_channel_is_refused(others, words):
+    with pytest.raises(RecordError, match=words):
+        Record(T, V, Y, others=others)
+
+
+def test_operations_keep_them():
+    assert_all(RECORD.with_name("other"))
+    assert_all(RECORD.delayed(0.003))
+    part = RECORD[10:50]
+    assert shown(part) == ALL
+    assert np.array_equal(part.others[0].values, TEMPERATURE[10:50])
+    assert np.array_equal(RECORD.between(0.2, 0.4).others[1].values, LOAD[20:41])
+    assert np.array_equal(RECORD.take(V > 50).others[2].values, HUMIDITY[V > 50])
+    for kind in ("linear", "pchip"):
+        fine = RECORD.resample(0.005, kind)
+        assert fine.others[0].values == pytest.approx(20 + fine.time)
+    several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
+    assert_all(several)
+    assert_all(several.axis("y"))
+    assert repr(several).endswith("axes x, y, temperature, load, humidity>")
+
+
+def test_preparation_keeps_them_in_step():
+    v = V.copy()
+    v[30] += 40
+    clean, _, sentences = remove_glitches(Record(T, v, Y, others=OTHERS))
+    assert len(sentences) == 1
+    assert np.array_equal(clean.others[0].values, np.delete(TEMPERATURE, 30))
+    assert block_means(RECORD, 4).others[0].values == pytest.approx(TEMPERATURE.reshape(-1, 4).mean(axis=1))
+
+
+# Files
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".h5"])
+def test_record_files_keep_all(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    (write_hdf5 if suffix == ".h5" else write_record)(path, RECORD)
+    record = read(path)
+    assert_all(record)
+    assert record.problems() == RECORD.problems()
+    if suffix == ".csv":
+        assert path.read_text().splitlines()[1] == "time_s,voltage_V,displacement_um,temperature_C,load_N,humidity [%]"
+        assert record.meta["columns"]["load"] == "load_N"
+    several = Record(T, np.c_[V, V], np.c_[Y, Y], others=OTHERS)
+    if suffix != ".h5":
+        write_record(path, several)
+        assert_all(read(path, axes="vx_V:x_um vy_V:y_um" if suffix != ".npz" else "vx_V:x_m vy_V:y_m"))
+
+
+def test_the_hash_of_an_hdf5_file_covers_them(tmp_path):
+    write_hdf5(tmp_path / "a.h5", RECORD)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        assert file["load_N"].attrs["unit"] == "N"
+        file["load_N"][3] += 1e-9
+    with pytest.raises(FileFormatError, match="its samples are not those that were written"):
+        read(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".h5", ".npz"])
+def test_temperatures_and_loads_are_found_in_files_of_others(suffix, tmp_path):
+    columns = {**FILE, "Temperature [K]": TEMPERATURE + 273.15, "load_N": LOAD, "spare_V": V, "order_N": V}
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".csv":
+        write_columns(path, columns)
+    elif suffix == ".parquet":
+        pq.write_table(pa.table(columns), path)
+    elif suffix == ".mat":
+        columns["temperature_K"] = columns.pop("Temperature [K]")
+        scipy.io.savemat(path, columns)
+    elif suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            for name, values in columns.items():
+                file[name] = values
+    else:
+        np.savez(path, **columns)
+    record = read(path)
+    assert {one.role for one in record.others} == {"temperature", "load"}
+    assert next(one for one in record.others if one.role == "temperature").values == pytest.approx(TEMPERATURE)
+
+
+def test_columns_choose_and_leave_out(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = np.column_stack([T, V, Y, TEMPERATURE, HUMIDITY]).tolist()
+    path.write_text("\n".join(",".join(map(repr, row)) for row in rows))
+    record = read(path, columns="time:s,voltage:V,displacement:m,temperature:C?,humidity:%")
+    assert shown(record) == {key: ALL[key] for key in ("temperature_C", "humidity [%]")}
+    assert record.meta["guesses"] == {"temperature": "column '4' in C"}
+    assert any("The temperature is guessed, verify" in words for words in record.problems())
+    assert record.meta["columns"]["humidity"] == "humidity"
+    record = read(path, columns="time:s,voltage:V,displacement:m,-,humidity")
+    assert record.others == ()
+    write_columns(path, {**FILE, "temperature_C": TEMPERATURE})
+    assert read(path, columns="time:s,voltage:V,displacement:um,-").others == ()
+
+
+def test_a_channel_that_cannot_be_read_is_left_out_unless_it_was_asked_for(tmp_path):
+    path = tmp_path / "a.csv"
+    write_columns(path, {**FILE, "temperature_C": np.where(T > 1, np.nan, 20)})
+    record = read(path)
+    assert record.others == ()
+    assert any(
+        "Column 'temperature_C' is left out: temperature holds 19 values not finite" in w for w in record.problems()
+    )
+    with pytest.raises(RecordError, match=r"a\.csv: column 'temperature': temperature holds 19 values not finite"):
+        read(path, columns="time:s,voltage:V,displacement:um,temperature:C")
+
+
+def test_a_second_file_may_have_them(tmp_path):
+    write_columns(tmp_path / "a.csv", FILE)
+    slow = np.linspace(-1, 3, 20)
+    write_columns(tmp_path / "b.csv", {"time_s": slow, "temperature_C": 20 + slow})
+    (one,) = read(tmp_path / "a.csv", join=tmp_path / "b.csv").others
+    assert (one.name, one.role) == ("temperature", "temperature")
+    assert one.values == pytest.approx(TEMPERATURE)
+
+
+# Tables
+
+
+def test_dataframe_and_back():
+    frame = RECORD.to_dataframe()
+    assert list(frame.columns) == [*FILE, *OTHERS]
+    assert_all(Record.from_dataframe(frame))
+    assert Record(T, V, Y).to_dataframe().attrs == {"name": "record"}
+    (one,) = Record.from_dataframe(pd.DataFrame({**FILE, "Force [mN]": LOAD * 1e3})).others
+    assert one.values == pytest.approx(LOAD)
+
+
+def test_xarray_and_back():
+    dataset = RECORD.to_xarray()
+    assert dataset["temperature"].attrs == {"units": "degC", "role": "temperature"}
+    assert dataset["voltage"].attrs == {"units": "V"}
+    assert_all(Record.from_xarray(dataset))
+    plain = xarray.Dataset(
+        {
+            "voltage": ("time", V),
+            "displacement": ("time", Y),
+            "temp": ("time", TEMPERATURE + 273.15, {"units": "K"}),
+            "spare": ("time", V, {"units": "V"}),
+        },
+        coords={"time": T},
+    )
+    (one,) = Record.from_xarray(plain).others
+    assert (one.name, one.role) == ("temp", "temperature")
+    assert one.values == pytest.approx(TEMPERATURE)
+
+
+# Recordings
+
+
+class Block:
+    def __init__(self, rows, **others):
+        self.time, self.voltage, self.displacement = T[rows], V[rows], Y[rows]
+        self.others = {name: values[rows] for name, values in others.items()}
+
+
+def test_a_recording_keeps_them(tmp_path):
+    with Recording(tmp_path / "a.h5", others=OTHERS) as recording:
+        for start in range(0, N, 40):
+            recording.add(Block(slice(start, start + 40), **OTHERS))
+        with pytest.raises(RecordError, match="got samples without load_N, humidity"):
+            recording.add(Block(slice(0, 5), temperature_C=TEMPERATURE))
+        recording.finish()
+    assert_all(read(tmp_path / "a.h5"))
+    with Recording(tmp_path / "b.h5") as recording:
+        recording.finish(RECORD)
+    assert_all(read(tmp_path / "b.h5"))
+    with pytest.raises(FileFormatError, match=r"others: got .*need a name with its unit"):
+        Recording(tmp_path / "c.h5", others=["temperature"])
+
+
+def test_a_journal_keeps_them(tmp_path):
+    recording = Recording(tmp_path / "a.h5", others=OTHERS)
+    recording.add(Block(slice(None), **OTHERS))
+    recording._journal.close()
+    journal = Journal.reopen(recording.journal)
+    assert list(journal.read().columns) == ["time_s", "voltage_V", "displacement_m", *OTHERS]
+    journal.close()
+    text = recording.journal.read_text()
+    recording.journal.write_text(text.replace("\n", "\n1,2,3\n", 3))
+    assert salvage(tmp_path) == [tmp_path / "a.h5"]
+    record = read(tmp_path / "a.h5")
+    assert_all(record)
+    assert record.meta["unreadable_lines"] >= 1
+
+
+def test_a_channel_by_itself():
+    one = Channel("temperature", "degC", "temperature", "", TEMPERATURE)
+    assert (one.column, one.fault) == ("temperature_C", "")
+    assert Channel("Room", "degC", "temperature", "", TEMPERATURE).column == "Room_degC"
