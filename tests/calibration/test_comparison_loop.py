@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_listener import Heard
-from dehyst.cli.output.instrument_errors import _left
 from plain_records import plant
 from rehearsal import DEHYST, Served
 
@@ -21,6 +20,7 @@ from dehyst.calibration.protocol import ExcitationPlan
 from dehyst.calibration.session import NullProgress, Session
 from dehyst.instruments import open_rig
 from dehyst.instruments.simulated import SimulatedRig
+from dehyst.operations.bench import _left
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
 from dehyst.waveforms import staircase
@@ -389,5 +389,7 @@ def test_only_what_can_be_mended_is_said_to_go_on(tmp_path):
     another, full = FileFormatError("holds a calibration of another"), unwritten("a.h5", OSError(28, "No space left"))
     full.__cause__ = OSError(28, "No space left")
     for error, goes_on in ((another, False), (full, True), (RecordError("another actuator"), False)):
-        (said,) = _left(tmp_path, error)
+        with pytest.raises(type(error)), _left(tmp_path, again=True):
+            raise error
+        (said,) = error.__notes__
         assert ("the same command goes on from there" in said) == goes_on

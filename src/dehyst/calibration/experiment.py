@@ -135,7 +135,7 @@ def calibrate(
         several axes are moved aside.
     plan : Plan, optional
     watcher : ProgressListener, optional
-        Receives the progress, like the result of `dehyst.cli.output.live.display`.
+        Receives the progress, like the result of `dehyst.cli.live.display`.
 
     Raises
     ------

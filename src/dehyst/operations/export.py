@@ -30,11 +30,9 @@ def _target(given: Values) -> str:
     """Return what is written: "C", "C of axes", "WebAssembly", "FMU" or "FMU of the actuator"."""
     if is_stage(given["model"]):
         return "C of axes"
-    if given["directory"].suffix == ".wasm":
-        return "WebAssembly"
-    if given.get("fmu") is None:
-        return "C"
-    return "FMU of the actuator" if given.get("kind") == "actuator" else "FMU"
+    if given["directory"].suffix == ".fmu":
+        return "FMU of the actuator" if given.get("kind") == "actuator" else "FMU"
+    return "WebAssembly" if given["directory"].suffix == ".wasm" else "C"
 
 
 def _on(*targets: str) -> Only:
@@ -58,7 +56,7 @@ def export(
     preview: Annotated[bool, _on("C", "WebAssembly", "FMU")] = False,
     name: Annotated[str | None, _of_c] = None,
     measure: Annotated[bool, _of_c] = True,
-    fmu: Annotated[Literal["2.0", "3.0"] | None, _of_fmu] = None,
+    fmu: Annotated[Literal["2.0", "3.0"], _of_fmu] = "3.0",
     kind: Annotated[Literal["compensator", "actuator"], _of_fmu] = "compensator",
     start: Start = _TOP,
 ) -> Result:
@@ -66,8 +64,8 @@ def export(
 
     A model of several axes is written as C only, with all its axes and their coupling.
 
-    With --fmu, write it or its actuator as an FMU for co-simulation. To a name that ends in .wasm, write it as
-    WebAssembly, and beside it the JavaScript module that calls it.
+    To a name that ends in .fmu, write it or its actuator as an FMU for co-simulation. To one that ends in .wasm, write
+    it as WebAssembly, and the JavaScript module that calls it.
 
     Parameters
     ----------
@@ -86,17 +84,15 @@ def export(
     measure
         Compile it and report its size and the error of floats; takes seconds.
     fmu
-        Write an FMU of this version of FMI instead.
+        Version of FMI.
     kind
         Of an FMU: displacement to voltage, or the virtual actuator.
     start
         State in which memory begins, as in compensate.
     """
-    target = _target({"model": model, "directory": directory, "fmu": fmu, "kind": kind})
-    suffix = directory.suffix
-    if (suffix == ".fmu" and fmu is None) or (target == "C of axes" and suffix == ".wasm"):
-        need = "a folder" if target == "C of axes" else "--fmu with it, or a folder"
-        raise OperationError(argument="directory", got=str(directory), need=need)
+    target = _target({"model": model, "directory": directory, "kind": kind})
+    if target == "C of axes" and directory.suffix in (".fmu", ".wasm"):
+        raise OperationError(argument="directory", got=str(directory), need="a folder for several axes")
     if "FMU" in target or target == "WebAssembly":
         demand_outputs([model], wasm_files(directory) if target == "WebAssembly" else [directory])
     known = AxesModel.read(run, model)

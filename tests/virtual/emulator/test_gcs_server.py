@@ -295,7 +295,7 @@ def test_a_fault_comes_in_the_middle_of_the_first_wave_unless_told():
 def command(*options):
     """`dehyst rig serve` as a process, and its port."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from dehyst.cli.registry import main; main()", "rig", "serve", "--port", "0", *options],
+        [sys.executable, "-c", "from dehyst.cli import main; main()", "rig", "serve", "--port", "0", *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
