@@ -332,7 +332,7 @@ def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
 
 
 def calibrated(address, out):
-    command = [*DEHYST, "calibrate", address, "-o", str(out), "--rounds", "0"]
+    command = [*DEHYST, "calibrate", address, "-o", str(out), "--options", '{"rounds": 0}']
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 

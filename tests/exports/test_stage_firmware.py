@@ -250,7 +250,7 @@ class TestCommand:
 
     @pytest.mark.parametrize(
         "options",
-        [("--fmu", "3.0"), ("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")],
+        [("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")],
     )
     def test_what_is_for_single_actuators_is_refused(self, file, tmp_path, options):
         (tmp_path / "x.csv").write_text("voltage_V\n0\n")

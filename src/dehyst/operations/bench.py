@@ -49,7 +49,7 @@ def _names(given: Values) -> list[str] | None:
 _single = Only(lambda given: _names(given) is None, "with several axes")
 
 
-@operation(Plan, rare=("hold", "rounds"))
+@operation(Plan, rare=("rounds",))
 def calibrate(
     run: Run,
     rig: str,

@@ -185,7 +185,7 @@ class StageFit:
         return f"{head}: {missed}"
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst identify --axes` prints, in lines; `full`: with `--verbose`."""
+        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--all`."""
         return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 
     def as_dict(self) -> dict[str, Any]:
