@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import shlex
 import time
 
 import numpy as np
