@@ -171,7 +171,6 @@ PASSING = PlayBank([0.0, 2], [(), ()], [[1e-7], [1e-7]], 0.0, [1.0], [1e-9])
             lambda: PASSING.simulate(np.zeros(2), PASSING.state_after_descent(0), [1.0, 1]),
             "does not increase at sample 1",
         ),
-        (lambda: PASSING.simulate(np.zeros(2), None, [1.0, 2]), "state: got NoneType"),
         (lambda: PASSING.simulate(np.zeros(2), PlayState(0.0, [0.0], [0.0]), [1.0, 2]), "got 1 plays and 1 low-passes"),
         (lambda: PASSING.simulate(np.zeros(2), PlayState(0.0, [0.0, 9], [0.0]), [1.0, 2]), "a play lies farther"),
     ],

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import time
 from pathlib import Path
@@ -63,10 +64,13 @@ def test_a_run_beside_another_is_refused_and_the_table_is_that_of_the_first(data
     output = tmp_path / "m.parquet"
     first = started(dataset, output)
     assert until(lambda: rows_of(output))
+    # It stands still until the second one has looked, however slowly that starts.
+    os.kill(first.pid, signal.SIGSTOP)
     second = started(dataset, output, *more)
     _, errors = second.communicate(timeout=60)
+    os.kill(first.pid, signal.SIGCONT)
     assert second.returncode == 2 and f"process {first.pid} on" in errors
-    assert first.wait(timeout=60) == 0
+    assert first.wait(timeout=120) == 0
     assert [row["outcome"] for row in load(output).rows] == ["identified"] * 4
     assert not Path(f"{output}.parts").exists()
 

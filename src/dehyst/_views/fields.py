@@ -10,14 +10,10 @@ import numpy as np
 
 
 def json_values(owner: object, keys: str) -> dict[str, Any]:
-    """Return attributes of an object as JSON values.
+    """Return attributes of an `owner` as JSON values.
 
-    Parameters
-    ----------
-    owner : object
-    keys : str
-        Names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
-        "key=outer.inner" from one of an attribute, None if that is None.
+    `keys`: names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
+    "key=outer.inner" from one of an attribute, None if that is None.
     """
     pairs = (entry.partition("=") for entry in keys.split())
     return {key: json_value(_attribute(owner, name or key)) for key, _, name in pairs}

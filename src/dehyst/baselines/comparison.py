@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
+import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite
 from numbers import Real
 from typing import Any, NamedTuple, TypeAlias
 
@@ -339,14 +339,6 @@ def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
     path = model.simulate(long, **options).displacement
 
     def nanoseconds(run: Callable[..., Motion], drive: Array) -> float:
-        best = np.inf
-        for _ in range(_RUNS_TO_TIME):
-            begin = time.perf_counter()
-            run(drive, **options)
-            best = min(best, time.perf_counter() - begin)
-        return 1e9 * best / drive.size
+        return 1e9 / drive.size * min(timeit.repeat(lambda: run(drive, **options), number=1, repeat=_RUNS_TO_TIME))
 
-    both = nanoseconds(model.simulate, long), nanoseconds(model.compensate, path)
-    if not all(map(isfinite, both)):
-        raise IdentifyError("the clock gave no time: got an infinite or undefined duration; run the comparison again")
-    return both
+    return nanoseconds(model.simulate, long), nanoseconds(model.compensate, path)

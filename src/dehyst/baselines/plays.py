@@ -152,8 +152,6 @@ class PlayBank:
 
     def _timed(self, state: PlayState, time: ArrayLike | None, samples: int) -> tuple[float | None, Array]:
         """Return the time at the end and, with low-passes, the seconds (n,) before each sample; check the state."""
-        if not isinstance(state, PlayState):
-            raise ModelError(f"state: got {type(state).__name__}, need one that this model returned")
         if state.plays.size != self.thresholds.size or state.lowpasses.size != self.times.size:
             raise ModelError(
                 f"state: got {state.plays.size} plays and {state.lowpasses.size} low-passes, need "

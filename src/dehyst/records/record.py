@@ -153,11 +153,13 @@ class Record:
                 name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
                 if words := quality.fault_of(values, column, unit):
                     raise RecordError(f"record '{name}': {words}")
-        if words := quality.not_rising(self.time) or next((one.fault for one in self.others if one.fault), ""):
+        if words := quality.not_rising(self.time):
             raise self._error(words)
-        names = ["time", *(one.name for one in self.channels)]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise self._error(f"others: got the name '{twice[0]}' twice, need different names; rename one")
+        for one in self.others:
+            if one.fault:
+                raise self._error(one.fault)
+            if one.name in ("time", *(other.name for other in self.channels if other is not one)):
+                raise self._error(f"others: got the name '{one.name}' twice, need different names; rename one")
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)

@@ -192,14 +192,14 @@ def _columns_error(table: Table, choice: Choice, problems: list[ColumnError], ta
     join = bool(lacking) and not any(column.unnamed for column in table.columns)
     joining = " If it is in a second file, join that one." if join else ""
     if len({error.problem for error in problems}) == 1:
-        reason = f"{table.source}: {problems[0].problem}{problems[0].advice}"
+        reason = f"{table.source}: {problems[0].problem}{'; ' * bool(problems[0].hint)}{problems[0].hint}"
         reason = f"{reason}{'' if not join or reason.endswith('.') else '.'}{joining}"
     else:
         asked = " and ".join(f"that of the {error.quantity}" for error in problems)
         names = ", ".join(f"'{QUANTITIES[error.quantity].example}'" for error in problems)
         untimed = any(error.quantity == "time" for error in problems)
         rate = " Without a time column, give the sample rate in Hz." if untimed else ""
-        faults = "; ".join(error.problem + error.short for error in problems)
+        faults = "; ".join(error.problem for error in problems)
         reason = (
             f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} are "
             f"found by themselves.{rate}{joining}"
@@ -280,7 +280,7 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     """Return how little the name and the unit of a column are those of a quantity."""
     word, unit = column.parts
     stated, lower = quantity_of(unit), f"{word} {column.leaf}".lower()
-    fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts)}
+    fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts.split(", "))}
     named = quantity in fits or (len(word) == 1 and word.lower() in QUANTITIES[quantity].letters)
     sensor = quantity == "displacement" and stated == "voltage"
     return (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity})

@@ -65,7 +65,7 @@ class Excitation:
     name : str
         Its kind.
     voltage : (n,) or (n, axes) array_like
-        [V], n >= 2, of several axes a column each; kept as a read-only copy.
+        [V], n >= 2, of several axes a column each; kept as a read-only copy. `RecordError` for anything else.
     sample_rate : float
         [Hz].
     warnings : tuple of str
@@ -74,11 +74,6 @@ class Excitation:
         Names of several axes.
     parts : tuple of (str, int, int)
         Name, first sample and the sample after the last of each part, if it has parts.
-
-    Raises
-    ------
-    RecordError
-        If the voltage is not at least two rows of finite numbers, or the sample rate is not positive.
     """
 
     name: str

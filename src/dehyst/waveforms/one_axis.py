@@ -22,23 +22,17 @@ _TURNS = 0.1
 class Triangle(Scan):
     """A path up and down between two displacements; it begins at rest, at the lower one.
 
+    Both legs are whole numbers of samples. See `Scan` for the fields that are not listed.
+
     Parameters
     ----------
     low, high : float
         Turning points [m], met exactly.
-    frequency : float
-        Cycles a second [Hz].
     turns : float, optional
         Share of the time of each leg that is spent turning, half of it at either end; above 0 and up to 1. By default
         as short as the acceleration allows, or 0.1 if that is not limited.
-    speed, acceleration : float, optional
-        Largest abs(dy/dt) [m/s] and abs(d2y/dt2) [m/s^2] allowed.
     rising : float
         Share of the time that it rises; a share other than 1/2 makes a saw-tooth.
-    rounding : {"parabola", "cosine"}
-        Turns of constant acceleration, or of one without jumps and twice as high.
-    sample_rate : float, optional
-        [Hz]; by default 400 samples a cycle. Both legs are whole numbers of samples.
     """
 
     low: base.Low
@@ -131,6 +125,8 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 class Steps(Scan):
     """A path from level to level that rests on each; it begins at rest, on the first.
 
+    By default the shortest edge has 50 samples. See `Scan` for the fields that are not listed.
+
     Parameters
     ----------
     levels : sequence of float
@@ -143,12 +139,8 @@ class Steps(Scan):
     shape : {"minimum-jerk", "trapezoid"}
         Polynomials of least jerk, or straight lines with ends of constant acceleration, which take the whole edge if
         no acceleration is given.
-    speed, acceleration : float, optional
-        Largest abs(dy/dt) [m/s] and abs(d2y/dt2) [m/s^2] allowed.
     closed : bool
         Whether it goes back to the first level at the end, so that it can be repeated.
-    sample_rate : float, optional
-        [Hz]; by default 50 samples in the shortest edge.
     """
 
     levels: Annotated[tuple[float, ...], ScanOption("um", "Levels of steps")]

@@ -381,10 +381,13 @@ class ScanPath:
 
 
 class Scan(ABC):
-    """A path for each axis, whose fields are its options. `axes`: their names.
+    """A path for each axis (`axes`: their names), whose fields are its options.
 
-    The number of samples of a period is rounded up: a scan is never faster than requested. It raises `RecordError`,
-    with what can be done, if a number is impossible or the limits cannot be kept.
+    Of most: `frequency`, periods a second [Hz]; `speed` [m/s] and `acceleration` [m/s^2], the largest of any axis that
+    are allowed; `rounding`, turns of constant acceleration ("parabola"), or of one without jumps and twice as high
+    ("cosine"); `sample_rate` [Hz], by default 400 samples a cycle. The number of samples of a period is rounded up: a
+    scan is never faster than requested. It raises `RecordError`, with what can be done, if a number is impossible or
+    the limits cannot be kept.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)

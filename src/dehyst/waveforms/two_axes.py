@@ -35,10 +35,10 @@ YHigh: TypeAlias = Annotated[
 class Raster(Scan):
     """Lines along x, each forth and back, at places along y from `y_low` to `y_high`; then back to the first line.
 
+    `low`, `high`, `frequency`, `turns` and `rising` are those of the `Triangle` along x, with the fields of `Scan`.
+
     Parameters
     ----------
-    low, high, frequency, turns, speed, acceleration, rising, rounding, sample_rate
-        Of the triangle along x, as in `Triangle`; the frequency is that of lines. The limits apply along y too.
     lines : int
         2 or more.
     y_low, y_high : float, optional
@@ -174,21 +174,17 @@ class Raster(Scan):
 class Lissajous(Scan):
     """``x = cx + ax sin(2 pi p f t)``, ``y = cy + ay sin(2 pi q f t + phase)``.
 
+    f is the `frequency`; the faster axis has 400 samples a period. See `Scan` for the fields that are not listed.
+
     Parameters
     ----------
     amplitude, centre : (float, float)
         a and c along x and y [m].
-    frequency : float
-        f, periods of the whole figure a second [Hz].
     ratio : (int, int)
         p and q, without a common factor.
     phase : float, optional
         [rad]; by default the phase at which the lines of the figure lie farthest apart. Such phases are pi/p apart;
         halfway between two of them the figure retraces its own line.
-    speed, acceleration : float, optional
-        Largest abs(dx/dt) [m/s] and abs(d2x/dt2) [m/s^2] allowed, of either axis.
-    sample_rate : float, optional
-        [Hz]; by default 400 samples a period of the faster axis.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
@@ -254,7 +250,8 @@ class Spiral(Scan):
 
     ``x = r cos(phi), y = r sin(phi)`` about the centre; r grows evenly with phi, except where it turns at the rim. The
     way out takes `revolutions` + 1/4, and so does the way back: then the path through the centre is straight, and the
-    scan closes.
+    scan closes. By default a revolution has 100 samples, or so many that one at the centre takes less than about 1/4
+    rad. See `Scan` for the fields that are not listed.
 
     Parameters
     ----------
@@ -262,20 +259,12 @@ class Spiral(Scan):
         [m], met exactly.
     revolutions : int
         1 or more.
-    frequency : float
-        Ways out and back a second [Hz].
     constant : {"linear", "angular"}
         The speed that is constant; with a constant angular speed the centre is scanned slowly.
     centre : (float, float)
         [m].
     turns : float
         Share of the angle in which the radius turns, at the rim; above 0 and up to 1.
-    speed, acceleration : float, optional
-        Largest abs(dx/dt) and abs(d2x/dt2) allowed, of either axis.
-    rounding : {"parabola", "cosine"}
-        How the radius turns, as in `Triangle`.
-    sample_rate : float, optional
-        [Hz]; by default 100 samples a revolution, or so many that one at the centre takes less than about 1/4 rad.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")

@@ -21,15 +21,14 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 class ColumnWords(NamedTuple):
     """What is known about the columns of a quantity.
 
-    `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts`, `letters`:
-    in names of the quantity, for proposals. `units`: the usual ones, and `range` in SI units in which a piezo actuator
-    is plausible. `scale`: an example.
+    `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
+    in names, the usual `units`, and the plausible `range` in SI units: for proposals. `scale`: an example.
     """
 
     example: str
-    words: frozenset[str]
-    more: frozenset[str]
-    parts: tuple[str, ...]
+    words: str
+    more: str
+    parts: str
     letters: str
     units: tuple[str, ...]
     range: tuple[float, float]
@@ -40,49 +39,33 @@ class ColumnWords(NamedTuple):
 HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
 QUANTITIES = {
     "time": ColumnWords(
-        "time_s",
-        frozenset(("time", "t")),
-        frozenset(
-            [
-                "timestamp",
-                "datetime",
-                "date",
-                "x_value",
-                "x-axis",
-                "second",
-                "seconds",
-                "sec",
-                "zeit",
-                "temps",
-                "tiempo",
-            ]
-        ),
-        ("time", "zeit", "second", "temps"),
-        "t",
-        ("s", "ms"),
-        (0.0, 1e7),
+        example="time_s",
+        words="time, t",
+        more="timestamp, datetime, date, x_value, x-axis, second, seconds, sec, zeit, temps, tiempo",
+        parts="time, zeit, second, temps",
+        letters="t",
+        units=("s", "ms"),
+        range=(0.0, 1e7),
     ),
     "voltage": ColumnWords(
-        "voltage_V",
-        frozenset(("voltage", "v", "drive")),
-        frozenset(
-            ("u", "spannung", "tension", *(f"{word} voltage" for word in ("piezo", "drive", "output", "control")))
-        ),
-        ("volt", "spannung", "drive", "ampl", "monitor", "command", "tension", "ao", "output", "ausgang"),
-        "uv",
-        ("V", "mV"),
-        (0.0, HIGHEST_VOLTAGE),
-        "100 V/V",
+        example="voltage_V",
+        words="voltage, v, drive",
+        more="u, spannung, tension, piezo voltage, drive voltage, output voltage, control voltage",
+        parts="volt, spannung, drive, ampl, monitor, command, tension, ao, output, ausgang",
+        letters="uv",
+        units=("V", "mV"),
+        range=(0.0, HIGHEST_VOLTAGE),
+        scale="100 V/V",
     ),
     "displacement": ColumnWords(
-        "displacement_um",
-        frozenset(("displacement", "position", "y", "pos")),
-        frozenset(["disp", "deflection", "elongation", "extension", "weg", "auslenkung", "verschiebung"]),
-        ("disp", "pos", "weg", "auslenk", "sensor", "gauge", "strain", "stroke", "capac", "ai", "height"),
-        "yxzdw",
-        ("um", "nm", "mm", "m"),
-        STROKES,
-        "10 um/V",
+        example="displacement_um",
+        words="displacement, position, y, pos",
+        more="disp, deflection, elongation, extension, weg, auslenkung, verschiebung",
+        parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height",
+        letters="yxzdw",
+        units=("um", "nm", "mm", "m"),
+        range=STROKES,
+        scale="10 um/V",
     ),
 }
 # A stroke of many piezo actuators [m].
@@ -274,7 +257,11 @@ class Column:
     @property
     def quantities(self) -> set[str]:
         """The quantities whose words are the column's name; most names have none."""
-        return {quantity for quantity, known in QUANTITIES.items() if self.words & (known.words | known.more)}
+        return {
+            quantity
+            for quantity, known in QUANTITIES.items()
+            if self.words & {*known.words.split(", "), *known.more.split(", ")}
+        }
 
 
 def without_groups(column: Column) -> Column:
@@ -289,8 +276,7 @@ def without_groups(column: Column) -> Column:
 class ColumnError(FileFormatError):
     """A quantity that cannot be read from its column.
 
-    `problem`: what is wrong, without the name of the file. `advice`: what to try. `quantity`: the one it concerns.
-    `column`: the one it concerns if there is one. `short`: a short advice. `change`: as in `DehystError`.
+    `problem`: what is wrong, without the name of the file and the hint. `column`: the one it concerns if there is one.
     """
 
     def __init__(
@@ -298,14 +284,12 @@ class ColumnError(FileFormatError):
         source: str,
         quantity: str,
         problem: str,
-        advice: str,
+        hint: str = "",
         column: Column | None = None,
-        short: str = "",
         change: Sequence[str] = (),
     ) -> None:
-        super().__init__(f"{source}: {problem}{advice}", change=change)
-        self.quantity, self.problem, self.advice = quantity, problem, advice
-        self.column, self.short = column, short
+        super().__init__(f"{source}: {problem}", hint=hint, change=change)
+        self.quantity, self.problem, self.column = quantity, problem, column
 
 
 def _option(quantity: str, value: str) -> str:
@@ -346,7 +330,7 @@ class Selected:
             unit = self.unit or scale.per
             if refusal := scale.refusal(unit):
                 problem = f" has the unit '{shortened(unit)}', but {refusal}"
-                advice = "; give a scale for that unit, or leave it out"
+                advice = "give a scale for that unit, or leave it out"
                 raise self._error(problem, advice, change=(f"{self.quantity}_scale",), usable=False)
         elif self.unit not in FACTORS[self.quantity]:
             raise self._unknown_unit()
@@ -357,36 +341,35 @@ class Selected:
             given = _option("voltage_scale", f"{GAIN} V/V")
             raise self._error(
                 f" has the name of an output or a monitor, and only {values.min():.4g} to {values.max():.4g} V",
-                f"; if an amplifier multiplies or divides it, give {given} with the gain for {GAIN}; if these are the "
+                f"if an amplifier multiplies or divides it, give {given} with the gain for {GAIN}; if these are the "
                 f"volts of the actuator, give {_option('voltage_scale', '1 V/V')}",
-                f", give its scale, {given} with a number for {GAIN}",
                 change=("voltage_scale",),
             )
         return values
 
-    def _error(
-        self, problem: str, advice: str = "", short: str = "", *, change: Sequence[str] = (), usable: bool = True
-    ) -> ColumnError:
+    def _error(self, problem: str, hint: str = "", *, change: Sequence[str] = (), usable: bool = True) -> ColumnError:
         problem = f"column '{shortened(self.column.name)}'{problem}"
-        return ColumnError(self.source, self.quantity, problem, advice, self.column if usable else None, short, change)
+        return ColumnError(self.source, self.quantity, problem, hint, self.column if usable else None, change)
 
     def _unknown_unit(self) -> ColumnError:
         quantity, unit, example = self.quantity, self.unit, QUANTITIES[self.quantity].example
         stated = f" has the unit '{shortened(unit)}', unknown for {quantity}" if unit else " has no unit"
-        advice, hint = f"; known are {', '.join(FACTORS[quantity])}. ", ""
+        advice = f"known are {', '.join(FACTORS[quantity])}. "
         sensor = quantity_of(unit) == "voltage" and quantity == "displacement"
         if sensor:
-            hint = f", give its scale, {_option('displacement_scale', f'{GAIN} um/{unit}')} with a number for {GAIN}"
-            advice += f"If it is a sensor's voltage{hint}; or select another column with {_option(quantity, 'NAME')}"
+            scale = _option("displacement_scale", f"{GAIN} um/{unit}")
+            advice += (
+                f"If it is a sensor's voltage, give its scale, {scale} with a number for {GAIN}; or select another "
+            )
+            advice += f"column with {_option(quantity, 'NAME')}"
         elif quantity_of(unit):
             advice += f"Select another column with {_option(quantity, 'NAME')}, or correct the unit in the file"
         else:
             guess = "" if unit else plausible_unit(quantity, self.column.data)
             named = _option(quantity, f"{shortened(self.column.name)}:{guess + GUESS if guess else 'UNIT'}")
-            hint = f", try {named}"
             advice += f"Name it like '{example}' or '{example.replace('_', ' [')}]', or give {named}"
         change = ("displacement_scale", quantity) if sensor else (quantity,)
-        return self._error(stated, advice, hint, change=change, usable=sensor or not unit)
+        return self._error(stated, advice, change=change, usable=sensor or not unit)
 
     def refuse_other_unit(self, given: str) -> None:
         """Raise ColumnError if the name of the column, the file and the user state different units.
@@ -400,21 +383,20 @@ class Selected:
             if named := self.column.contradiction:
                 units = [unit for unit in (named, stated) if unit in known]
                 options = " or ".join(_option(quantity, f"{shortened(self.column.name)}:{unit}") for unit in units)
-                hint = f", give {options}" if units else ""
                 problem = f" has the unit '{named}' in its name, but the file states '{stated}' for it"
-                raise self._error(problem, f"; correct one of them{hint}", hint, change=(quantity,))
+                ways = f", or give {options}" if units else ""
+                raise self._error(f"{problem}; correct one of them{ways}", change=(quantity,))
             return
         problem = f" has the unit '{stated}' in the file, got '{given}'"
         if quantity_of(stated) not in ("", quantity) and quantity_of(given) == quantity:
             option = _option(scale, f"{GAIN} {given}/{stated}")
-            advice = f"; give the scale from one to the other, {option} with a number for {GAIN}"
-            advice = advice if scale else "; select another column"
+            advice = f"give the scale from one to the other, {option} with a number for {GAIN}"
+            advice = advice if scale else "select another column"
             raise self._error(problem, advice, change=(scale or quantity,), usable=False)
         if given in known and stated in known and known[given] != known[stated]:
             option = _option(scale, f"{known[given] / known[stated]:g} {stated}/{stated}")
             right = f", give {option}" if scale else ", correct it there"
-            advice = f"; if the file is wrong{right}"
-            raise self._error(problem, advice, change=(scale,) if scale else (), usable=False)
+            raise self._error(problem, f"if the file is wrong{right}", change=(scale,) if scale else (), usable=False)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -450,7 +432,7 @@ class Table:
             need = f"the name of a column, as '{QUANTITIES[quantity].example}'"
             raise FileFormatError(argument=quantity, got=repr(wanted), need=need)
         if wanted is None and self.columns and self.columns[0].unnamed:
-            raise ColumnError(self.source, quantity, self.columns[0].unnamed, "", change=("columns",))
+            raise ColumnError(self.source, quantity, self.columns[0].unnamed, change=("columns",))
         # A column may have a name that ends as a guess does.
         bare = wanted if wanted is None or self._named(wanted) else wanted.removesuffix(GUESS)
         fits, unit = self._fits(quantity, bare)
@@ -475,7 +457,7 @@ class Table:
             self.source,
             quantity,
             f"{count}{f' as {request}' if fits else ''}",
-            f"; the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
+            f"the file holds {listed(self.names)}. Select one with {_option(quantity, 'NAME')}.{hint}{rate}",
             change=(quantity, "sample_rate") if rate else (quantity,),
         )
 
@@ -493,10 +475,11 @@ class Table:
 
     def _candidates(self, quantity: str) -> list[Column]:
         known, units = QUANTITIES[quantity], FACTORS[quantity]
-        fits = [c for c in self.columns if c.words & known.words]
+        fits = [c for c in self.columns if c.words & {*known.words.split(", ")}]
         fits = [c for c in fits if not c.foreign] or fits
         fits = [c for c in fits if c.parts[1] in units] or fits
-        return fits or [c for c in self.columns if c.words & known.more and c.parts[1] in units]
+        more = {*known.more.split(", ")}
+        return fits or [c for c in self.columns if c.words & more and c.parts[1] in units]
 
     def _named(self, name: str) -> list[Column]:
         name = name.strip().strip("/")

@@ -51,17 +51,14 @@ def moment(cell: str) -> Moment:
     Raise ValueError for any other text.
     """
     match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST else None
-    if match is None or not cell.isascii():
-        raise ValueError(cell)
-    days = _days(*match.groups()[:9])
-    if days == (None, None):
+    days = _days(*match.groups()[:9]) if match else (None, None)
+    if match is None or not cell.isascii() or days == (None, None):
         raise ValueError(cell)
     hours, half = int(match[10]), (match[14] or "").lower()
     if half:
         hours = hours % 12 + (12 if half == "pm" else 0)
     zone = 60 * (60 * int(match[16] or 0) + int((match[16] or "+")[0] + (match[17] or "0")))
-    zoned, dated = bool(match[15]), days != (0, 0)
-    origin = ("UTC" if zoned else "local time") if dated else ("midnight UTC" if zoned else "midnight")
+    origin = " ".join(("midnight",) * (days == (0, 0)) + ("UTC",) * bool(match[15])) or "local time"
     seconds = _HOUR * hours + 60 * int(match[11]) + int(match[12]) - zone
     return Moment(origin, days, seconds, float(f"0.{match[13] or 0}"))
 
@@ -69,16 +66,16 @@ def moment(cell: str) -> Moment:
 @lru_cache(maxsize=64)
 def _days(*parts: str | None) -> tuple[int | None, int | None]:
     """Return `Moment.days` of year, month, day; day, month, year; and of two numbers and a year with slashes."""
+
+    def day(*numbers: str | None) -> int | None:
+        with suppress(ValueError):
+            return date(*(int(number or 0) for number in numbers)).toordinal()
+        return None
+
     if year := parts[8]:
-        return _day(year, parts[6], parts[7]), _day(year, parts[7], parts[6])
-    year, month, day = parts[:3] if parts[0] else parts[5:2:-1]
-    return (_day(year, month, day),) * 2 if year else (0, 0)
-
-
-def _day(*parts: str | None) -> int | None:
-    with suppress(ValueError):
-        return date(*(int(part or 0) for part in parts)).toordinal()
-    return None
+        return day(year, parts[6], parts[7]), day(year, parts[7], parts[6])
+    year, month, number = parts[:3] if parts[0] else parts[5:2:-1]
+    return (day(year, month, number),) * 2 if year else (0, 0)
 
 
 def is_moment(cell: str) -> bool:
@@ -96,44 +93,38 @@ def clock_of(moments: list[Moment]) -> Elapsed:
     Raise `ValueError` with the reason if they count from different origins, the order of day and month changes the
     times between them, or the local time changes by an hour.
     """
-    if origins := sorted({one.origin for one in moments} - {moments[0].origin}):
+    origin = moments[0].origin
+    if origins := sorted({one.origin for one in moments} - {origin}):
         raise ValueError(
-            f"its times count from {moments[0].origin} and from {origins[0]}; write all with date and offset from UTC"
+            f"its times count from {origin} and from {origins[0]}; write all with date and offset from UTC"
         )
+    fraction = np.array([one.fraction for one in moments])
     readings = []
     for order in (0, 1):
         days = [one.days[order] for one in moments]
         if None not in days:
-            readings.append(_clock(moments, np.array(days, dtype=np.int64)))
+            whole = _DAY * np.array(days, dtype=np.int64) + np.array([one.seconds for one in moments])
+            seconds = (whole - whole[0]) + (fraction - fraction[0])
+            if origin.startswith("midnight"):
+                seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
+            readings.append(Elapsed(seconds, ((origin, int(whole[0]), moments[0].fraction),)))
     if not readings:
         raise ValueError(f"its dates are neither all month/day/year nor all day/month/year; {_AGAIN}")
     if len(readings) > 1 and not np.array_equal(readings[0].seconds, readings[1].seconds):
         readings = [one for one in readings if np.all(np.diff(one.seconds) >= 0)] or readings
         if len(readings) > 1:
             raise ValueError(f"its dates may be month/day/year or day/month/year, which are different times; {_AGAIN}")
-    if not moments[0].origin.endswith("UTC"):
+    if not origin.endswith("UTC"):
         _refuse_change(readings[0].seconds)
     return Elapsed(readings[0].seconds, tuple(dict.fromkeys(began for one in readings for began in one.began)))
-
-
-def _clock(moments: list[Moment], days: Array) -> Elapsed:
-    whole = _DAY * days + np.array([one.seconds for one in moments])
-    fraction = np.array([one.fraction for one in moments])
-    seconds = (whole - whole[0]) + (fraction - fraction[0])
-    if moments[0].origin.startswith("midnight"):
-        seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
-    began = moments[0].origin, int(whole[0]), moments[0].fraction
-    return Elapsed(np.asarray(seconds, dtype=np.float64), (began,))
 
 
 def _refuse_change(seconds: Array) -> None:
     """Raise ValueError where local times change by an hour, as they do in spring and autumn, beside short steps."""
     steps = np.diff(seconds)
     usual = float(np.median(steps)) if steps.size > 2 else 0.0
-    if not 0 < usual < _LONGEST_STEP:
-        return
     changed = np.flatnonzero(np.abs(np.abs(steps - usual) - _HOUR) <= 0.5 * usual)
-    if changed.size:
+    if 0 < usual < _LONGEST_STEP and changed.size:
         i = int(changed[0])
         raise ValueError(
             f"its local time goes on by {steps[i]:.6g} s after sample {i}, otherwise by {usual:.3g} s: the clock was "

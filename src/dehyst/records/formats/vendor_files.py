@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import date, datetime, time
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -112,52 +112,59 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     decimal = next((mark for mark in stated.get("Decimal_Separator", [])[:1] if mark in SIGNS), None)
     table = TextTable.of(text._replace(data=rows), Layout(0, first, sign, tuple(names)))
     columns = table.columns(allowance, decimal)
-    return _with_header(columns, _Segment.of(header, [name for name in names if name != _CLOCK]))
+    return _with_header(columns, header, [name for name in names if name != _CLOCK])
 
 
 def _cells_of(line: str, sign: str) -> list[str]:
     return [cell.strip() for cell in line.split(sign)] if line.strip() else []
 
 
-class _Segment(NamedTuple):
-    """What the header of a segment states about each of its channels."""
+def _with_header(columns: list[Column], header: dict[str, list[str]], names: list[str]) -> list[Column]:
+    """Return the channels with their units, after their time: a column of it, else the step of the header.
 
-    names: list[str]
-    units: list[str]
-    starts: list[str]
-    offsets: list[float | None]
-    steps: list[float | None]
-    samples: list[float | None]
-    timed: bool
+    Raise FileFormatError if they have clocks of their own, or fewer samples than the header states.
+    """
 
-    @classmethod
-    def of(cls, header: dict[str, list[str]], names: list[str]) -> _Segment:
-        count = len(names)
+    def cells(key: str) -> list[str]:
+        given = header.get(key, [])
+        # With a column of time for each channel, the cells above these are empty.
+        stated = [cell for cell in given if cell]
+        return stated if len(stated) == len(names) else [*given, *[""] * len(names)][: len(names)]
 
-        def cells(key: str) -> list[str]:
-            given = header.get(key, [])
-            # With a column of time for each channel, the cells above these are empty.
-            stated = [cell for cell in given if cell]
-            return stated if len(stated) == count else [*given, *[""] * count][:count]
-
-        offsets, steps, samples = ([_number(cell) for cell in cells(key)] for key in ("X0", "Delta_X", "Samples"))
-        starts = [" ".join(pair) for pair in zip(cells("Date"), cells("Time"), strict=True)]
-        timed = header.get("X_Dimension", ["Time"])[:1] == ["Time"]
-        return cls(names, cells("Y_Unit_Label"), starts, offsets, steps, samples, timed)
-
-    def differing(self) -> list[str]:
-        """Return the keys by which its channels have clocks of their own."""
-        offsets, steps, samples = (
-            [value for value in values if value is not None] for values in (self.offsets, self.steps, self.samples)
+    numbers = {key: [_number(cell) for cell in cells(key)] for key in ("X0", "Delta_X", "Samples")}
+    offsets, steps, samples = ([one for one in values if one is not None] for values in numbers.values())
+    channels = [column for column in columns if column.name != _CLOCK]
+    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
+    count = max((column.data.size for column in channels), default=0)
+    if count < (most := max(samples, default=0.0)):
+        raise FileFormatError(
+            f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
+            "correct Samples in its header to read what is there"
         )
-        slack = _SAME * abs(steps[0]) if steps else 0.0
-        starts = {start for start in self.starts if start.strip()}
-        found = {
-            "X0": bool(offsets) and max(offsets) - min(offsets) > slack,
-            "Delta_X": bool(steps) and (max(steps) - min(steps)) * max([1.0, *samples]) > slack,
-            "Date and Time": len(starts) > 1 and not _simultaneous(starts, slack),
-        }
-        return [key for key, differs in found.items() if differs]
+    slack = _SAME * abs(steps[0]) if steps else 0.0
+    starts = {start for pair in zip(cells("Date"), cells("Time"), strict=True) if (start := " ".join(pair)).strip()}
+    apart = {
+        "X0": bool(offsets) and max(offsets) - min(offsets) > slack,
+        "Delta_X": bool(steps) and (max(steps) - min(steps)) * max([1.0, *samples]) > slack,
+        "Date and Time": len(starts) > 1 and not _simultaneous(starts, slack),
+        "X_Value": any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]),
+    }
+    if any(apart.values()):
+        differing = ", ".join(key for key, differs in apart.items() if differs)
+        raise FileFormatError(
+            f"the channels {listed(tuple(names))} have clocks of their own: {differing} differ",
+            hint="save each in a file of its own, and join the second one",
+            change=("join",),
+        )
+    channels = [replace(column, unit=unit) for column, unit in zip(channels, cells("Y_Unit_Label"), strict=False)]
+    unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
+    if clocks:
+        return [Column("time", clocks[0], unit), *channels]
+    offset, step = (next(iter(numbers[key]), None) for key in ("X0", "Delta_X"))
+    if offset is None or step is None:
+        return channels
+    with np.errstate(all="ignore"):
+        return [Column("time", offset + step * np.arange(float(count)), unit), *channels]
 
 
 def _number(cell: str) -> float | None:
@@ -176,40 +183,6 @@ def _simultaneous(starts: set[str], slack: float) -> bool:
     except ValueError:
         return False
     return len(days) == 1 and bool(np.ptp(times) <= slack)
-
-
-def _with_header(columns: list[Column], segment: _Segment) -> list[Column]:
-    """Return the channels with their units, after their time: a column of it, else the step of the header.
-
-    Raise FileFormatError if they have clocks of their own, or fewer samples than the header states.
-    """
-    channels = [column for column in columns if column.name != _CLOCK]
-    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
-    count = max((column.data.size for column in channels), default=0)
-    most = max((number for number in segment.samples if number is not None), default=0.0)
-    if count < most:
-        raise FileFormatError(
-            f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
-            "correct Samples in its header to read what is there"
-        )
-    apart = segment.differing()
-    if any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]):
-        apart.append("X_Value")
-    if apart:
-        raise FileFormatError(
-            f"the channels {listed(tuple(segment.names))} have clocks of their own: {', '.join(apart)} differ",
-            hint="save each in a file of its own, and join the second one",
-            change=("join",),
-        )
-    channels = [replace(column, unit=unit) for column, unit in zip(channels, segment.units, strict=False)]
-    unit = "s" if segment.timed else ""
-    if clocks:
-        return [Column("time", clocks[0], unit), *channels]
-    start, step = (next(iter(values), None) for values in (segment.offsets, segment.steps))
-    if start is None or step is None:
-        return channels
-    with np.errstate(all="ignore"):
-        return [Column("time", start + step * np.arange(float(count)), unit), *channels]
 
 
 # Rows of a sheet in Excel, and the least memory of a cell while it is read [bytes].

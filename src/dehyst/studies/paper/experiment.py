@@ -209,7 +209,6 @@ class PaperTrial:
     one after pre-energising [m]. `outcome`: name of the `Outcome`, or "CLOSED_FORM".
     """
 
-    key: str
     actuator: Actuator
     simulated: Array
     errors: Mapping[str, PaperError]
@@ -270,7 +269,7 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     progress("fitting Goldfarb and Celanovic's model")
     for key, start in (("goldfarb", RELAXED), ("goldfarb_energised", ENERGISED)):
         baseline = GoldfarbCelanovic.fit(runs[start].record, elements=ELEMENTS)
-        trials[key] = _trial(truth, runs[start], key, baseline.actuator, "CLOSED_FORM", baseline.remarks)
+        trials[key] = _trial(truth, runs[start], baseline.actuator, "CLOSED_FORM", baseline.remarks)
     relaxed = runs[RELAXED]
     break_points = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None), ClosedLoop.of(truth))
@@ -312,12 +311,10 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
         delay=0.0,
         drift=False,
     )
-    return _trial(truth, relaxed, plan.key, fit.actuator, fit.outcome.name, fit.remarks)
+    return _trial(truth, relaxed, fit.actuator, fit.outcome.name, fit.remarks)
 
 
-def _trial(
-    truth: PlayActuator, run: Measured, key: str, actuator: Actuator, outcome: str, remarks: Sequence[str]
-) -> PaperTrial:
+def _trial(truth: PlayActuator, run: Measured, actuator: Actuator, outcome: str, remarks: Sequence[str]) -> PaperTrial:
     simulated = actuator.simulate(run.record.voltage, time=run.record.time, extrapolate=True).displacement
     errors = {}
     for loop in PEAKS:
@@ -330,7 +327,7 @@ def _trial(
     rest = actuator.relaxed(actuator.voltage(energised), extrapolate=True)
     shift = rest.displacement - energised.displacement
     tracking = _track(truth, run, actuator)
-    return PaperTrial(key, actuator, simulated, errors, tracking, shift, outcome, tuple(remarks))
+    return PaperTrial(actuator, simulated, errors, tracking, shift, outcome, tuple(remarks))
 
 
 def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
