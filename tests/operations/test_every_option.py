@@ -169,7 +169,6 @@ VALUES = {
     "rig seconds": "--seconds 0.1",
     "demo report": "--no-report",
     "calibrate axes": "--axes 1,2",
-    "calibrate hold": 2,
     "rig axes": "--axes 2",
     "rig fault": "--fault drop",
     "fleet time_limit": "--time-limit 60",

@@ -245,11 +245,12 @@ class Jobs:
                         break
                     self._folder.note(step.command)
             entry.progress = ""
-            if entry.status == "running":
-                entry.status, entry.error = ("failed", finished.words) if finished.result is None else ("done", None)
+            # First: a page that sees a job done looks for what it made.
             after = done(finished)
             if inspect.isawaitable(after):
                 await after
+            if entry.status == "running":
+                entry.status, entry.error = ("failed", finished.words) if finished.result is None else ("done", None)
         except DehystError as error:
             entry.status, entry.error = "failed", str(error)
         finally:

@@ -50,8 +50,13 @@ def main() -> None:
         # Between two operations there is nothing to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         request = requests.get()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        outlet.done(request["id"], **_answer(request, _WorkerRun(outlet)))
+        try:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            answer = _answer(request, _WorkerRun(outlet))
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        except KeyboardInterrupt:
+            answer = {"stopped": True}
+        outlet.done(request["id"], **answer)
 
 
 def _answer(request: Message, run: _WorkerRun) -> Message:
@@ -63,8 +68,6 @@ def _answer(request: Message, run: _WorkerRun) -> Message:
             return {"result": result.as_dict(), "good": result.good}
     except DehystError as error:
         return {"error": {**run.known, **error.as_dict()}}
-    except KeyboardInterrupt:
-        return {"stopped": True}
     except Exception as error:
         traceback.print_exc()
         return {"error": {"message": f"{type(error).__name__}: {error}"}}
