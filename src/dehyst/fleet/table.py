@@ -47,8 +47,8 @@ MARK, _AT_A_TIME = b"dehyst-fleet", 1000
 class Fleet:
     """The table of a fleet.
 
-    `by`: names of the keys. `rows`: columns by name, keys among them, without the models. `about`: program, options and
-    digest of the run.
+    `path`: its file. `by`: names of the keys. `rows`: columns by name, keys among them, without the models. `about`:
+    program, options and digest of the run.
     """
 
     path: Path
