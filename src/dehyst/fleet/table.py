@@ -98,7 +98,7 @@ def load(path: PathLike) -> Fleet:
 
     Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
     """
-    target = io.named(path)
+    target = io.path_of(path)
     with io.reading_errors(target, "Parquet"), arrow().parquet.ParquetFile(target) as file:
         marked = (file.schema_arrow.metadata or {}).get(MARK)
         if marked is None:
