@@ -13,7 +13,7 @@ from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
 from dehyst.cli import main
 from dehyst.cli.commands import OperationCommand
 from dehyst.control import PossibleStart
-from dehyst.operations import find
+from dehyst.operations.registry import find
 from dehyst.operations.start import start_words
 from dehyst.records import write_record
 from dehyst.studies import demo

@@ -13,9 +13,8 @@ from dehyst import Compensator, FileFormatError, Record, write_record
 from dehyst._io import demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
 from dehyst.cli import main
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
-from dehyst.operations import find
 from dehyst.operations.declaration import Role
-from dehyst.operations.registry import ENTRIES
+from dehyst.operations.registry import ENTRIES, find
 from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
 from dehyst.studies import demo

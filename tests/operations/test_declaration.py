@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst.cli.commands import OperationCommand
-from dehyst.operations import Result, Run, find, perform
 from dehyst.operations.axes import Limit, Slew
 from dehyst.operations.declaration import Input, OperationError, Output, beside, operation
 from dehyst.operations.files import Columns
 from dehyst.operations.paths import Zero
-from dehyst.operations.registry import ENTRIES
+from dehyst.operations.registry import ENTRIES, find
+from dehyst.operations.run import Result, Run, perform
 from dehyst.operations.start import Start
 
 

@@ -28,10 +28,9 @@ from dehyst.cli import main
 from dehyst.cli.workbench import workbench
 from dehyst.control import Compensator
 from dehyst.fleet.task import TaskRunner
-from dehyst.operations import find
 from dehyst.operations.declaration import flag
 from dehyst.operations.files import RECORD
-from dehyst.operations.registry import ENTRIES
+from dehyst.operations.registry import ENTRIES, find
 from dehyst.records import write_columns
 
 AXES = "x=vx_V:x_um, y=vy_V:y_um"

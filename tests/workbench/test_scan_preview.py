@@ -6,7 +6,7 @@ from command_line import run
 
 from dehyst._errors import DehystError
 from dehyst.model import Actuator, MaxwellSlip, Spring
-from dehyst.operations import find
+from dehyst.operations.registry import find
 from dehyst.records import read_table
 from dehyst.workbench.data import scan_columns
 from dehyst.workbench.server import json_of

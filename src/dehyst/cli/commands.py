@@ -19,9 +19,10 @@ from dehyst._errors import DecimalSignError, DehystError, DeviceError, LinkError
 from dehyst._text import escaped
 from dehyst._version import __version__
 from dehyst.cli.terminal import TerminalRun, echo, echo_json, guarded_streams, note
-from dehyst.operations import JOURNEY, Operation, Parameter, find, perform, terminable
-from dehyst.operations.declaration import Kind, flag
+from dehyst.operations.declaration import Kind, Operation, Parameter, flag
 from dehyst.operations.files import Columns
+from dehyst.operations.registry import JOURNEY, find
+from dehyst.operations.run import perform, terminable
 from dehyst.records.tables import ColumnsError, notes_on
 
 _INTERRUPTED = 130

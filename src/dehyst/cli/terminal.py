@@ -16,7 +16,7 @@ import click
 
 from dehyst._io import finite
 from dehyst._text import escaped
-from dehyst.operations import InterruptibleRun
+from dehyst.operations.run import InterruptibleRun
 
 # Seconds between lines of progress where there is no terminal, and before the first one.
 _FEW_SECONDS = 5.0

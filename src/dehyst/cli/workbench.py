@@ -10,8 +10,8 @@ import webbrowser
 from contextlib import suppress
 from pathlib import Path
 
-from dehyst.operations import Result, Run
 from dehyst.operations.declaration import operation
+from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
 

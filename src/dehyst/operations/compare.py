@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 from dehyst._errors import IdentifyError
 from dehyst._io import finite, write_json
+from dehyst.baselines import ModelComparison
 from dehyst.baselines import compare as run_comparison
-from dehyst.baselines.comparison import OURS, ModelComparison, ModelScore, contenders
+from dehyst.baselines.comparison import OURS, ModelScore, contenders
 from dehyst.operations.declaration import Input, Only, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files

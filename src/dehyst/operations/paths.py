@@ -18,11 +18,11 @@ from dehyst.control import (
     PossibleStart,
     StageCompensator,
     VoltageLimits,
+    WaveTable,
     plan_path,
     wave_table,
 )
 from dehyst.control.planning.path import MOST_ROWS
-from dehyst.control.planning.wave_table import WaveTable
 from dehyst.model import Actuator
 from dehyst.model.states import state_at
 from dehyst.operations import start as starts
@@ -32,8 +32,7 @@ from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
-from dehyst.trust import judge
-from dehyst.trust.judgement import Judgement
+from dehyst.trust import Judgement, judge
 from dehyst.waveforms import Scan
 from dehyst.waveforms.named import OPTIONS, scan_of
 
@@ -127,7 +126,7 @@ class PathSlew(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Axis:
+class _AxisRequest:
     """What is asked for of the actuator of an axis; `start` is None if it is unknown."""
 
     actuator: Actuator
@@ -319,7 +318,7 @@ def _axes_of(
     start: Start | None,
     present: float | None,
     columns: Columns,
-) -> tuple[list[_Axis], list[str]]:
+) -> tuple[list[_AxisRequest], list[str]]:
     """Return what is asked for of each axis, and remarks on the start."""
     bounds, slews = limits_of(known.axes, limits), slews_of(known.axes, slew_rate)
     begins, remarks = starts.starts_of(known, start, bounds, columns)
@@ -330,7 +329,7 @@ def _axes_of(
         if begin is not None and present is not None:
             volts = VoltageLimits(*(allowed or actuator.voltage_range)).within(present, "present")
             stands, now = begin.standing_at(actuator, volts), None
-        axes.append(_Axis(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
+        axes.append(_AxisRequest(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
     return axes, remarks
 
 
@@ -369,7 +368,7 @@ def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, ze
 def _follow(
     run: Run,
     known: AxesModel,
-    axes: Sequence[_Axis],
+    axes: Sequence[_AxisRequest],
     wanted: Array,
     time: Mapping[str, Array],
     rates: Mapping[str, Array],
@@ -436,14 +435,14 @@ def _follow(
     return Result(fields, lines, warnings=remarks, good=good)
 
 
-def _idle_present(one: _Axis, path: HomedPath) -> list[str]:
+def _idle_present(one: _AxisRequest, path: HomedPath) -> list[str]:
     idle = one.present is not None and one.start is None and path.homing is None
     return ["--present: has no effect, because the start does not matter and no homing is needed"] if idle else []
 
 
 def _planned(
     known: AxesModel,
-    axes: Sequence[_Axis],
+    axes: Sequence[_AxisRequest],
     slews: Sequence[PathSlew],
     wanted: Array,
     when: Array | None,
@@ -479,7 +478,7 @@ def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Ar
 
 def _tabulate(
     run: Run,
-    one: _Axis,
+    one: _AxisRequest,
     scan: Scan,
     axis: str,
     cycles: int,

@@ -58,7 +58,8 @@ def show(
         run.say(line)
     record = columns.record_in(table, file.stem)
     axes = {
-        axis: _Axis(one, table, columns, axis) for axis, one in zip(record.axes or ("",), record.by_axis(), strict=True)
+        axis: _AxisView(one, table, columns, axis)
+        for axis, one in zip(record.axes or ("",), record.by_axis(), strict=True)
     }
     if output is not None:
         write_record(output, record)
@@ -87,7 +88,7 @@ def _column_lines(table: Table) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class _Axis:
+class _AxisView:
     """What an axis of a record, or the only one, is understood as."""
 
     record: Record

@@ -294,8 +294,9 @@ def write_columns(
     """Write named (n,) arrays as CSV.
 
     `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
-    as many as give the same numbers when read; rounding never widens the range of a column. Raise `FileFormatError` if
-    the suffix is not one of text, the columns differ in length, or the file cannot be written.
+    as many as give the same numbers when read; rounding never widens the range of a column. `head` has lines to
+    write before the names. Raise `FileFormatError` if the suffix is not one of text, the columns differ in length, or
+    the file cannot be written.
     """
     write_atomically(path, "\n".join([*head, *_lines(path, columns, digits), ""]))
 

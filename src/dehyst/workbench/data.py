@@ -15,7 +15,7 @@ from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.identification.results import read_traces
 from dehyst.model import Actuator
-from dehyst.operations import find
+from dehyst.operations.registry import find
 from dehyst.records import read, read_table, write_columns
 from dehyst.trust.turn_plane import turn_plane
 from dehyst.waveforms.named import scan_of

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from dehyst._errors import DehystError, LinkError
 from dehyst._process import messages, started, written
-from dehyst.operations import find
+from dehyst.operations.registry import find
 from dehyst.workbench.folder import Folder
 
 # A session has one person, and a small computer two cores.

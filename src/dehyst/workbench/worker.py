@@ -14,7 +14,8 @@ from queue import SimpleQueue
 
 from dehyst._errors import DehystError
 from dehyst._process import Inlet, Message, Outlet, lines_of, own_output
-from dehyst.operations import InterruptibleRun, find, perform, terminable
+from dehyst.operations.registry import find
+from dehyst.operations.run import InterruptibleRun, perform, terminable
 
 _NICE = 5
 

@@ -213,7 +213,7 @@ def calibrating(rig: AbstractRig, address: str, request: Request, feed: LiveFeed
 
 def command_of(rig: AbstractRig, address: str, plan: Plan, folder: Path) -> str:
     """Return the command that does the same: of `rig` at `address`, by this `plan`, into this `folder`."""
-    from dehyst.operations import find
+    from dehyst.operations.registry import find
 
     asked = {name: getattr(plan, name) for name in ("frequency", "hold", "rounds", "goal")}
     bounds = {"limits": [[rig.limits.low, rig.limits.high]], "slew_rate": [rig.slew_rate]}
