@@ -107,7 +107,10 @@ class RigLink:
         """
         if self._process is None:
             raise LinkError("the rig's process does not run; connect the rig again")
-        await written(self._process, command)
+        try:
+            await written(self._process, command)
+        except LinkError as error:
+            raise LinkError(f"the rig: {error}; connect it again") from error
 
     def alive(self) -> None:
         """Forward a sign of life of the page; does nothing if the process does not run."""
