@@ -1,4 +1,4 @@
-"""Without `--slew` the speed of the model's records bounds a path; what is faster is remarked with its factor."""
+"""Without `--slew-rate` the speed of the model's records bounds a path; what is faster is remarked with its factor."""
 
 import json
 from dataclasses import replace
