@@ -314,7 +314,7 @@ def command(*options):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_ends_with_the_tally_of_its_voltages(number):
-    with command("--limits", "-10", "90", "--noise", "1") as (process, port):
+    with command("--limits", "-10", "90", "--options", '{"noise": 1}') as (process, port):
         with Line(port) as line:
             line.send("SVA 1 -5")
             line.send("SVA 1 64")
