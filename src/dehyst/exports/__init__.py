@@ -5,13 +5,4 @@ from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
 from dehyst.exports.footprint import Footprint, sizes
 from dehyst.exports.wasm import export_wasm, wasm_module
 
-__all__ = [
-    "Exported",
-    "Footprint",
-    "SourceOnlyWarning",
-    "export",
-    "export_fmu",
-    "export_wasm",
-    "sizes",
-    "wasm_module",
-]
+__all__ = ["Exported", "Footprint", "SourceOnlyWarning", "export", "export_fmu", "export_wasm", "sizes", "wasm_module"]

@@ -17,8 +17,7 @@ from dehyst._io import demand_alike, format_of
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.experiment import RESULTS, STAGE_RESULTS
-from dehyst.calibration.plan import entries
-from dehyst.calibration.protocol import read_voltage
+from dehyst.calibration.plan import entries, read_voltage
 from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
@@ -309,7 +308,7 @@ def serve(
         run.say(f"serving {actuator}, {words}, on pi://{host}:{server.port}{path}")
         server.serve(seconds)
     lines = [f"{'' if axes == 1 else f'axis {one.name}: '}{_tally(one.bench)}" for one in controller.axes]
-    lines[-1] += f", {controller.recorder.rows_sent} samples reported"
+    lines[-1] += f", {controller.rows_sent} samples reported"
     return Result({}, lines)
 
 

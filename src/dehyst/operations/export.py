@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
-from dehyst.exports import Exported, SourceOnlyWarning, export_fmu, export_wasm
-from dehyst.exports import export as export_c
 from dehyst.exports.model_header import ExportedStart
-from dehyst.exports.wasm import wasm_files
+from dehyst.exports.targets import TARGETS
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, rates_of
 from dehyst.operations.declaration import Folder, Input, Only, OperationError, Values, operation
@@ -26,21 +22,22 @@ _NEAR = 0.01
 _TOP = Start("top")
 
 
+_SUFFIXES = {target.suffix: name for name, target in TARGETS.items() if target.suffix}
+
+
 def _target(given: Values) -> str:
-    """Return what is written: "C", "C of axes", "WebAssembly", "FMU" or "FMU of the actuator"."""
-    if is_stage(given["model"]):
-        return "C of axes"
-    if given["directory"].suffix == ".fmu":
-        return "FMU of the actuator" if given.get("kind") == "actuator" else "FMU"
-    return "WebAssembly" if given["directory"].suffix == ".wasm" else "C"
+    """Return the row of `TARGETS` that is written; several axes are always C."""
+    return "c" if is_stage(given["model"]) else _SUFFIXES.get(given["directory"].suffix, "c")
 
 
-def _on(*targets: str) -> Only:
-    return Only(lambda given: _target(given) in targets, f"on another target than {', '.join(targets)}")
+def _of(option: str) -> Only:
+    """Return the condition that the target takes an option."""
+    takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
+    return Only(lambda given: option in TARGETS[_target(given)].options, f"on anything but {takers}")
 
 
-_LOOP = ("C", "C of axes", "WebAssembly", "FMU")
-_of_loop, _of_c, _of_fmu = _on(*_LOOP), _on("C", "C of axes"), _on("FMU", "FMU of the actuator")
+_of_loop = Only(lambda given: _target(given) != "fmu" or given.get("kind") != "actuator", "on an FMU of the actuator")
+_of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
 
 
 @operation(Compensator)
@@ -49,15 +46,15 @@ def export(
     model: Input,
     directory: Folder,
     *,
-    number: Annotated[Literal["double", "float"], _on("C")] = "double",
+    number: Annotated[Literal["double", "float"], _of_one, _of("number")] = "double",
     limits: Annotated[tuple[Limit, ...], _of_loop] = (),
     slew_rate: Annotated[tuple[Slew, ...], _of_loop] = (),
     period: float | None = None,
-    preview: Annotated[bool, _on("C", "WebAssembly", "FMU")] = False,
-    name: Annotated[str | None, _of_c] = None,
-    measure: Annotated[bool, _of_c] = True,
-    fmu: Annotated[Literal["2.0", "3.0"], _of_fmu] = "3.0",
-    kind: Annotated[Literal["compensator", "actuator"], _of_fmu] = "compensator",
+    preview: Annotated[bool, _of_one, _of("preview"), _of_loop] = False,
+    name: Annotated[str | None, _of("name")] = None,
+    measure: Annotated[bool, _of("measure")] = True,
+    fmu: Annotated[Literal["2.0", "3.0"], _of("fmu")] = "3.0",
+    kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
     start: Start = _TOP,
 ) -> Result:
     """Write a MODEL's compensator as C into a DIRECTORY: files, numbers, a README, and a trace for `make check`.
@@ -90,17 +87,17 @@ def export(
     start
         State in which memory begins, as in compensate.
     """
-    target = _target({"model": model, "directory": directory, "kind": kind})
-    if target == "C of axes" and directory.suffix in (".fmu", ".wasm"):
+    target = TARGETS[_target({"model": model, "directory": directory})]
+    if is_stage(model) and directory.suffix in _SUFFIXES:
         raise OperationError(argument="directory", got=str(directory), need="a folder for several axes")
-    if "FMU" in target or target == "WebAssembly":
-        demand_outputs([model], wasm_files(directory) if target == "WebAssembly" else [directory])
+    if target.files is not None:
+        demand_outputs([model], target.files(directory))
     known = AxesModel.read(run, model)
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)
     states = [one for one in begins if one is not None]
     remarks += known.prefixed(map(_open_start, known.actuators, states))
-    if target == "FMU of the actuator":
+    if kind == "actuator":
         bounds = [_UNLIMITED]
     slews = rates_of(known.axes, slew_rate)
     options: dict[str, Any] = {"period": period}
@@ -113,14 +110,10 @@ def export(
         options |= {"state": states[0].state, "preview": preview}
         compensator = Compensator(known.actuators[0], bounds[0], slews[0], **options)
         loops = (compensator,)
-    if target in ("C", "WebAssembly", "FMU"):
-        remarks += _limit_warnings(loops[0], states[0])
-    if isinstance(compensator, StageCompensator) or target == "C":
-        fields, lines = _write_c(compensator, directory, number, name, measure, remarks, force=run.force)
-    elif target == "WebAssembly":
-        fields, lines = _write_wasm(compensator, directory)
-    else:
-        fields, lines = _write_fmu(compensator, directory, fmu, kind, remarks)
+        remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
+    chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "fmu": fmu, "kind": kind}
+    written = target.write(compensator, directory, chosen)
+    remarks += written.remarks
     begin = [ExportedStart.of(loop) for loop in loops]
     begun = [
         {"begins": {"displacement_m": one.displacement, "voltage_V": one.voltage, "way": one.way}} for one in begin
@@ -129,64 +122,8 @@ def export(
     for one, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
         way = "" if kind == "actuator" else f"; to bring the actuator there, {one.way}"
         words.append([f"memory begins at {one.words} {start_words(actuator, state, loop.state)}{way}"])
-    lines = [lines[0], *known.prefixed(words), *lines[1:]]
-    return Result({**fields, **known.merged(begun), "warnings": remarks}, lines, warnings=remarks)
-
-
-def _write_c(
-    compensator: Compensator | StageCompensator,
-    directory: Path,
-    number: Any,
-    name: str | None,
-    measure: bool,
-    remarks: list[str],
-    *,
-    force: bool,
-) -> tuple[dict[str, Any], list[str]]:
-    """Write C; return its result as JSON values, and as lines."""
-    exported: Exported = export_c(compensator, directory, number, force=force, measure=measure, name=name)
-    if measure and exported.unmeasured is not None:
-        remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
-    several = isinstance(compensator, StageCompensator)
-    of_axes = f" of the axes {', '.join(compensator.stage.axes)}," if several else ""  # type: ignore[union-attr]
-    lines = [f"{directory}: a compensator{of_axes} of {number}s"]
-    lines += [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if exported.footprints else []
-    for what, size in exported.footprints.items():
-        stack = "-" if size.stack is None else size.stack
-        lines.append(f"{what:<40}{size.flash:>8}{size.ram:>8}{stack:>8}")
-    if exported.error is not None:
-        lines.append(f"floats: errors up to {exported.error:.1e} of the range")
-    fields = {
-        "directory": str(directory),
-        "number": number,
-        "bytes": {what: size._asdict() for what, size in exported.footprints.items()},
-        "error_of_range": exported.error,
-        "unmeasured": exported.unmeasured,
-    }
-    return fields, lines
-
-
-def _write_wasm(compensator: Compensator, path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Write WebAssembly; return its result as JSON values, and as lines."""
-    export_wasm(compensator, path)
-    _, script, types = wasm_files(path)
-    size = path.stat().st_size
-    line = f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
-    return {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size}, [line]
-
-
-def _write_fmu(
-    compensator: Compensator, path: Path, version: Any, kind: Any, remarks: list[str]
-) -> tuple[dict[str, Any], list[str]]:
-    """Write an FMU; return its result as JSON values, and as lines."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(compensator, path, version, kind)
-    sources = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    remarks += sources
-    content = "sources" if sources else "sources and a binary for Linux x86-64"
-    fields = {"fmu": str(path), "version": version, "kind": kind, "binary": not sources}
-    return fields, [f"{path}: an FMU {version} of the {kind}, {content}"]
+    lines = [written.line, *known.prefixed(words), *written.table]
+    return Result({**written.values, **known.merged(begun), "warnings": remarks}, lines, warnings=remarks)
 
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
