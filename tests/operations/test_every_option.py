@@ -349,11 +349,11 @@ CASES = {
         Case("model.json out --no-measure", _STEP, {"measure": "--measure"}, _OF_C),
         Case("model.json earlier --no-measure", only=("force",)),
         Case("model.json out.wasm", _STEP, foreign="out.wasm"),
-        Case("model.json out.fmu --fmu 3.0", _STEP, caught=("dehyst.operations.export.export_fmu",), foreign="out.fmu"),
+        Case("model.json out.fmu --fmu 3.0", _STEP, caught=("dehyst.exports.targets.export_fmu",), foreign="out.fmu"),
         Case(
             "model.json out.fmu --fmu 3.0 --kind actuator",
             values={"kind": "--kind compensator"},
-            caught=("dehyst.operations.export.export_fmu",),
+            caught=("dehyst.exports.targets.export_fmu",),
             foreign="out.fmu",
         ),
         Case("stage.json out --no-measure", _STEP, {"measure": "--measure"}, _OF_C),

@@ -17,9 +17,7 @@ from dehyst.calibration.comparison_loop import Agreement
 from dehyst.calibration.plan import CreepCheck, ExcitationPlan, Plan, creep_of, steps
 from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification import Fit, StageFit, identify, identify_stage
-from dehyst.identification.preprocessing.cleaning import remove_glitches
-from dehyst.identification.results import write_traces
+from dehyst.identification import Fit, StageFit, identify, identify_stage, remove_glitches, write_traces
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record

@@ -14,11 +14,17 @@ from dehyst._types import Array
 from dehyst.calibration.comparison_loop import replay
 from dehyst.calibration.tracking import PathPlanner
 from dehyst.instruments import AbstractRig
-from dehyst.records import Record, read_table
-from dehyst.records.files import time_of
-from dehyst.records.formats.file_content import MOST
-from dehyst.waveforms import Excitation, Leg, Sampling, descending_tops, raised_cosine, stage_excitation, staircase
-from dehyst.waveforms.excitation import positive
+from dehyst.records import MOST, Record, read_table, time_of
+from dehyst.waveforms import (
+    Excitation,
+    Leg,
+    Sampling,
+    descending_tops,
+    positive,
+    raised_cosine,
+    stage_excitation,
+    staircase,
+)
 
 _SAMPLES_A_CYCLE = 400
 # Cycles that each hold of the look lasts, and cycles of the look after its holds, where the state is known.

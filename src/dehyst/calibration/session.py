@@ -16,9 +16,7 @@ from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.calibration.comparison_loop import Agreement, agreement, replay
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.records import Record, Recording, read
-from dehyst.records.hdf5 import sha256_of
-from dehyst.records.recording import demand_disk_space, salvage, unused_path
+from dehyst.records import Record, Recording, demand_disk_space, read, salvage, sha256_of, unused_path
 from dehyst.waveforms import Excitation
 
 FORMAT = "dehyst-calibration"

@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.control import Compensator, StageCompensator, VoltageLimits
-from dehyst.model import Actuator, Stage, State
-from dehyst.model.stage import apply
-from dehyst.model.states import beginning
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent, rms
-from dehyst.waveforms import Excitation
-from dehyst.waveforms.several_axes import RATIO
-from dehyst.waveforms.standard import TURNS, wanted_path
+from dehyst.model import Actuator, Stage, State, apply, beginning
+from dehyst.records import Record, largest, percent, rms
+from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 
 # Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
 # later than the axis before.

@@ -15,9 +15,8 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import ClampWarning, Compensator, StageCompensator
-from dehyst.control.limits import Clamps
-from dehyst.model.stage import apply
+from dehyst.control import Clamps, ClampWarning, Compensator, StageCompensator
+from dehyst.model import apply
 
 Loop: TypeAlias = Compensator | StageCompensator
 

@@ -12,8 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control import Compensator
-from dehyst.model import Actuator, State
-from dehyst.model.states import NEAR, looped
+from dehyst.model import NEAR, Actuator, State, looped
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]

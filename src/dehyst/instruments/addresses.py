@@ -102,7 +102,7 @@ def _epics(prefix: str, options: _Options) -> AbstractRig:
 
 def _sim(name: str, options: _Options) -> AbstractRig:
     from dehyst.instruments.simulated import SimulatedRig
-    from dehyst.virtual.modelled import virtual_actuator
+    from dehyst.virtual import virtual_actuator
 
     if not name:
         raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json after it")

@@ -10,12 +10,10 @@ from typing import Any
 
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
 from dehyst._validation import number
-from dehyst.control import Compensator, VoltageLimits, shortest_homing
-from dehyst.control.planning.homing import homing_steps
+from dehyst.control import Compensator, VoltageLimits, homing_steps, shortest_homing
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import READBACK_TOLERANCE
-from dehyst.model import Actuator
-from dehyst.model.states import state_at
+from dehyst.model import Actuator, state_at
 
 try:
     from bluesky.plan_stubs import stop, wait_for

@@ -15,7 +15,7 @@ import numpy as np
 
 from dehyst._errors import LinkError, RigError
 from dehyst._types import Array
-from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
+from dehyst.records import GCS_END, GCS_SEPARATORS, gcs_entries
 
 # Every controller's input buffer holds a line of this many characters.
 _LINE = 500

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model import Actuator, State
-from dehyst.model.serialization import DESCRIPTION
+from dehyst.model import DESCRIPTION, Actuator, State
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
