@@ -60,7 +60,7 @@ def test_a_face_only_imports_and_lists(face):
     documentation, *statements = TREES[face].body
     assert isinstance(documentation, ast.Expr)
     assert isinstance(documentation.value, ast.Constant)
-    if not isinstance(statements[-1], ast.ImportFrom):
+    if statements and not isinstance(statements[-1], ast.ImportFrom):
         listed = statements.pop()
         assert isinstance(listed, ast.Assign)
         assert listed.targets[0].id == "__all__"
@@ -85,7 +85,7 @@ def test_rooms_import_each_other_through_their_faces():
     passed_by = [
         f"{module}: {name} from {source}"
         for module, source, name in crossing()
-        if source not in ALONE and name not in OFFERED.get(source, ()) and room_of(module) not in {"cli", "workbench"}
+        if source not in ALONE and name not in OFFERED.get(source, ()) and room_of(module) not in {"cli", "workbench", "operations"}
     ]
     assert passed_by == []
 

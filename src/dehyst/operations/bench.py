@@ -29,7 +29,8 @@ from dehyst.operations.run import Result, Run
 from dehyst.report import write_calibration, write_stage_report
 from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench, VirtualStage
 from dehyst.virtual.bench import BenchAxis
-from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server, serve_ioc
+from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
+from dehyst.virtual.emulator.epics_ioc import serve_ioc
 from dehyst.virtual.emulator.faults import actual_limits
 from dehyst.virtual.modelled import virtual_actuator
 from dehyst.virtual.stage import spread_coupling
