@@ -46,7 +46,6 @@ FACES = {
         "records": """
             Record read read_table write_columns write_record
         """,
-        "operations": "",
         "report": """
             write_calibration write_check_history write_comparison write_insight write_record_page write_report
             write_stage_report
