@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from dehyst.model import (
         Actuator,
         Creep,
+        DisplacementCreep,
         Dynamics,
         GradedSlip,
         MaxwellSlip,
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
         Spring,
         Stage,
         State,
+        Thermal,
         Transformer,
     )
     from dehyst.records import Record, read, write_record
@@ -79,8 +81,8 @@ _ROOM_OF = {
         "exports": "export export_fmu export_wasm",
         "identification": "Fit Outcome RecordErrors StageFit Structure Trace identify identify_stage",
         "calibration": "calibrate",
-        "model": "Actuator Creep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip Spring Stage State "
-        "Transformer",
+        "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
+        "Spring Stage State Thermal Transformer",
         "records": "Record read write_record",
         "trust": "check insight",
     }.items()
@@ -89,10 +91,11 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError", "Dynamics"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError"]
+__all__ += ["DisplacementCreep", "Dynamics"]
 __all__ += ["FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip", "MissingExtraError", "ModelError"]
 __all__ += ["Motion", "Outcome", "Physical", "Record", "RecordError", "RecordErrors", "RigError", "SmoothSlip"]
-__all__ += ["Snapshot", "Spring", "Stage", "StageCompensator", "StageFit", "State", "Structure", "Trace"]
+__all__ += ["Snapshot", "Spring", "Stage", "StageCompensator", "StageFit", "State", "Structure", "Thermal", "Trace"]
 __all__ += ["Transformer", "VoltageLimits", "__version__", "calibrate", "check", "compare", "export", "export_fmu"]
 __all__ += ["export_wasm", "identify", "identify_stage", "insight", "read", "shortest_homing", "wave_table"]
 __all__ += ["write_record"]

@@ -165,7 +165,7 @@ def zero_of_path(
     if zero.name == "first":
         rest = min(max(present or 0.0, compensator.limits[0]), compensator.limits[1])
         begin = start or PossibleStart.unknown(actuator, rest, compensator.limits)
-        return float(begin.state.displacement)
+        return actuator.model.displacement(begin.state, of_mass=False)
     return low if zero.name == "bottom" else 0.5 * (low + high)
 
 
