@@ -127,6 +127,7 @@ VALUES = {
     "base": "--base 3",
     "steps": "--steps 4",
     "majors": "--majors 3",
+    "random": "--random 4",
     "lowest": "--lowest 5",
     "count": "--count 4",
     "highest": "--highest 40",
