@@ -74,7 +74,16 @@ struct Loop {
         demand(dehyst_loop_restore(&model, &loop, memory.data(), reinterpret_cast<const unsigned char *>(bytes.c_str()),
                                    bytes.size()));
     }
-    unsigned long id() const { return model.id; }
+    // Checksums of the model, from block: of all numbers, and of what the memory depends on.
+    std::tuple<unsigned long, unsigned long> ids() const { return {model.id, model.shape}; }
+    // Go on where a loop of another model is; both need their `shape`, from block.
+    void take_over(const Loop &from) {
+        demand_idle(), from.demand_free();
+        dehyst_loop next = from.loop;
+        demand(dehyst_loop_exchange(&from.model, &model, &next));
+        loop = next, memory = from.memory;
+        std::copy(from.reported, from.reported + 2, reported);
+    }
 
     double *carts() { return memory.data() + (loop.half ? core.rho.size() : 0); }
     double *strains() { return memory.data() + 2 * core.rho.size(); }
@@ -209,21 +218,20 @@ struct Loop {
     // What a state lacks to go on bit for bit: amplifier, mass and what was wanted.
     Output rest() {
         demand_free();
-        std::vector<double> row{loop.sent, loop.acting, loop.intended[0], loop.intended[1], loop.input, loop.rate};
+        std::vector<double> row{loop.sent, loop.acting, loop.intended[0], loop.intended[1], loop.rate};
         row.insert(row.end(), inputs(), inputs() + tap.size());
         return as_array(row);
     }
     void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
         demand_free();
-        if (row.size() != 6 + tap.size()) demand(DEHYST_ERR_SIZE);
+        if (row.size() != 5 + tap.size()) demand(DEHYST_ERR_SIZE);
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
-        // The push and the velocity of a mass, as `dehyst_check` bounds its place.
-        const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
-        if (std::fabs(row(4)) > farthest || std::fabs(row(5)) > farthest) demand(DEHYST_ERR_FINITE);
+        // The velocity of a mass, as `dehyst_check` bounds its place.
+        if (std::fabs(row(4)) > 1 / DEHYST_EPSILON / DEHYST_EPSILON) demand(DEHYST_ERR_FINITE);
         loop.sent = row(0), loop.acting = row(1), loop.intended[0] = row(2), loop.intended[1] = row(3);
-        loop.input = row(4), loop.rate = row(5);
-        std::copy(row.data() + 6, row.data() + row.size(), inputs());
+        loop.rate = row(4);
+        std::copy(row.data() + 5, row.data() + row.size(), inputs());
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
@@ -322,7 +330,8 @@ void bind_loop(nb::module_ &m) {
         .def("reached", &Loop::reached)
         .def("moved", &Loop::moved)
         .def("block", &Loop::block)
-        .def("id", &Loop::id)
+        .def("ids", &Loop::ids)
+        .def("take_over", &Loop::take_over)
         .def("save", &Loop::save)
         .def("restore", &Loop::restore);
 }

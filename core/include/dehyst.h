@@ -24,7 +24,7 @@ extern "C" {
 #define DEHYST_VERSION "0.1.0"
 /* Blocks of another format are refused. */
 #define DEHYST_MODEL_FORMAT 1
-#define DEHYST_SNAPSHOT_FORMAT 1
+#define DEHYST_SNAPSHOT_FORMAT 2
 
 typedef DEHYST_REAL dehyst_real;
 /* What depends on the number type. A file that was compiled for another one does not link. */
@@ -56,7 +56,7 @@ typedef enum dehyst_status {
     DEHYST_ERR_FORMAT = -10,     /* a block of another format */
     DEHYST_ERR_CHECKSUM = -11,   /* a block of which a bit has changed */
     DEHYST_ERR_ROOM = -12,       /* less room than the block needs */
-    DEHYST_ERR_MODEL = -13       /* a snapshot of another model */
+    DEHYST_ERR_MODEL = -13       /* a model, or a snapshot of one, of another shape than the loop's */
 } dehyst_status;
 
 /* Return the version of the core that was compiled, DEHYST_VERSION. */
@@ -96,7 +96,7 @@ typedef struct dehyst_loop {
  * elements, and the last t wanted displacements. */
 #define DEHYST_MEMORY(n, j, l, t) (2 * (n) + (j) + (l) + (t))
 /* Bytes of a snapshot of it. */
-#define DEHYST_SNAPSHOT(n, j, l, t) (32 + 8 * (8 + (n) + (j) + (l) + (t)))
+#define DEHYST_SNAPSHOT(n, j, l, t) (40 + 8 * (8 + (n) + (j) + (l) + (t)))
 
 /* Begin from the start of the model, at rest at the voltage that holds it, as if its displacement had always been
  * wanted. If that voltage lies outside the limits, the nearest limit counts as sent. */
@@ -113,13 +113,22 @@ void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_rea
 void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v);
 /* Return the displacement of the actuator after all voltages that were sent. */
 dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop);
+/* Go on with another model of the same shape, for instance with adapted weights, between two periods. What the loop
+ * remembers stays, and what is on offer is withdrawn. The next voltages follow the new model as fast as its slew rate
+ * allows.
+ *
+ * Models have one shape if they agree in all that the memory depends on: numbers of elements, branches and taps,
+ * breakaway elongations, coefficients of creep, smooth elements, amplifier and period; the frequency of a mass must be the
+ * same too. Stiffnesses, grades, spring, transformer, damping and limits may differ.
+ * @return DEHYST_ERR_MODEL if the shapes differ: then nothing has changed, and the loop is still one of `from` */
+dehyst_status dehyst_loop_exchange(const dehyst_model *from, const dehyst_model *to, dehyst_loop *loop);
 /* Write a snapshot, which any processor restores bit for bit; nothing that is on offer is kept.
  * @param bytes [DEHYST_SNAPSHOT(...)] the result
  * @return their number, or 0 if `size` is less */
 unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                unsigned char *bytes, unsigned long size);
-/* Go on from a snapshot of the same model, for instance after a reset. It is checked as a whole; if it is refused,
- * nothing changes. */
+/* Go on from a snapshot of a model of the same shape, see dehyst_loop_exchange, for instance after a reset. It is
+ * checked as a whole; if it is refused, nothing changes. */
 dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
                                   const unsigned char *bytes, unsigned long size);
 

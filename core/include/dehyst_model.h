@@ -212,7 +212,8 @@ struct dehyst_model {
     dehyst_start start;
     dehyst_real period; /* [s]; 0: the model does not depend on time */
     int ahead;          /* samples by which a displacement is to be given before its time */
-    unsigned long id;   /* checksum of all but limits and start: a snapshot is of the model with its id */
+    unsigned long id;    /* checksum of all but limits and start */
+    unsigned long shape; /* checksum of what the memory of a loop depends on: snapshots and exchanges ask for it */
 };
 
 /* Check a model and compute its `stiffness`. */
@@ -236,7 +237,7 @@ dehyst_status dehyst_model_room(const unsigned char *bytes, unsigned long size, 
  * @param model the result; not to be used if the block is refused */
 dehyst_status dehyst_model_load(const unsigned char *bytes, unsigned long size, dehyst_real *room, unsigned long count,
                                 dehyst_model *model);
-/* Write a block, and set the `id` of the model.
+/* Write a block, and set the `id` and the `shape` of the model.
  * @return the bytes that it has; nothing is written if `size` is less */
 unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsigned long size);
 

@@ -4,8 +4,9 @@
  * J, L, taps, inertia (0 or 1), ahead and three zeros - and the numbers that walk_model names, in its order. K are the
  * knots of the spring, M the grades, B the knots of tau; the other sizes are those of dehyst_model.h.
  *
- * A snapshot: eight unsigned - "DHYS", format, bytes, CRC-32, id of the model, samples limited, slewed, refused - and w,
- * y, rate, input, sent, acting, intended [2], carts [N], strains [J], elongations [L], wanted displacements [taps]. */
+ * A snapshot: ten unsigned - "DHYS", format, bytes, CRC-32, shape and id of the model, samples limited, slewed, refused,
+ * zero - and w, y, rate, input, sent, acting, intended [2], carts [N], strains [J], elongations [L], wanted displacements
+ * [taps]. */
 #include "internal.h"
 
 #include <stdint.h>
@@ -13,7 +14,7 @@
 #define KIND_OF_MODEL 0x4D594844u
 #define KIND_OF_SNAPSHOT 0x53594844u
 #define HEADER_OF_MODEL 64
-#define HEADER_OF_SNAPSHOT 32
+#define HEADER_OF_SNAPSHOT 40
 #define SCALARS 8
 /* Larger sizes are refused: products and sums of them must not overflow. */
 #define LARGEST_SIZE (1u << 24)
@@ -135,6 +136,7 @@ typedef struct cursor {
     unsigned char *to;
     dehyst_real *room;
     dehyst_status status;
+    uint32_t shape;
 } cursor;
 
 static void one(cursor *c, dehyst_real *x)
@@ -183,9 +185,17 @@ static void some(cursor *c, const dehyst_real **x, unsigned long n)
     for (; n > 0; n--) one(c, at++);
 }
 
+/* Do the same with numbers on which the memory of a loop depends. */
+static void shaping(cursor *c, const dehyst_real **x, unsigned long n)
+{
+    const unsigned char *first = c->from != NULL ? c->from : c->to;
+    some(c, x, n);
+    c->shape = crc32(c->shape, first, 8 * n);
+}
+
 static void walk_elements(cursor *c, dehyst_actuator *a, const uint32_t *size)
 {
-    some(c, &a->plain.slip.rho, size[ELEMENTS]);
+    shaping(c, &a->plain.slip.rho, size[ELEMENTS]);
     some(c, &a->plain.slip.kappa, size[ELEMENTS]);
     some(c, &a->plain.spring.knot, size[KNOTS]);
     some(c, &a->plain.spring.value, size[KNOTS]);
@@ -202,13 +212,14 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
 {
     dehyst_actuator *a = &m->actuator;
     dehyst_transition *to = &m->step.transition;
+    const unsigned char *amplifier;
     int i;
     walk_elements(c, a, size);
     some(c, &a->creep_stiffness, size[BRANCHES]);
-    some(c, &m->step.decay, size[BRANCHES]);
-    some(c, &m->step.gain, size[BRANCHES]);
-    some(c, &a->smooth.length, size[SMOOTH]);
-    some(c, &a->smooth.back, size[SMOOTH]);
+    shaping(c, &m->step.decay, size[BRANCHES]);
+    shaping(c, &m->step.gain, size[BRANCHES]);
+    shaping(c, &a->smooth.length, size[SMOOTH]);
+    shaping(c, &a->smooth.back, size[SMOOTH]);
     some(c, &a->smooth.stiffness, size[SMOOTH]);
     some(c, &m->tap, size[TAPS]);
     one(c, &a->series);
@@ -216,12 +227,14 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     for (i = 0; i < 4; i++) one(c, to->phi + i);
     for (i = 0; i < 2; i++) one(c, to->before + i);
     for (i = 0; i < 2; i++) one(c, to->after + i);
+    amplifier = c->from != NULL ? c->from : c->to;
     one(c, &m->lag);
     one(c, &m->keep);
     one(c, &m->from_old);
     one(c, &m->from_new);
     one(c, &m->period);
     *id_end = c->from != NULL ? c->from : c->to;
+    m->shape = crc32(c->shape, amplifier, (unsigned long)(*id_end - amplifier));
     bound(c, &m->low, 0);
     bound(c, &m->high, 1);
     bound(c, &m->change, 1);
@@ -231,6 +244,13 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     some(c, &m->start.cart, size[ELEMENTS]);
     some(c, &m->start.strain, size[BRANCHES]);
     some(c, &m->start.elongation, size[SMOOTH]);
+}
+
+/* Begin the shape of a model with the sizes that the memory of its loop has. */
+static uint32_t shape_of_sizes(const unsigned char *bytes)
+{
+    const unsigned char *sizes = bytes + 16;
+    return crc32(crc32(0, sizes + 4 * ELEMENTS, 4), sizes + 4 * BRANCHES, 4 * (AHEAD + 1 - BRANCHES));
 }
 
 static uint64_t numbers_of(const uint32_t *size)
@@ -335,6 +355,7 @@ dehyst_status dehyst_model_load(const unsigned char *bytes, unsigned long size, 
     c.to = NULL;
     c.room = room;
     c.status = DEHYST_OK;
+    c.shape = shape_of_sizes(bytes);
     walk_model(&c, model, sizes, &id_end);
     if (c.status != DEHYST_OK) return c.status;
     model->id = crc32(0, bytes + 16, (unsigned long)(id_end - (bytes + 16)));
@@ -377,6 +398,7 @@ unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsig
     c.to = bytes + HEADER_OF_MODEL;
     c.room = NULL;
     c.status = DEHYST_OK;
+    c.shape = shape_of_sizes(bytes);
     walk_model(&c, model, sizes, &id_end);
     model->id = crc32(0, bytes + 16, (unsigned long)(id_end - (bytes + 16)));
     put_frame(bytes, KIND_OF_MODEL, DEHYST_MODEL_FORMAT, total);
@@ -402,10 +424,12 @@ unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loo
     for (i = 0; i < SCALARS; i++, at += 8) put_real(at, scalar[i]);
     for (i = 0; i < n; i++, at += 8) put_real(at, memory[(loop->half ? n : 0) + i]);
     for (i = 2 * n; i < all; i++, at += 8) put_real(at, memory[i]);
-    put_word(bytes + 16, (uint32_t)model->id);
-    put_word(bytes + 20, (uint32_t)loop->limited);
-    put_word(bytes + 24, (uint32_t)loop->slewed);
-    put_word(bytes + 28, (uint32_t)loop->refused);
+    put_word(bytes + 16, (uint32_t)model->shape);
+    put_word(bytes + 20, (uint32_t)model->id);
+    put_word(bytes + 24, (uint32_t)loop->limited);
+    put_word(bytes + 28, (uint32_t)loop->slewed);
+    put_word(bytes + 32, (uint32_t)loop->refused);
+    put_word(bytes + 36, 0);
     put_frame(bytes, KIND_OF_SNAPSHOT, DEHYST_SNAPSHOT_FORMAT, total);
     return total;
 }
@@ -443,20 +467,22 @@ dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, 
     const unsigned char *at = bytes + HEADER_OF_SNAPSHOT;
     unsigned long i;
     if (status != DEHYST_OK) return status;
-    if (word_at(bytes + 16) != (uint32_t)model->id) return DEHYST_ERR_MODEL;
+    if (word_at(bytes + 16) != (uint32_t)model->shape) return DEHYST_ERR_MODEL;
     if (size != snapshot_size(model)) return DEHYST_ERR_LENGTH;
     status = check_snapshot(model, at, SCALARS + all - n);
     if (status != DEHYST_OK) return status;
     for (i = 0; i < SCALARS; i++, at += 8) *scalar[i] = real_at(at);
     for (i = 0; i < n; i++, at += 8) memory[i] = memory[n + i] = real_at(at);
     for (i = 2 * n; i < all; i++, at += 8) memory[i] = real_at(at);
+    /* The share of w that follows y depends on the spring, which may be another one. */
+    loop->input = model->actuator.inertia ? loop->w - model->actuator.share * loop->y : 0;
     loop->wanted = memory[all - (unsigned long)model->taps];
     loop->target = loop->w;
     loop->candidate = loop->voltage = loop->sent;
     loop->offer = DEHYST_NOTHING;
     loop->half = loop->segment = 0;
-    loop->limited = word_at(bytes + 20);
-    loop->slewed = word_at(bytes + 24);
-    loop->refused = word_at(bytes + 28);
+    loop->limited = word_at(bytes + 24);
+    loop->slewed = word_at(bytes + 28);
+    loop->refused = word_at(bytes + 32);
     return DEHYST_OK;
 }

@@ -20,7 +20,7 @@ const char *dehyst_status_text(dehyst_status status)
     case DEHYST_ERR_FORMAT: return "the block has another format than this version reads";
     case DEHYST_ERR_CHECKSUM: return "the checksum of the block does not fit: it has changed";
     case DEHYST_ERR_ROOM: return "there is less room than the block needs";
-    case DEHYST_ERR_MODEL: return "the snapshot is of another model";
+    case DEHYST_ERR_MODEL: return "the model has another shape: sizes, elements, time constants, amplifier or period";
     }
     return "unknown status";
 }
@@ -254,6 +254,15 @@ dehyst_real dehyst_loop_step(const dehyst_model *model, dehyst_loop *loop, dehys
     const dehyst_real v = dehyst_loop_offer(model, loop, memory, u);
     dehyst_loop_commit(model, loop, memory, v);
     return v;
+}
+
+dehyst_status dehyst_loop_exchange(const dehyst_model *from, const dehyst_model *to, dehyst_loop *loop)
+{
+    if (from->shape != to->shape || dehyst_memory_size(from) != dehyst_memory_size(to)) return DEHYST_ERR_MODEL;
+    /* The share of w that follows y depends on the spring. */
+    if (to->actuator.inertia) loop->input = loop->w - to->actuator.share * loop->y;
+    loop->offer = DEHYST_NOTHING;
+    return DEHYST_OK;
 }
 
 void dehyst_loop_run(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, const dehyst_real *u,

@@ -262,7 +262,64 @@ static void go_on_from_snapshots(bench *b)
         demand(dehyst_loop_step(m, &loop, memory, u) == dehyst_loop_step(m, &other, fresh, u), "other bits", i);
     }
     b->model.id++;
-    demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_ERR_MODEL, "another model's snapshot", 0);
+    demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_OK, "a snapshot of other weights", 0);
+    b->model.shape++;
+    demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_ERR_MODEL, "another shape's snapshot", 0);
+    b->model.shape--;
+}
+
+/* Change number `at` of a block by one part in 4096 or less. */
+static void change(unsigned char *bytes, unsigned long size, int at)
+{
+    bytes[HEADER + 8 * at + 5] ^= 1;
+    seal(bytes, size);
+}
+
+static void load(const unsigned char *bytes, unsigned long size, dehyst_real *tables, dehyst_model *model)
+{
+    unsigned long count;
+    demand(dehyst_model_room(bytes, size, &count) == DEHYST_OK, "room", (long)size);
+    demand(dehyst_model_load(bytes, size, tables, count, model) == DEHYST_OK, "a block", (long)count);
+}
+
+/* Exchange models of other stiffnesses while a loop runs: the voltages are those of a loop that goes on from a snapshot,
+ * and change no faster than the slew rate. A model of another breakaway elongation is refused. */
+static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long size)
+{
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)], fresh[sizeof memory / sizeof *memory];
+    dehyst_real *tables = room(2 * size * sizeof *tables), last;
+    dehyst_model stranger, loaded;
+    const dehyst_model *now = &b->model, *next = &loaded;
+    dehyst_loop loop, other;
+    int i, k;
+    change(bytes, size, 0);
+    load(bytes, size, tables, &stranger);
+    change(bytes, size, 0);
+    for (i = 0; i < ELEMENTS; i++) change(bytes, size, ELEMENTS + i);
+    change(bytes, size, 2 * ELEMENTS + KNOTS + 1);
+    load(bytes, size, tables + size, &loaded);
+    demand(loaded.id != now->id && loaded.shape == now->shape, "the id or the shape", 0);
+    demand(dehyst_loop_begin(now, &loop, memory) == DEHYST_OK, "begin", 0);
+    demand(dehyst_loop_exchange(now, &stranger, &loop) == DEHYST_ERR_MODEL, "another shape is accepted", 0);
+    last = loop.sent;
+    for (k = 0; k < STEPS; k++) {
+        const dehyst_model *before = now;
+        const unsigned long count = dehyst_loop_save(now, &loop, memory, kept, sizeof kept);
+        dehyst_loop_offer(now, &loop, memory, (dehyst_real)between(-0.2, 1.2));
+        demand(dehyst_loop_exchange(now, next, &loop) == DEHYST_OK, "an exchange", k);
+        now = next;
+        next = before;
+        dehyst_loop_begin(now, &other, fresh);
+        demand(dehyst_loop_restore(now, &other, fresh, kept, count) == DEHYST_OK, "a snapshot", k);
+        for (i = 0; i < k % 5; i++) {
+            const dehyst_real u = (dehyst_real)between(-0.2, 1.2), v = dehyst_loop_step(now, &loop, memory, u);
+            demand(v == dehyst_loop_step(now, &other, fresh, u), "other bits after an exchange", k);
+            demand(fabs((double)(v - last)) <= (double)now->change * (1 + 1e-6), "faster than the slew rate", k);
+            last = v;
+        }
+    }
+    free(tables);
 }
 
 int main(int count, char **word)
@@ -281,6 +338,7 @@ int main(int count, char **word)
         load_what_was_saved(b, bytes, size);
         for (k = 0; k < 20; k++) refuse_what_was_broken(bytes, size, broken);
         go_on_from_snapshots(b);
+        exchange_while_running(b, bytes, size);
         free(broken);
         free(bytes);
     }

@@ -157,11 +157,16 @@ def settle_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def path_of(value: object) -> Path:
-    """Return a path; raise FileFormatError for anything else."""
-    if not isinstance(value, str | os.PathLike) or not isinstance(name := os.fspath(value), str) or "\0" in name:
-        raise FileFormatError(f"got {value!r}, need the name of a file or a folder; give a path")
-    return Path(name)
+def path_of(value: object, what: str = "path") -> Path:
+    """Return the name of a file or a folder as a path; raise FileFormatError if it cannot be one."""
+    name = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if isinstance(name, str) and "\0" not in name:
+        return Path(name)
+    kind, need = type(value).__name__, "the name of a file or a folder"
+    if kind in _TABLES:
+        hint = f"make a record of it with dehyst.Record.{_TABLES[kind]}"
+        raise FileFormatError(argument=what, got=kind, need=need, hint=hint)
+    raise FileFormatError(argument=what, got=repr(value), need=f"{need}, as 'loops.csv' or a pathlib.Path")
 
 
 @contextmanager
@@ -189,8 +194,12 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
     except OSError as error:
         raise unwritten(path, error) from error
     kind = _kind(_sample(path))
-    if kind is not None and (_may_be_output(kind) if content is None else kind == _kind(content)):
+    if kind is not None and content is not None and kind == _kind(content):
         return
+    if kind is not None and content is None:
+        prefixes = ("dehyst", "table of a model", "// dehyst: ")
+        if kind.startswith(prefixes) or kind.endswith(".npy") or _HEADER.fullmatch(kind):
+            return
     raise FileFormatError(
         f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"
     )
@@ -255,14 +264,6 @@ def _kind(content: bytes) -> str | None:
     return ",".join(name for name in names if name not in ("time_s", "phase"))
 
 
-def _may_be_output(kind: str) -> bool:
-    return (
-        kind.startswith(("dehyst", "table of a model", "// dehyst: "))
-        or kind.endswith(".npy")
-        or _HEADER.fullmatch(kind) is not None
-    )
-
-
 def _sample(path: PathLike) -> bytes:
     """Return the first and the last bytes of a regular file; none if it cannot be read."""
     try:
@@ -274,17 +275,6 @@ def _sample(path: PathLike) -> bytes:
             return head + stream.read(_HEAD)
     except OSError:
         return b""
-
-
-def named(path: object, what: str = "path") -> Path:
-    """Return the name of a file as a path; raise FileFormatError if it cannot be one."""
-    if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
-        return Path(path)
-    kind, need = type(path).__name__, "the name of a file"
-    if kind in _TABLES:
-        hint = f"make a record of it with dehyst.Record.{_TABLES[kind]}"
-        raise FileFormatError(argument=what, got=kind, need=need, hint=hint)
-    raise FileFormatError(argument=what, got=repr(path), need=f"{need}, as 'loops.csv' or a pathlib.Path")
 
 
 @contextmanager
@@ -312,7 +302,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
     Raise `FileFormatError` for no name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no
     valid JSON, no object, a key that is there twice in one object, NaN, Infinity, or a number too large for a float.
     """
-    path = named(path)
+    path = path_of(path)
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]

@@ -15,14 +15,13 @@ def escaped(text: object) -> str:
     Printable text, in any script, does not change, nor does text that is escaped already.
     """
     string = str(text)
+    if string.isprintable():
+        return string
     # Spaces other than ' ' count as not printable, but are harmless.
-    return string if string.isprintable() else "".join(map(_escape, string))
-
-
-def _escape(character: str) -> str:
-    if character.isprintable() or unicodedata.category(character) == "Zs":
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    return "".join(
+        one if one.isprintable() or unicodedata.category(one) == "Zs" else one.encode("unicode_escape").decode("ascii")
+        for one in string
+    )
 
 
 def to_know(sentences: Sequence[str]) -> Iterator[str]:

@@ -303,26 +303,89 @@ def test_a_snapshot_of_another_loop_is_refused(tmp_path):
     compensator = Compensator(PLANT, FREE, period=1e-3)
     compensator.snapshot().save(tmp_path / "loop.json")
     for other in (
-        Compensator(plain_records.plant(10, seed=5), FREE, period=1e-3),
+        Compensator(plain_records.plant(12, seed=5), FREE, period=1e-3),
         Compensator(PLANT, FREE, period=2e-3),
-        Compensator(PLANT, FREE, period=1e-3, preview=True),
+        Compensator(replace(PLANT, delay=2e-3), FREE, period=1e-3, preview=True),
     ):
-        with pytest.raises(ModelError, match="of another actuator, period or preview"):
+        with pytest.raises(ModelError, match="of another shape, another period or preview"):
             other.restore(Snapshot.load(tmp_path / "loop.json"))
     renamed = replace(PLANT, name="the same under another name", limits=(0, 1))
-    Compensator(renamed, FREE, period=1e-3).restore(Snapshot.load(tmp_path / "loop.json"))
+    assert Compensator(renamed, FREE, period=1e-3).restore(Snapshot.load(tmp_path / "loop.json"))
+
+
+def stiffer(actuator, factor=1.1):
+    """The same with other weights: stiffnesses of elements, spring, creep and smooth elements."""
+    slip, spring, creep, smooth = actuator.slip, actuator.spring, actuator.creep, actuator.smooth
+    more = {} if creep is None else {"creep": Creep(creep.time_constants, creep.stiffness / factor)}
+    if smooth is not None:
+        more["smooth"] = replace(smooth, stiffness=smooth.stiffness * factor)
+    return replace(
+        actuator,
+        slip=replace(slip, stiffness=slip.stiffness * factor),
+        spring=replace(spring, voltage=spring.voltage * (2 - factor)),
+        **more,
+    )
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_another_model_of_the_same_shape_takes_over_in_a_running_loop(name, tmp_path):
+    """It goes on from the memory, as from a snapshot; the voltage changes no faster than the slew rate."""
+    actuator, path = PLANTS[name], wanted(11)
+    other = stiffer(actuator)
+    make = lambda model: Compensator(  # noqa: E731
+        model, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True, units="um"
+    )
+    one, two = make(actuator), make(other)
+    sent = [quietly(one.run, 1e6 * path[:150])]
+    one.snapshot().save(tmp_path / "loop.json")
+    assert not two.restore(Snapshot.load(tmp_path / "loop.json"))
+    quietly(one.offer, 1.0)
+    one.exchange(other)
+    assert one.actuator is other and one.units == "um" and one.clamps == two.clamps
+    assert gap(one.state, two.state) == 0
+    sent.append(quietly(one.run, 1e6 * path[150:]))
+    np.testing.assert_array_equal(sent[1], quietly(two.run, 1e6 * path[150:]))
+    assert np.abs(np.diff(np.concatenate(sent))).max() <= 5e3 * PERIOD * (1 + 1e-9)
+    assert one.reach == two.reach
+    back = one.snapshot()
+    one.exchange(actuator)
+    assert one.restore(back) is False
+    one.exchange(other)
+    assert one.restore(back) is True
+
+
+def test_a_model_of_another_shape_is_refused_and_the_loop_stays():
+    compensator = Compensator(PLANT, FREE, period=1e-3)
+    compensator.run(wanted(11)[:50])
+    before = compensator.snapshot()
+    for other, word in (
+        (plain_records.plant(12, seed=5), "breakaway elongations"),
+        (replace(PLANT, lag=1e-3), "amplifier lag"),
+        (replace(PLANT, dynamics=Dynamics(100.0, 0.1)), "resonance frequency"),
+        (replace(PLANT, creep=Creep([1.0], [1e5])), "creep time constants"),
+    ):
+        with pytest.raises(ModelError, match=word):
+            compensator.exchange(other)
+    ahead = Compensator(PLANT, FREE, period=1e-3, preview=True)
+    with pytest.raises(ModelError, match="samples that the preview needs"):
+        ahead.exchange(replace(PLANT, delay=5e-3))
+    with pytest.raises(ModelError, match="need an Actuator"):
+        compensator.exchange(None)
+    after = compensator.snapshot()
+    np.testing.assert_array_equal(after.rest, before.rest)
+    assert gap(after.state, before.state) == 0 and after.key == before.key and compensator.actuator is PLANT
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"format": "dehyst-actuator"}, "got format"),
-        ({"version": 2}, "version 2"),
+        ({"version": 1}, "version 1"),
         ({"counts": [1, 2]}, "three whole numbers"),
         ({"counts": [1, 2, -1]}, "three whole numbers"),
         ({"counts": [10**30, 0, 0]}, "three whole numbers"),
         ({"version": True}, "version True"),
-        ({"rest": [0.0]}, "got 1 numbers beside the state, need 7"),
+        ({"rest": [0.0]}, "got 1 numbers beside the state, need 6"),
         ({"rest": "none"}, "list of numbers"),
         ({"extra": 1}, "unknown keys"),
         ({"state": {}}, "missing keys"),

@@ -245,9 +245,9 @@ def test_a_damaged_state_is_refused(fmus, version, kind):
                 slave.restore(bytes(broken))
             assert slave.said[-1][1] == "state: its checksum does not fit; it is not what was serialized"
         low, high = ALL["creep"].limits
-        # The output, and of the snapshot, whose header has 32 bytes: the deflection, the voltage and the last number.
+        # The output, and of the snapshot, whose header has 40 bytes: the deflection, the voltage and the last number.
         shown, snapshot = 56 + 8, 80
-        deflection, sent = snapshot + 32, snapshot + 32 + 8 * 4
+        deflection, sent = snapshot + 40, snapshot + 40 + 8 * 4
         for at, value, words in (
             (shown, np.nan, "a number of it is not finite"),
             (shown, np.nextafter(high, np.inf), "its voltage lies outside the limits"),

@@ -66,6 +66,8 @@ def public_things():
                     yield f"{room}.{name}", thing, [kind.__doc__ for kind in line]
                 for method, function in members(thing):
                     texts = [vars(kind)[method].__doc__ for kind in line if method in vars(kind)]
+                    named = {name for text in texts for name in re.findall(r"see\s+`(\w+)`", text or "")}
+                    texts += [kind.__doc__ for kind in line if kind.__name__ in named]
                     yield f"{room}.{name}.{method}", function, texts
 
 

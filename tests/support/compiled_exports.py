@@ -191,9 +191,9 @@ def _core(folder, *command):
     return _compiled(command, tuple((path.name, path.read_text()) for path in sorted(folder.glob("dehyst*.[ch]"))))
 
 
-def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",)):
+def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",), program=DRIVER):
     """Lines that DRIVER prints, compiled for this computer."""
-    (folder / "driver.c").write_text(DRIVER)
+    (folder / "driver.c").write_text(program)
     defines = _defines(compensator, samples, every)
     command = [compiler, *STRICT, *options]
     must_run([*command, *defines, "driver.c", "piezo.c", *_core(folder, *command), "-o", "driver"], folder)

@@ -15,14 +15,14 @@ def json_values(owner: object, keys: str) -> dict[str, Any]:
     `keys`: names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
     "key=outer.inner" from one of an attribute, None if that is None.
     """
-    pairs = (entry.partition("=") for entry in keys.split())
-    return {key: json_value(_attribute(owner, name or key)) for key, _, name in pairs}
-
-
-def _attribute(owner: Any, name: str) -> Any:
-    for part in name.split("."):
-        owner = None if owner is None else getattr(owner, part)
-    return owner
+    found = {}
+    for entry in keys.split():
+        key, _, name = entry.partition("=")
+        value: Any = owner
+        for part in (name or key).split("."):
+            value = None if value is None else getattr(value, part)
+        found[key] = json_value(value)
+    return found
 
 
 def json_value(value: Any) -> Any:

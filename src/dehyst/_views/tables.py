@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,37 +39,25 @@ def dataset(time: Array, variables: Mapping[str, tuple[Array, dict[str, str]]], 
     return made
 
 
-class TableColumn(NamedTuple):
-    """A column of a DataFrame: `data` (n,), in `unit` if it is known; `foreign` if any other column of time counts."""
+def columns_of(table: Any) -> Iterator[tuple[str, Array, str, bool]]:
+    """Yield name, data (n,) and unit of the numeric columns of a DataFrame, and whether any other time counts more.
 
-    name: str
-    data: Array
-    unit: str = ""
-    foreign: bool = False
-
-
-def columns_of(table: Any) -> list[TableColumn]:
-    """Return the numeric columns of a DataFrame, its index too if that has a name or holds dates or durations.
-
-    Dates and durations become seconds; other columns have no unit beside their name.
+    Dates and durations become seconds; other columns have no unit beside their name. An index counts if it has a name,
+    or holds dates or durations: then it is a time if there is no other.
     """
     if not hasattr(table, "columns") or not hasattr(table, "index"):
         raise RecordError(f"frame: got {type(table).__name__}, need a DataFrame; or try dehyst.Record.from_arrays")
     rows = table if table.index.name is None else table.reset_index()
-    found = [_column(str(name), rows[name]) for name in rows.columns]
+    series = [(str(name), rows[name], False) for name in rows.columns]
     if table.index.name is None and getattr(table.index.dtype, "kind", "") in "mM":
-        found.append(_column("time", table.index.to_series())._replace(foreign=True))
-    return [column for column in found if column.data.dtype.kind == "f"]
-
-
-def _column(name: str, values: Any) -> TableColumn:
-    """Return a Series as a column; with its own data if these are no numbers."""
-    # A time zone makes objects of dates.
-    zoned = getattr(values.dtype, "tz", None) is not None
-    data = np.asarray(values.dt.tz_convert(None) if zoned else values)
-    if data.dtype.kind not in "iufmM":
-        return TableColumn(name, data)
-    return TableColumn(name, np.asarray(seconds(data), dtype=np.float64), "s" if data.dtype.kind in "mM" else "")
+        series.append(("time", table.index.to_series(), True))
+    for name, values, foreign in series:
+        # A time zone makes objects of dates.
+        zoned = getattr(values.dtype, "tz", None) is not None
+        data = np.asarray(values.dt.tz_convert(None) if zoned else values)
+        kind = data.dtype.kind
+        if kind in "iufmM":
+            yield name, np.asarray(seconds(data), dtype=np.float64), "s" if kind in "mM" else "", foreign
 
 
 def variable(container: Any, name: str) -> Any:
@@ -78,12 +66,8 @@ def variable(container: Any, name: str) -> Any:
         found = container[name]
     except (KeyError, TypeError, IndexError) as error:
         known = ", ".join(f"'{escaped(one)}'" for one in getattr(container, "variables", ()))
-        raise RecordError(
-            argument="dataset",
-            got=f"no variable '{name}'",
-            need="one",
-            hint=f"it holds {known or 'none'}. Rename yours with .rename(name='{name}')",
-        ) from error
+        got, hint = f"no variable '{name}'", f"it holds {known or 'none'}. Rename yours with .rename(name='{name}')"
+        raise RecordError(argument="dataset", got=got, need="one", hint=hint) from error
     return seconds(found.values) if found.values.dtype.kind in "mM" else found
 
 

@@ -116,7 +116,7 @@ class ModelScore:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """A table with one row for each model.
+    """A table with one of the `rows` for each model.
 
     `stroke` [m]: to which the percentages refer. `records`, `held_out`, `truths`: names of the training records, of the
     held-out records and of the virtual actuators. `lead`: lead-in of the held-out records [s].

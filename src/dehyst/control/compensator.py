@@ -16,7 +16,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, keep, number, vector
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
-from dehyst.control.loop import ReadOnly, Snapshot, key_of, make_loop, memory_of, preview_filter, set_memory
+from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import Actuator, State
 from dehyst.model.checks import ANYWAY
@@ -364,17 +364,45 @@ class Compensator(ReadOnly):
 
     def snapshot(self) -> Snapshot:
         """Return the loop's whole memory, to be saved; `restore` continues from it bit for bit."""
-        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts())
+        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts(), f"{self.model_ids()[0]:08x}")
 
-    def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a `snapshot`.
+    def restore(self, snapshot: Snapshot) -> bool:
+        """Continue from a `snapshot`; return whether it was of this very model, not only of one of the same shape.
 
-        Raise `ModelError` if it is of another actuator, period or preview, or damaged: the loop is as before then.
+        Raise `ModelError` if it is of an actuator of another shape (see `exchange`), another period or preview, or
+        damaged: the loop is as before then.
         """
         if not isinstance(snapshot, Snapshot):
             got = type(snapshot).__name__
             raise ModelError(argument="snapshot", got=got, need="a Snapshot", hint="Snapshot.load reads a file")
         snapshot.resume(self._loop, self.actuator, self.bounds, self._key)
+        return snapshot.model == f"{self.model_ids()[0]:08x}"
+
+    def exchange(self, actuator: Actuator) -> None:
+        """Go on with another model of the actuator, for instance with adapted weights; the memory stays.
+
+        Limits, slew rate and preview stay as they are. Models of one shape may be exchanged at any sample: those that
+        agree in breakaway elongations, creep time constants, lengths of smooth elements, resonance and lag, and with
+        `preview` in the samples that it needs. Stiffnesses, spring and transformer may differ. The next voltages follow
+        the new model as fast as the slew rate allows. What is on offer is withdrawn.
+
+        Raise `ModelError` if the shape differs: the loop is as before then.
+        """
+        if not isinstance(actuator, Actuator):
+            raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
+        differing = differences(self.actuator, actuator)
+        if not differing:
+            new = Compensator(**self._options() | {"actuator": actuator})
+            if new._key == self._key:
+                new._loop.take_over(self._loop)
+                keep(self, __dict__=vars(new))
+                return
+            differing = ["samples that the preview needs"]
+        raise ModelError(
+            f"its {', '.join(differing)} differ from those of the model in use",
+            argument="actuator",
+            hint="make another Compensator of it",
+        )
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """Return a python-control block: displacement wanted [m] in, voltage [V] out, from the present memory on.
@@ -408,10 +436,10 @@ class Compensator(ReadOnly):
         """
         return self._loop.block(*self.start(), self.period or 0.0, self.samples_ahead)
 
-    def model_id(self) -> int:
-        """Return the checksum by which C knows that a snapshot is of this model; limits and start do not count."""
+    def model_ids(self) -> tuple[int, int]:
+        """Return the checksums `id` and `shape` that the model has in C; limits and start do not count."""
         self.model_block()
-        return self._loop.id()
+        return self._loop.ids()
 
     def snapshot_block(self) -> bytes:
         """Return the loop's memory as the block of bytes that `dehyst_loop_restore` reads in C."""
@@ -436,7 +464,7 @@ class Compensator(ReadOnly):
 
     @cached_property
     def _key(self) -> str:
-        return key_of(self.actuator, self.period, self.preview)
+        return f"{self.model_ids()[1]:08x}"
 
     @cached_property
     def _preview(self) -> tuple[Array, int]:

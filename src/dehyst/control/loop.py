@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,11 +19,16 @@ from dehyst.model import Actuator, State
 from dehyst.model import serialization as files
 
 FORMAT = "dehyst-loop"
-VERSION = 1
+VERSION = 2
+# What the memory of a loop depends on, beside breakaway elongations and amplifier: words, part, and its number.
+_SHAPE = (
+    ("creep time constants", "creep", "time_constants"),
+    ("lengths of smooth elements", "smooth", "length"),
+    ("closing of smooth elements", "smooth", "closing"),
+    ("resonance frequency", "dynamics", "frequency"),
+)
 # Range of the core's counts on every machine.
 _MOST = 2**31
-# Entries of a model file on which a loop does not depend.
-_FREE = files.DESCRIPTION | {"limits", "state"}
 # A delay this close to a whole number of steps is that number.
 _WHOLE = 1e-9
 # Most steps of a delay, or of a radian of the resonance.
@@ -80,20 +83,23 @@ class Snapshot(files.JsonFile):
     Attributes
     ----------
     key : str
-        Digest of the actuator's numbers, the period and the preview: the snapshot fits no other loop.
+        Checksum of what the memory depends on, the shape of the model: the snapshot fits no other loop.
     state : State
         State of the actuator.
-    rest : (6 + M,) array
-        The remaining memory: the last voltage, the output of the amplifier, its two inputs before, the push and the
-        velocity of the mass, and the displacements fed, newest first.
+    rest : (5 + M,) array
+        The remaining memory: the last voltage, the output of the amplifier, its two inputs before, the velocity of the
+        mass, and the displacements fed, newest first.
     counts : (int, int, int)
         Numbers of samples limited, slewed and refused.
+    model : str, optional
+        Checksum of all numbers of the model in use, of which there may be several of one shape.
     """
 
     key: str
     state: State
     rest: Array
     counts: tuple[int, int, int]
+    model: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.state, State):
@@ -106,7 +112,7 @@ class Snapshot(files.JsonFile):
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; `from_dict` reads them back without loss."""
-        head = {"format": FORMAT, "version": VERSION, "key": self.key}
+        head = {"format": FORMAT, "version": VERSION, "key": self.key, "model": self.model}
         memory = {"rest": self.rest.tolist(), "counts": list(self.counts)}
         return {**head, "state": files.state_dict(self.state), **memory}
 
@@ -114,19 +120,19 @@ class Snapshot(files.JsonFile):
     def from_dict(cls, data: Mapping[str, Any]) -> Snapshot:
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is no snapshot of this version."""
         files.demand_format(data, FORMAT, (VERSION,))
-        files.demand_keys(data, {"format", "version", "key", "state", "rest", "counts"}, "snapshot")
+        files.demand_keys(data, {"format", "version", "key", "model", "state", "rest", "counts"}, "snapshot")
         rest = files.numbers(data["rest"], "rest")
-        return cls(str(data["key"]), files.state(data), rest, data["counts"])
+        return cls(str(data["key"]), files.state(data), rest, data["counts"], str(data["model"]))
 
     def resume(self, loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str) -> None:
         """Set the memory of a `loop` that `key` identifies; after an error it is as before.
 
-        Raise `ModelError` if the snapshot is of another `actuator`, period or preview, outside of the `limits`, or
-        damaged.
+        Raise `ModelError` if the snapshot is of an `actuator` of another shape, another period or preview, outside of
+        the `limits`, or damaged.
         """
         if self.key != key:
             raise ModelError(
-                "it is of another actuator, period or preview",
+                "it is of an actuator of another shape, another period or preview",
                 argument="snapshot",
                 hint="make the compensator as it was",
             )
@@ -145,11 +151,17 @@ class Snapshot(files.JsonFile):
             raise
 
 
-def key_of(actuator: Actuator, period: float | None, preview: bool) -> str:
-    """Return the digest that a snapshot of a loop has as its key."""
-    numbers = {name: value for name, value in actuator.as_dict().items() if name not in _FREE}
-    text = json.dumps([numbers, period, preview], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+def differences(one: Actuator, other: Actuator) -> list[str]:
+    """Return in what two actuators differ that the memory of a loop depends on; empty if they have one shape."""
+    rows = [
+        ("breakaway elongations", one.slip.breakaway, other.slip.breakaway),
+        *(
+            (words, getattr(getattr(one, part), name, ()), getattr(getattr(other, part), name, ()))
+            for words, part, name in _SHAPE
+        ),
+        ("amplifier lag", one.lag, other.lag),
+    ]
+    return [words for words, before, after in rows if not np.array_equal(before, after)]
 
 
 def memory_of(loop: Loop) -> tuple[CoreState, Array, tuple[int, int, int]]:

@@ -20,6 +20,8 @@ Tables: TypeAlias = Mapping[str, Array]
 # Lines of the templates in whose place the generated text comes.
 SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
 _A_LINE = 4
+# Bytes before the numbers of a block.
+_HEADER = 64
 # Slider positions [m] of one state, but for rounding.
 _SAME = 1e-13
 _LARGEST = float(np.finfo(np.float64).max)
@@ -115,6 +117,11 @@ class Sizes(NamedTuple):
         names = ("tau_voltage", "creep", "length", "tap")
         return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
 
+    def room(self, block: bytes) -> int:
+        """Return how many numbers a block of these sizes and the tables that the core computes have."""
+        graded = self.grades + (self.elements + 1) * (self.grades + 1) if self.grades else 0
+        return (len(block) - _HEADER) // 8 + self.knots + 2 * self.bends + graded
+
 
 def config_header(number: Number) -> str:
     """Return `dehyst_config.h`, which says in one place what number type the core and the model have."""
@@ -139,6 +146,8 @@ def size_macros(compensator: Compensator, number: Number) -> str:
         f"#define MODEL_BRANCHES {sizes.branches}",
         f"#define MODEL_SMOOTH {sizes.smooth}",
         f"#define MODEL_TAPS {sizes.taps}",
+        "/* Numbers that dehyst_model_load needs for another block of these sizes. */",
+        f"#define MODEL_ROOM {sizes.room(compensator.model_block())}",
         "",
         "/* Seconds between steps; 0: this model does not depend on time. */",
         f"#define MODEL_PERIOD {spell(compensator.period or 0.0)}",
@@ -234,6 +243,7 @@ def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spell
     series = spell.some(inertia) if inertia.size else "0, 0"
     moves = step if step.size else np.zeros(8)
     low, high, change, *amplifier, stiffness = tables["loop"].tolist()
+    model_id, shape = compensator.model_ids()
     rows = [
         "{{{",
         f"    {{{sizes.elements}, {at('rho', 'kappa')}, 0, 0, 0, 0}},",
@@ -253,7 +263,7 @@ def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spell
         f" {spell.some(np.array(amplifier))},",
         f" {spell.one(stiffness)},",
         f" {{{spell.some(np.array([start.w, *motion]))}, {at('cart', 'strain', 'elongation')}}},",
-        f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {compensator.model_id()}ul}};",
+        f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {model_id}ul, {shape}ul}};",
     ]
     return "static const dehyst_model piezo_model = " + "\n".join(rows)
 

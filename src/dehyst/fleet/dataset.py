@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dehyst._errors import DehystError, FileFormatError, library
-from dehyst._io import PathLike, named, reading_errors
+from dehyst._io import PathLike, path_of, reading_errors
 from dehyst.records import Record, read
 from dehyst.records.files import record_of
 from dehyst.records.formats.columns import Column, Table, listed, without_groups
@@ -120,7 +120,7 @@ def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
     Raise `FileFormatError` if there is no such dataset, no record in it, or it does not have the keys;
     `MissingExtraError` if pyarrow or zarr is not installed.
     """
-    target, wanted = named(path).absolute(), tuple(by)
+    target, wanted = path_of(path).absolute(), tuple(by)
     if len(set(wanted)) < len(wanted) or not all(wanted):
         raise FileFormatError(
             argument="by", got=repr(", ".join(by)), need="different names of keys, as 'serial,session'"

@@ -33,7 +33,7 @@ _DIGITS = re.compile(r"([0-9]+)")
 
 @dataclass(frozen=True, eq=False)
 class Ageing:
-    """One serial over its `sessions` with a model, the oldest first.
+    """One actuator, its `serial`, over its `sessions` with a model, the oldest first.
 
     `costs` (n - 1,): largest difference [% of the stroke] between the oldest model and each later one, on the same
     path. `signed` (n - 1,): change of the stroke of that path [%]. `chart`: averages (EWMA) and cumulative sums (CUSUM)
@@ -141,7 +141,7 @@ class Drifts:
 
 
 def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts:
-    """Compare the models of each serial over its sessions.
+    """Compare the models of each serial of a `fleet` over its sessions.
 
     `by`, `over`: columns, what is one actuator, and what orders its sessions: numbers by value, else text in natural
     order. Of several models with the same two values, the last one of the table is that of the session. `goal`: cost [%

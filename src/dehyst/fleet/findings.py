@@ -85,7 +85,7 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class Outlier:
-    """A `record` with a `quantity` far from the fleet's `median`; `score` in robust standard deviations."""
+    """A `record` whose `value` of a `quantity` is far from the `median`; `score` in robust standard deviations."""
 
     record: str
     quantity: ScoredQuantity

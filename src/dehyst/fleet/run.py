@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError, IdentifyError
-from dehyst._io import PathLike, named
+from dehyst._io import PathLike, path_of
 from dehyst._text import counted
 from dehyst._types import Progress
 from dehyst._version import __version__
@@ -114,7 +114,7 @@ def _check(dataset: PathLike, output: Path, jobs: int | None, dask: str | None, 
         raise FileFormatError(f"{output}: a table of a fleet is Parquet; give a name that ends in .parquet")
     if not output.parent.is_dir():
         raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
-    if named(dataset).resolve() == output.resolve():
+    if path_of(dataset).resolve() == output.resolve():
         raise FileFormatError(f"{output}: is the dataset; give another name for the table")
 
 

@@ -47,8 +47,8 @@ MARK, _AT_A_TIME = b"dehyst-fleet", 1000
 class Fleet:
     """The table of a fleet.
 
-    `by`: names of the keys. `rows`: columns by name, keys among them, without the models. `about`: program, options and
-    digest of the run.
+    `path`: its file. `by`: names of the keys. `rows`: columns by name, keys among them, without the models. `about`:
+    program, options and digest of the run.
     """
 
     path: Path
@@ -98,7 +98,7 @@ def load(path: PathLike) -> Fleet:
 
     Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
     """
-    target = io.named(path)
+    target = io.path_of(path)
     with io.reading_errors(target, "Parquet"), arrow().parquet.ParquetFile(target) as file:
         marked = (file.schema_arrow.metadata or {}).get(MARK)
         if marked is None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, named, packed, reading_errors, write_atomically
+from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
@@ -96,7 +96,7 @@ def read(
     MissingExtraError
         The library for this kind of file is not installed.
     """
-    path = named(path)
+    path = path_of(path)
     counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
     demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
     several = () if axes is None else axis_columns(axes)
@@ -108,7 +108,12 @@ def read(
     choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
     table = named_and_joined(table, choice, columns, join, decimal=decimal, max_bytes=max_bytes)
     if units is not None:
-        choice = choice._replace(displacement=_in_units(table, displacement, units))
+        per_metre(units, error=FileFormatError)
+        found, known = table.select("displacement", displacement), FACTORS["displacement"]
+        if found.unit in known and known[found.unit] != known[units]:
+            words = f"got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave units out"
+            raise FileFormatError(f"{table.source}: {words}")
+        choice = choice._replace(displacement=f"{found.column.name}:{units}")
     record = record_of(table, choice, name or (stored.name if stored else path.stem), several)
     if stored is None:
         return record
@@ -179,21 +184,9 @@ def named_and_joined(
         table = renamed(table, columns)
     if join is None:
         return table
-    path = named(join, "join")
+    path = path_of(join, "join")
     own = decimal if path.suffix.lower() in _WITH_SIGNS else None
     return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
-
-
-def _in_units(table: Table, wanted: str | None, units: str) -> str:
-    """Return "NAME:UNIT" for the column of the displacement; raise if the file states another unit."""
-    per_metre(units, error=FileFormatError)
-    found, known = table.select("displacement", wanted), FACTORS["displacement"]
-    if found.unit in known and known[found.unit] != known[units]:
-        raise FileFormatError(
-            f"{table.source}: got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave "
-            "units out"
-        )
-    return f"{found.column.name}:{units}"
 
 
 def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
@@ -218,7 +211,7 @@ def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float =
     `path` is the file's. `decimal` is the decimal sign of its text, "," or ".". `max_bytes` bounds the file and its
     numbers.
     """
-    return _load(named(path), max_bytes, decimal, with_meta=False)[0]
+    return _load(path_of(path), max_bytes, decimal, with_meta=False)[0]
 
 
 def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:

@@ -82,7 +82,10 @@ def decode(content: bytes, least: int = 0, most: int = MOST) -> Stored | None:
         with h5py.File(io.BytesIO(content), "r") as file:
             if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
                 return None
-            name, meta, others = _parse(file.attrs[_MARK])
+            stated = json.loads(file.attrs[_MARK])
+            name, meta, others = stated["name"], stated["meta"], list(map(str, stated.get("others", [])))
+            if not isinstance(name, str) or not isinstance(meta, dict):
+                raise ValueError(f"need name as text and meta as an object, got {str(stated)[:60]}")
             datasets = {node.name: node for node in hdf5_nodes(file)}
             columns = [_own_samples(datasets.get(one), one, allowance) for one in (*DATASETS, *others)]
             stored = Stored(name, meta, others, int(columns[0].size), str(file.attrs["sha256"]))
@@ -115,13 +118,3 @@ def _own_samples(node: Any, name: str, allowance: Allowance) -> NDArray[np.float
     if fault:
         raise FileFormatError(f"dataset '{name}' {fault}")
     return np.asarray(samples_of(node.dataset, name, allowance), dtype=np.float64)
-
-
-def _parse(mark: Any) -> tuple[str, dict[str, Any], list[str]]:
-    """Return name, meta and further datasets as `pack` wrote them; raise ValueError or RecursionError for others."""
-    content = json.loads(mark)
-    content = content if isinstance(content, dict) else {}
-    name, meta, others = content.get("name"), content.get("meta"), content.get("others", [])
-    if not isinstance(name, str) or not isinstance(meta, dict) or not isinstance(others, list):
-        raise ValueError(f"need name as text and meta as an object, got {str(mark)[:60]!r}")
-    return name, meta, list(map(str, others))

@@ -168,13 +168,8 @@ def _of_units(record: Record) -> Iterator[str]:
         )
 
 
-def unusable(record: Record, min_samples: int, min_cycles: int) -> str:
-    """Return why no hysteresis loop can be identified from a record, see `Record.check_usable`; empty if one can."""
-    return next(_reasons(record, min_samples, min_cycles), "")
-
-
-def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
-    """Yield the reasons; a later check may rely on the earlier ones."""
+def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
+    """Yield why no hysteresis loop can be identified from a record; a later check may rely on the earlier ones."""
     if len(record) < min_samples:
         yield f"{len(record)} samples, {min_samples} are needed; record for longer"
     low, high = record.voltage_range

@@ -16,7 +16,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import SI, in_si, per_metre, plain
-from dehyst._validation import DEFAULT_AXES, axis_names
+from dehyst._validation import DEFAULT_AXES, axis_names, keep
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records import quality, signals
@@ -138,10 +138,8 @@ class Record:
 
     def __post_init__(self) -> None:
         for column, unit in _COLUMNS.items():
-            self._set(column, self._frozen(getattr(self, column), column, unit))
-        self._set("meta", dict(self.meta))
-        self._set("axes", self._named_axes())
-        self._set("others", tuple(self._further()))
+            keep(self, **{column: self._frozen(getattr(self, column), column, unit)})
+        keep(self, meta=dict(self.meta), axes=self._named_axes(), others=tuple(self._further()))
         arrays = {column: getattr(self, column) for column in _COLUMNS} | {one.name: one.values for one in self.others}
         if len({len(values) for values in arrays.values()}) > 1:
             got = ", ".join(f"{column} {len(values)}" for column, values in arrays.items())
@@ -160,9 +158,6 @@ class Record:
                 raise self._error(one.fault)
             if one.name in ("time", *(other.name for other in self.channels if other is not one)):
                 raise self._error(f"others: got the name '{one.name}' twice, need different names; rename one")
-
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
 
     def _error(self, words: str) -> RecordError:
         return RecordError(f"record '{self.name}': {words}")
@@ -304,9 +299,10 @@ class Record:
         RecordError
             If it is no DataFrame, or the columns make no record.
         """
-        found = tables.columns_of(frame)
-        kept = frame.attrs.get("others", ())
-        columns = (Column(one.name, one.data, one.unit, foreign=one.foreign, kept=one.name in kept) for one in found)
+        columns = [
+            Column(key, data, unit, foreign=foreign, kept=key in frame.attrs.get("others", ()))
+            for key, data, unit, foreign in tables.columns_of(frame)
+        ]
         table = Table("DataFrame", "", tuple(map(without_groups, columns)))
         chosen = (
             table.select("time", time),
@@ -494,7 +490,9 @@ class Record:
         turns = self.reversals("voltage", band)
         if not len(turns):
             return []
-        before, after = map(signals.outer_extreme, (self.voltage[turns[0] :: -1], self.voltage[turns[-1] :]))
+        # The outermost sample of the first and of the last leg.
+        ends = self.voltage[turns[0] :: -1], self.voltage[turns[-1] :]
+        before, after = (int(np.argmax(np.abs(leg - leg[0]))) for leg in ends)
         points = np.concatenate(([turns[0] - before], turns, [turns[-1] + after]))
         legs = np.abs(np.diff(self.voltage[points]))
         points = points[int(legs[0] < 0.9 * legs[1]) : len(points) - int(legs[-1] < 0.9 * legs[-2])]
@@ -554,7 +552,7 @@ class Record:
         samples or cycles, constant voltage or displacement, a stroke over 0.1 m, an inverted or clipped sensor, or
         swapped columns.
         """
-        if words := quality.unusable(self.one_axis(), min_samples, min_cycles):
+        for words in quality.reasons_against(self.one_axis(), min_samples, min_cycles):
             raise self._error(words)
 
 

@@ -122,11 +122,6 @@ def _numbered(values: Array, places: NDArray[np.intp]) -> Iterator[tuple[int, fl
         yield from enumerate(values[places[begin : begin + _BLOCK]].tolist(), begin)
 
 
-def outer_extreme(leg: Array) -> int:
-    """Return the offset of the sample of a leg that is farthest from its first sample, a turning point."""
-    return int(np.argmax(np.abs(leg - leg[0])))
-
-
 def _spectrum(signal: Array) -> Array:
     """Return the power of a signal less the line between its ends, in a Hann window."""
     line = np.linspace(signal[0], signal[-1], signal.size)

@@ -126,7 +126,7 @@ class Raster(Scan):
             return Travel(*(np.tile(row, self.lines + self.pause) for row in self.fast.path().rows))
         if self.slow == "staircase":
             still, levels = np.zeros(self.fast.legs[0]), np.linspace(*self._ends, self.lines)
-            line = Travel.joined([Travel(still, still, still), self._step.at(self._times(self.fast.legs[1]))])
+            line = Travel.joined([Travel(still, still, still), self._step.at(np.arange(self.fast.legs[1]) / self.rate)])
             y = levels[:-1, None] + line.displacement
             stairs = Travel(y.ravel(), *(np.tile(row, self.lines - 1) for row in line[1:]))
             parts = [stairs, Travel(still + levels[-1], still, still)]
@@ -135,7 +135,7 @@ class Raster(Scan):
             y = self._ends[0] + self._height * (np.arange(count) / count)
             parts = [Travel(y, np.full(count, self._slope), np.zeros(count))]
         rest = self.samples - sum(part.displacement.size for part in parts)
-        return Travel.joined([*parts, self._return(self.pause).at(self._times(rest))])
+        return Travel.joined([*parts, self._return(self.pause).at(np.arange(rest) / self.rate)])
 
     @property
     def _usual_rate(self) -> float:
@@ -165,9 +165,6 @@ class Raster(Scan):
     def _slope(self) -> float:
         """Speed of a ramp [m/s]."""
         return self._height * self.rate / (self.lines * self.fast.samples)
-
-    def _times(self, count: int) -> Array:
-        return np.arange(count) / self.rate
 
 
 @dataclass(frozen=True)
@@ -285,7 +282,10 @@ class Spiral(Scan):
         keep(self, radius=positive(self.radius, "radius"))
         _ = self.samples
         if self.speed is not None or self.acceleration is not None:
-            self.limits.refuse("this spiral", self._peaks(), self.frequency, self.radius)
+            # The largest speed and acceleration of an axis, on four times the samples.
+            motions = self._motions(4 * self.samples)
+            speed, acceleration = (max(float(np.abs(axis[order]).max()) for axis in motions) for order in (1, 2))
+            self.limits.refuse("this spiral", (speed, acceleration), self.frequency, self.radius)
 
     @property
     def _usual_rate(self) -> float:
@@ -369,12 +369,6 @@ class Spiral(Scan):
         parts = [np.linspace(a, b, ceil((b - a) / _PANEL) + 1)[:-1] for a, b in pairwise(corners)]
         ends = np.append(np.concatenate(parts), 2 * half)
         return ends, np.concatenate([[0.0], np.cumsum(_integral(self._stride, ends[:-1], ends[1:]))])
-
-    def _peaks(self) -> tuple[float, float]:
-        """Return the largest speed and acceleration of an axis, on four times the samples."""
-        axes = self._motions(4 * self.samples)
-        speed = max(float(np.abs(axis.velocity).max()) for axis in axes)
-        return speed, max(float(np.abs(axis.acceleration).max()) for axis in axes)
 
 
 def _integral(function: Callable[[Array], Array], start: Array, stop: Array) -> Array:

@@ -28,6 +28,8 @@ dehyst_real piezo_simulate(piezo *p, dehyst_real voltage)
 
 dehyst_real piezo_displacement(const piezo *p) { return dehyst_loop_displacement(&piezo_model, &p->loop); }
 
+const dehyst_model *piezo_exported(void) { return &piezo_model; }
+
 void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT])
 {
     dehyst_loop_save(&piezo_model, &p->loop, p->memory, bytes, MODEL_SNAPSHOT);

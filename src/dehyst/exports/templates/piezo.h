@@ -37,10 +37,13 @@ void piezo_hold(piezo *p);
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage);
 /* Return the displacement of the actuator, from all voltages that were sent. */
 dehyst_real piezo_displacement(const piezo *p);
+/* Return the exported model. With another one of its shape, see dehyst_loop_exchange, call dehyst_loop_step(model, &p->loop,
+ * p->memory, displacement) in place of piezo_step, and so on. */
+const dehyst_model *piezo_exported(void);
 /* Write a snapshot, to go on from it after a reset. */
 void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT]);
-/* Go on from a snapshot, instead of piezo_begin. If it does not return DEHYST_OK, the bytes are not a snapshot of this
- * model, or damaged, and nothing has changed. */
+/* Go on from a snapshot, instead of piezo_begin. If it does not return DEHYST_OK, the bytes are not a snapshot of a
+ * model of this shape, or damaged, and nothing has changed. */
 dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT]);
 
 #ifdef __cplusplus

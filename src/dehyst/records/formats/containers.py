@@ -28,12 +28,6 @@ LINE = f"# {MEMBER}: "
 LONGEST = 4096
 
 
-def in_first_line(data: bytes) -> str:
-    """Return what a record file states in the first line of its text; empty if it is no record file of dehyst."""
-    line = data[len(LINE) : LONGEST].splitlines()[:1] if data.startswith(LINE.encode()) else []
-    return line[0].decode(errors="replace") if line else ""
-
-
 def restored(columns: Sequence[Column], text: str) -> list[Column]:
     """Return the columns of a record file with what it states about them; other text is ignored."""
     try:

@@ -49,8 +49,10 @@ def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
     data = as_utf8(data)
     if vendor_files.is_labview(data):
         return vendor_files.read_labview(data, allowance)
-    read = vendor_files.read_gcs if vendor_files.is_gcs(data) else read_text
-    return containers.restored(read(data, allowance), containers.in_first_line(data))
+    columns = vendor_files.read_gcs(data, allowance) if vendor_files.is_gcs(data) else read_text(data, allowance)
+    mark = containers.LINE.encode()
+    first = data[len(mark) : containers.LONGEST].splitlines()[:1] if data.startswith(mark) else []
+    return containers.restored(columns, b"".join(first).decode(errors="replace"))
 
 
 LOADERS: dict[str, Format] = {

@@ -71,7 +71,9 @@ def layout_of(data: bytes, start: int, encoding: str) -> Layout | None:
     if len(lines) < 2:
         return None
     later = lines[len(lines) // 2 :]
-    delimiter = _delimiter_of([line.text for line in later])
+    # The separator that most of the lines contain, outside of quotes; None for blanks.
+    bare = [re.sub(r'"[^"]*"', "", line.text) for line in later]
+    delimiter = next((sign for sign in ";\t," if 2 * sum(sign in line for line in bare) > len(bare)), None)
     if delimiter == "," and _commas_are_decimal(lines, later):
         delimiter = None
     rows = [cells_of(line.text, delimiter) for line in lines]
@@ -102,12 +104,6 @@ def layout_of(data: bytes, start: int, encoding: str) -> Layout | None:
             line = comment
             break
     return Layout(line.begin, line.number - 1, delimiter, names, units, line.text.strip())
-
-
-def _delimiter_of(lines: list[str]) -> str | None:
-    """Return the separator that most of the lines contain, outside of quotes; None for blanks."""
-    bare = [re.sub(r'"[^"]*"', "", line) for line in lines]
-    return next((sign for sign in ";\t," if 2 * sum(sign in line for line in bare) > len(bare)), None)
 
 
 def _commas_are_decimal(lines: list[_Line], later: list[_Line]) -> bool:

@@ -98,10 +98,8 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
         raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
     comma = b"\nSeparator\tComma" in parts[0] or b"\nSeparator,Comma" in parts[0]
     sign = "," if comma else "\t"
-    stated, header = (
-        {cells[0]: cells[1:] for line in part.decode(text.encoding).split("\n") if (cells := _cells_of(line, sign))}
-        for part in parts[:2]
-    )
+    lines = [[line.split(sign) for line in part.decode(text.encoding).split("\n")] for part in parts[:2]]
+    stated, header = ({cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in part} for part in lines)
     body = parts[2].partition(b"\n")[2]
     head, _, rows = body.partition(b"\n")
     names = [cell.strip() for cell in head.decode(text.encoding).split(sign)]
@@ -113,10 +111,6 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     table = TextTable.of(text._replace(data=rows), Layout(0, first, sign, tuple(names)))
     columns = table.columns(allowance, decimal)
     return _with_header(columns, header, [name for name in names if name != _CLOCK])
-
-
-def _cells_of(line: str, sign: str) -> list[str]:
-    return [cell.strip() for cell in line.split(sign)] if line.strip() else []
 
 
 def _with_header(columns: list[Column], header: dict[str, list[str]], names: list[str]) -> list[Column]:
