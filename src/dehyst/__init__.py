@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
+    from dehyst.adaptation import AdaptiveCompensator, Update, update
     from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
@@ -73,6 +74,7 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
+        "adaptation": "AdaptiveCompensator Update update",
         "baselines": "compare",
         "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
         "wave_table",
@@ -89,7 +91,7 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError", "Dynamics"]
+__all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError", "Dynamics"]
 __all__ += ["FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip", "MissingExtraError", "ModelError"]
 __all__ += ["Motion", "Outcome", "Physical", "Record", "RecordError", "RecordErrors", "RigError", "SmoothSlip"]
 __all__ += ["Snapshot", "Spring", "Stage", "StageCompensator", "StageFit", "State", "Structure", "Trace"]

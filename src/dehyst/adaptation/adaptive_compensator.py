@@ -13,6 +13,7 @@ import numpy as np
 from dehyst import _validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
+from dehyst._units import per_metre
 from dehyst.adaptation.estimator import Cycle, Estimator, Exchange
 from dehyst.control import Compensator, Snapshot, VoltageLimits
 from dehyst.model import Actuator, State
@@ -123,7 +124,7 @@ class AdaptiveCompensator:
         self._rate = 0.0 if integral_time is None or period is None else period / integral_time
         low, high = self._compensator.reach
         self._most_correction, self._correction = _INTEGRAL * (high - low), 0.0
-        self._per_metre = (high - low) / self._estimator.reach
+        self._per_metre = per_metre(units)
         self._begin()
 
     def _begin(self) -> None:

@@ -28,12 +28,14 @@ _FIRST, _BETTER = 3, 0.95
 # Largest change of the displacement that one exchange makes, as a part of the reach.
 _TRUST = 0.02
 # Allowed mean slope of the spring and friction of all elements, of those of the model as it was given.
-_SLOPE, _FRICTION = (0.6, 1.6), (0.2, 4.0)
+_SLOPE, _FRICTION = (0.6, 1.6), (0.3, 2.5)
 # Of a cycle: least part of samples that count, slope of measured over wanted displacement, and their correlation.
 _COUNTED, _FOLLOWS, _CORRELATED = 0.5, (0.6, 1.6), 0.95
 # An error this many times the usual one, and of this part of the reach, is that of something else; so often in a row it
 # is a change that stays.
 _ODD, _ODD_PART, _ODD_CYCLES = 4.0, 0.002, 3
+# A delay of the sensor must leave no more than this part of the error that gain and width leave.
+_LATE = 0.6
 # Samples for which a sensor may repeat its value while the path moves, and parts of its noise in a first breakaway.
 _REPEATS, _QUIET = 8, 30.0
 # Entries of the log that are kept.
@@ -150,14 +152,15 @@ class Estimator:
         """
         path, counted, reason = self._signal(cycle)
         yield None
-        drive, sums = self._drive(cycle), np.zeros((self.factors.size + 2,) * 2)
+        drive, speed = self._drive(cycle), self._slope * np.gradient(path)
+        sums = np.zeros((self.factors.size + 3,) * 2)
         for begin in range(0, path.size, _CHUNK):
             span = slice(begin, begin + _CHUNK)
             carts, internal = self._tracker.follow(path[span], cycle.seconds)
             if not reason:
                 which = counted[span]
                 columns = self.weights.columns(path[span][which], carts[which], internal[which])
-                rows = np.column_stack([columns, drive[span][which], np.ones(len(columns))])
+                rows = np.column_stack([columns, speed[span][which], drive[span][which], np.ones(len(columns))])
                 sums += rows.T @ rows
             yield None
         if reason:
@@ -165,6 +168,12 @@ class Estimator:
             return
         count, mean = sums[-1, -1], sums[-1] / sums[-1, -1]
         centred = (sums - count * np.outer(mean, mean))[:-1, :-1] / count
+        late = self._lateness(centred)
+        if late:
+            self._note(cycle, f"the sensor is late by {late:.2g} samples, or the period is not what was given")
+            return
+        kept = np.delete(np.arange(len(sums)), -3)
+        centred, mean = centred[np.ix_(kept[:-1], kept[:-1])], mean[kept]
         yield from self._judged(cycle, centred, mean)
         if not self._odd:
             yield None
@@ -189,12 +198,15 @@ class Estimator:
             return
         offered = self._error(centred, self._program.x)
         reason, factors = self._trusted(centred, self._program.x)
-        if not offered < _BETTER * error:
+        constant, datum = self._constant(factors, mean)
+        # Better without regard to an offset, and not worse with it.
+        worse = np.hypot(self._error(centred, factors), datum - self._zero) > np.hypot(error, self.datum - self._zero)
+        if not offered < _BETTER * error or worse:
             reason = "no weights on offer predict the cycle better"
         if not reason:
-            self._use(factors, mean)
+            self.factors, self.constant, self.datum = factors, constant, datum
             yield None
-            yield self.weights.model(factors, self.constant)
+            yield self.weights.model(factors, constant)
         self._note(cycle, reason, error, offered)
 
     def _learnt_from(self, centred: Array, keep: float) -> Iterator[None]:
@@ -210,6 +222,22 @@ class Estimator:
             if self._program.step():
                 break
             yield None
+
+    def _lateness(self, centred: Array) -> float:
+        """Return by how many samples a sensor is late, if that explains a cycle far better than gain and width do."""
+        spring, size = self.weights.springs, self.factors.size
+        common = np.zeros((size + 2, 4))
+        common[: spring.start, 0], common[spring, 1] = self.factors[: spring.start], self.factors[spring]
+        common[spring.stop : size, 0] = self.factors[spring.stop :]
+        common[size, 2], common[:-2, 3], common[-1, 3] = 1.0, -self.factors, 1.0
+        small = common.T @ centred @ common
+        target, errors, found = small[:3, 3], [], np.zeros(3)
+        for count in (2, 3):
+            found = np.linalg.lstsq(small[:count, :count], target[:count], rcond=1e-12)[0]
+            errors.append(np.sqrt(max(small[3, 3] - found @ target[:count], 0.0)) / self._slope)
+        late = float(found[2])
+        effect = abs(late) * float(np.sqrt(small[2, 2])) / self._slope
+        return late if errors[1] < _LATE * errors[0] and effect > _ODD_PART * self.reach else 0.0
 
     def _error(self, centred: Array, factors: Array) -> float:
         """Return the RMS error [m] of factors on a cycle, by its centred sums."""
@@ -228,8 +256,8 @@ class Estimator:
                 return f"the {name} would be {value:.3g} of the model's: this may be another actuator", factors
         return "", factors
 
-    def _use(self, factors: Array, mean: Array) -> None:
-        """Use other factors, and the constant that belongs to them.
+    def _constant(self, factors: Array, mean: Array) -> tuple[float, float]:
+        """Return the constant c [V] that belongs to factors, and the datum that the sensor then has [m].
 
         The constant keeps the sensor's zero where it was. If that may drift, the constant goes no farther than keeps
         an anchor of the model, give or take the usual error: the rest is the datum.
@@ -240,8 +268,7 @@ class Estimator:
             slack = self._slope * float(np.median(self._usual))
             low, high = self.weights.constants(factors)
             constant = min(max(constant, low - slack), high + slack)
-        self.datum -= (fitted - constant) / self._slope
-        self.factors, self.constant = factors, constant
+        return constant, self.datum - (fitted - constant) / self._slope
 
     def _note(self, cycle: Cycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
         ratios = self.weights.ratios(self.factors)
