@@ -30,7 +30,7 @@ def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(re
         # The circuit starts in balance: its first voltage is the actuator's of that state.
         assert actuator.voltage(start) == pytest.approx(0.0, abs=1e-9)
         got = actuator.simulate(voltage(time), state=start).displacement
-        charge = actuator.charge(got, **CONSTANTS)
+        charge = actuator.physical(**CONSTANTS).charge(got)
         errors.append([np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)])
     for kind in np.transpose(errors):
         assert_vanishes(kind)
@@ -89,7 +89,7 @@ def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     errors = []
     for resistance in RESISTANCES:
         q, y = quasi_static(STACK, time, voltage, resistance, load=load)
-        charge = actuator.charge(got - load(time) / (KM + KE), **CONSTANTS)
+        charge = actuator.physical(**CONSTANTS).charge(got - load(time) / (KM + KE))
         errors.append(max(np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)))
     assert_vanishes(errors)
     # Far more than what a plain F / kc leaves out.

@@ -10,7 +10,7 @@ from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, steps
 
 
 def chart(*series, **kwargs):
-    return Chart("a", "training", "a chart of", Axis("voltage", "V"), Axis("error", "nm"), series, **kwargs)
+    return Chart("a", Axis("voltage", "V"), Axis("error", "nm"), series, role="training", **kwargs)
 
 
 def columns(data):
@@ -64,7 +64,7 @@ def test_names_cannot_end_the_data():
 def test_a_logarithmic_axis_stores_exponents():
     data = ChartData()
     axes = Axis("time", "s", (1e-2, 1e3), log=True), Axis("creep", "%")
-    data.add(Chart("", "", "creep", *axes, (Series("", np.geomspace(1e-2, 1e3, 6), np.ones(6), "measured"),)))
+    data.add(Chart("creep", *axes, (Series("", np.geomspace(1e-2, 1e3, 6), np.ones(6), "measured"),)))
     stored, _ = columns(data)
     assert stored == pytest.approx(np.arange(-2.0, 4.0), abs=1e-3)
     assert json.loads(data.json())["charts"][0]["x"] == {

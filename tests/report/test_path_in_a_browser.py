@@ -94,7 +94,7 @@ def test_the_page_says_the_errors_that_python_computes(page):
     model = Compensator(ACTUATOR, state=start)
     bottom, top = model.reach
     shares = [0.1, 0.9, 0.1, 0.9, 0.1]
-    page.locator("[name=shape]").select_option("triangle")
+    page.get_by_label("Path", exact=True).select_option("triangle")
     wanted = bottom + (top - bottom) * np.interp(np.linspace(0, 4, SAMPLES), range(5), shares)
     low, high = ACTUATOR.limits
     voltage = low + (wanted - bottom) / (top - bottom) * (high - low)
@@ -140,7 +140,7 @@ def test_a_point_beyond_the_reach_is_clamped(page):
 
 
 def test_a_keyboard_does_all(page):
-    page.locator("[name=shape]").select_option("triangle")
+    page.get_by_label("Path", exact=True).select_option("triangle")
     handle = points(page).nth(2)
     handle.focus()
     before = float(handle.get_attribute("aria-valuenow"))
@@ -197,7 +197,7 @@ def test_it_fits_a_telephone_and_paper(browser, file):
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     assert all(box["width"] >= 24 for box in (points(page).nth(i).bounding_box() for i in range(3)))
     page.emulate_media(media="print")
-    assert not points(page).nth(0).is_visible() and not page.locator("[name=shape]").is_visible()
+    assert not points(page).nth(0).is_visible() and not page.get_by_label("Path", exact=True).is_visible()
     page.close()
 
 

@@ -195,6 +195,7 @@ def test_a_reload_loses_nothing(owner):
     owner.sees("1 ready")
     owner.step("Model")
     owner.sees("is the largest error to expect", within="#model")
+    owner.page.locator("#model canvas").first.wait_for()
     assert colours(owner.page.locator("#model-body")) > 3
 
 
@@ -229,10 +230,9 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     person.step("Model")
     person.sees("is the largest error to expect", within="#model")
     person.sees("Calibrated on", within="#model")
+    person.sees("Measured along a path", within="#model")
     assert " 0 s" not in person.page.locator("#model").inner_text()
-    person.page.locator("#model .figure .series").first.wait_for()
     assert colours(person.page.locator("#model .figure").first) > 3
-    assert person.page.locator("#model .figure select option").count() > 1
     person.sees("Read the report", within="#model")
     person.step("Trust")
     person.click("button", "Assess the model")

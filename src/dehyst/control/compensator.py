@@ -379,7 +379,7 @@ class Compensator(ReadOnly):
         return snapshot.model == f"{self.model_ids()[0]:08x}"
 
     def exchange(self, actuator: Actuator) -> None:
-        """Go on with another model of the actuator, for instance with adapted weights; the memory stays.
+        """Go on with `actuator`, another model of the same actuator, e.g. with adapted weights; the memory stays.
 
         Limits, slew rate and preview stay as they are. Models of one shape may be exchanged at any sample: those that
         agree in breakaway elongations, creep time constants, lengths of smooth elements, resonance and lag, and with

@@ -250,7 +250,7 @@ class _Path:
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
             coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
-            loop.go_on(np.array([before, before, before, before, 0.0, 0.0, w[run.start - 1]]), 0, 0, 0)
+            loop.go_on(np.array([before, before, before, before, 0.0, w[run.start - 1]]), 0, 0, 0)
             voltage[run], reached_w[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
         clamped = offers[first:] != _NOT_CLAMPED

@@ -93,7 +93,7 @@ def _distributions(findings: Findings) -> html.Charts | str:
         if values.size > 1:
             series = Series("records", *_histogram(values), "measured")
             axes = Axis(quantity.name, quantity.unit), Axis("records", "")
-            charts.append(Chart(quantity.name, "", f"histogram of {quantity.name}", *axes, (series,)))
+            charts.append(Chart(quantity.name, *axes, (series,)))
     if not charts:
         return ""
     caption = "Records over each quantity; of many records the outermost 0.2 % on either side are in the tables only."
@@ -128,5 +128,5 @@ def _map(findings: Findings) -> html.Charts | str:
             Series("to look at", x[far], y[far], "simulated", kind="points", width=larger, names=seen),
         )
         axes = Axis("stroke", "um"), Axis(quantity.name, quantity.unit)
-        charts.append(Chart(title, "", title, *axes, tuple(one for one in series if one.x.size)))
+        charts.append(Chart(title, *axes, [one for one in series if one.x.size]))
     return html.Charts("Each record", "Point at a record to look at, to read its name.", tuple(charts))

@@ -7,104 +7,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-import numpy as np
-
-from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace, Verdict
+from dehyst._views.lines import percent
+from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
 from dehyst.model.identification import Outcome
-from dehyst.records.signals import NOISE_PEAK, turning_points, white_noise
-
-_NEIGHBOURS = 20
-# The middle of a line is known to this part of a step.
-_APART = 0.15
-
-
-def remaining_error(trace: Trace) -> RemainingError:
-    """Split the mean square of a record's residual.
-
-    White noise is what differs from one sample to the next. Slow is what remains in means over a cycle: drift,
-    temperature, creep that the model lacks. A line that the voltage does not have is a vibration. The rest repeats
-    with the voltage: the model's own error.
-    """
-    residual = trace.residual - trace.residual.mean()
-    total = float(np.mean(residual**2))
-    if residual.size < 64 or not total:
-        return RemainingError(trace.record, trace.role, float(np.sqrt(total)), 0.0, 0.0, 0.0, 0.0, 0.0)
-    white = min(white_noise(trace.residual) ** 2, total)
-    slow = _slow(trace, residual)
-    fast = residual - slow
-    frequency, line = _vibration(trace, fast)
-    drifting = float(np.mean(slow**2))
-    model = max(total - white - drifting - line, 0.0)
-    # Estimates of parts may add up to more than the whole.
-    scale = total / max(white + drifting + line + model, total)
-    noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
-    means = _means(trace, fast)
-    return RemainingError(
-        trace.record, trace.role, float(np.sqrt(total)), noise, drift, vibration, rest, frequency, means
-    )
-
-
-def _means(trace: Trace, residual: Array) -> tuple[float, ...]:
-    """Return the mean residual by thirds of the displacements, where the voltage rises, then where it falls."""
-    y = trace.simulated
-    third = np.clip((3 * (y - y.min()) / max(float(np.ptp(y)), 1e-300)).astype(int), 0, 2)
-    change = np.gradient(trace.voltage)
-    places = [(change * way > 0) & (third == k) for way in (1, -1) for k in range(3)]
-    return tuple(float(residual[place].mean()) if place.any() else 0.0 for place in places)
-
-
-def _slow(trace: Trace, residual: Array) -> Array:
-    """Return means over a cycle of the voltage (n,)."""
-    turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
-    cycle = max(int(2 * residual.size / max(len(turns), 2)), 2)
-    if cycle >= residual.size:
-        return np.zeros(residual.size)
-    padded = np.pad(residual, (cycle // 2, cycle - 1 - cycle // 2), mode="reflect")
-    sums = np.cumsum(np.append(0.0, padded))
-    return np.asarray((sums[cycle:] - sums[:-cycle]) / cycle)
-
-
-def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
-    """Return frequency [Hz] and mean square [m2] of the strongest line that the voltage does not have; 0 if none."""
-    step = float(np.median(np.diff(trace.time)))
-    window = np.hanning(residual.size)
-    power = np.abs(np.fft.rfft(residual * window)) ** 2
-    drive = np.abs(np.fft.rfft((trace.voltage - trace.voltage.mean()) * window)) ** 2
-    k = int(np.argmax(power[2:])) + 2
-    near = slice(max(k - 2, 1), k + 3)
-    around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
-    share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
-    driven = float(drive[near].max()) > RULES.driven_line * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
-    if driven or share < RULES.line_power or not around.size or power[k] < RULES.line_height * float(np.median(around)):
-        return 0.0, 0.0
-    frequency, amplitude = _line(residual, step, k / (step * residual.size))
-    return frequency, 0.5 * amplitude**2
-
-
-def _harmonic(drive: Array, k: int) -> bool:
-    """Whether line k is a multiple of the one that holds most of the voltage: hysteresis makes those."""
-    first = int(np.argmax(drive[1:])) + 1
-    lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
-    own = drive[lines]
-    if first < RULES.fewest_periods or float(own.sum()) < RULES.periodic * float(drive[1:].sum()):
-        return False
-    middle = float(lines @ own / own.sum())
-    multiple = max(round(k / middle), 1)
-    within = _APART * multiple + 1
-    # Beyond a quarter of the distance between multiples, any line would count as one.
-    return abs(k - multiple * middle) <= within <= middle / 4
-
-
-def _line(residual: Array, step: float, near: float) -> tuple[float, float]:
-    """Return frequency [Hz] and amplitude [m] of the sine next to a frequency that holds most of a residual."""
-    time = np.arange(residual.size) * step
-    frequencies = near + np.linspace(-1, 1, 21) / time[-1]
-    sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
-    k = int(np.argmax(sizes))
-    return float(frequencies[k]), float(sizes[k])
+from dehyst.records.signals import NOISE_PEAK
 
 
 class Readiness(Enum):
@@ -164,12 +72,6 @@ class Expectation:
         return self.sentence
 
     @property
-    def words(self) -> str:
-        """The verdict with its two numbers, in a few words."""
-        rms, largest = (_percent(error, self.stroke) for error in (self.rms, self.largest))
-        return f"{self.readiness.value}; expect {rms} RMS and {largest} at most of {self.stroke * 1e6:.4g} um"
-
-    @property
     def largest_percent(self) -> float:
         """Expected largest error [% of the stroke]."""
         return 100 * self.largest / self.stroke
@@ -179,7 +81,7 @@ class Expectation:
         """The verdict."""
         if self.largest_percent > RULES.useless:
             return Readiness.NOT_USABLE
-        return Readiness.READY if self.largest_percent <= self.goal and not self.reasons else Readiness.USABLE
+        return Readiness.USABLE if self.why_not_ready else Readiness.READY
 
     @property
     def why_not_ready(self) -> tuple[str, ...]:
@@ -187,25 +89,41 @@ class Expectation:
         above = self.largest_percent > self.goal
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
+    def _part(self, error: float) -> str:
+        return percent(error, self.stroke)
+
+    def _both(self, error: float) -> str:
+        length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
+        return f"{self._part(error)} of the stroke ({length})"
+
+    @property
+    def words(self) -> str:
+        """The verdict with its two numbers, in a few words."""
+        errors = f"expect {self._part(self.rms)} RMS and {self._part(self.largest)} at most"
+        return f"{self.readiness.value}; {errors} of {self.stroke * 1e6:.4g} um"
+
     @property
     def headline(self) -> str:
         """The verdict and the largest error to expect, which is the number to remember, with the RMS error."""
         return (
-            f"{self.readiness.value.capitalize()}: expect an error of {_both(self.largest, self.stroke)} at most on a "
-            f"path, {_both(self.rms, self.stroke)} RMS"
+            f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
+            f"{self._both(self.rms)} RMS"
+        )
+
+    @property
+    def _missed(self) -> str:
+        return (
+            f"The records are missed by {self._part(self.measured)} RMS, the sensor's noise is "
+            f"{self._part(self.noise)}."
         )
 
     @property
     def origin(self) -> str:
         """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
-        missed, noise = (_percent(error, self.stroke) for error in (self.measured, self.noise))
-        text = (
-            f"Judged on {self.basis}; the goal is {self.goal:g} %. The records are missed by {missed} RMS, the "
-            f"sensor's noise is {noise}."
-        )
+        text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
         if self.if_sensor_lags is None:
             return text
-        rms, largest = (_percent(error, self.stroke) for error in self.if_sensor_lags)
+        rms, largest = map(self._part, self.if_sensor_lags)
         return f"{text} If the sensor lags, and not the actuator, expect {largest} at most and {rms} RMS."
 
     @property
@@ -217,17 +135,14 @@ class Expectation:
     def sentence(self) -> str:
         """The verdict in one line, with its numbers and reasons."""
         text = (
-            f"{self.readiness.value.capitalize()}: expect a path to be followed within {_both(self.rms, self.stroke)} "
-            f"RMS and {_both(self.largest, self.stroke)} at most (from {self.basis}; goal {self.goal:g} %). "
-            f"The records are missed by {_percent(self.measured, self.stroke)} RMS, the sensor's noise is "
-            f"{_percent(self.noise, self.stroke)}."
+            f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
+            f"{self._both(self.largest)} at most (from {self.basis}; goal {self.goal:g} %). {self._missed}"
         )
         if self.if_sensor_lags is not None:
-            rms, largest = (_percent(error, self.stroke) for error in self.if_sensor_lags)
+            rms, largest = map(self._part, self.if_sensor_lags)
             text += f" That holds if the actuator lags; if the sensor does, expect {rms} RMS and {largest} at most."
-        reasons = self.why_not_ready
-        words = "; ".join(reasons)
-        return f"{text} {words[0].upper()}{words[1:]}." if reasons else text
+        words = "; ".join(self.why_not_ready)
+        return f"{text} {words[0].upper()}{words[1:]}." if words else text
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -237,16 +152,6 @@ class Expectation:
             "rms_percent": 100 * self.rms / self.stroke,
             **json_values(self, f"largest_percent {numbers} basis tested reasons if_sensor_lags_m=if_sensor_lags"),
         }
-
-
-def _percent(error: float, stroke: float) -> str:
-    percent = 100 * error / stroke
-    return f"{percent:.2g} %" if percent < 100 else f"{percent:.0f} %"
-
-
-def _both(error: float, stroke: float) -> str:
-    length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
-    return f"{_percent(error, stroke)} of the stroke ({length})"
 
 
 @dataclass(frozen=True)
@@ -282,7 +187,7 @@ def expectation(
     displacement [m] within a lag that may be the sensor's: a path is missed by as much if it is.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
-    # A model that misses its own records by too much is of no use, whatever it makes of others.
+    # A model that misses its own records by too much is of no use, however well it predicts others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (validation, "validation records") if by_others else (training, "training records")
     causes = [cause for cause in remaining if cause.role == judged[0].role]
@@ -290,13 +195,21 @@ def expectation(
     # What the sensor adds, a path does not have.
     rms = max(_less(one.rms, cause.sensed) for one, cause in zip(judged, causes, strict=True))
     if not by_others:
-        rms, basis = _beyond(rms, basis, held_out, vibration)
+        sensed = (held_out.noise**2 + 0.5 * vibration**2) ** 0.5
+        in_time = _less(held_out.in_time, sensed), "parts of the records held out in turn"
+        rms, basis = max((rms, basis), in_time)
+        rms, basis = max((rms, basis), (_less(held_out.by_size, sensed), "loops of sizes held out"))
     # Validation records may hold the same kind of loops as those that were trained on; a path does not.
     rms = (rms**2 + held_out.disagreement**2 + (RULES.noise_known * noise) ** 2) ** 0.5
     largest = max(max(one.largest for one in judged) - NOISE_PEAK * noise - vibration, RULES.peak * rms)
-    measured = max(one.rms for one in judged)
-    reasons = [*caveats, *_reasons(training, errors, goal)]
-    fitted = max(one.rms for one in training)
+    measured, fitted = max(one.rms for one in judged), max(one.rms for one in training)
+    reasons = [*caveats]
+    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
+    if aside > RULES.most_set_aside:
+        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    drifted = max(abs(one.drifted_percent) for one in errors)
+    if drifted > goal:
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
     if by_others and measured > RULES.widest_gap * fitted:
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     if outcome is Outcome.UNDETERMINED:
@@ -304,31 +217,8 @@ def expectation(
     failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
-    sensed = None if lagging is None else ((rms**2 + lagging[0] ** 2) ** 0.5, largest + lagging[1])
-    return Expectation(rms, largest, measured, noise, errors[0].stroke, goal, basis, tuple(reasons), sensed, by_others)
-
-
-def _beyond(rms: float, basis: str, held_out: HeldOutErrors, vibration: float) -> tuple[float, str]:
-    """Return the RMS error [m] and its basis where what was held out is missed by more; `vibration`: amplitude [m]."""
-    sensed = (held_out.noise**2 + 0.5 * vibration**2) ** 0.5
-    for part, name in (
-        (held_out.in_time, "parts of the records held out in turn"),
-        (held_out.by_size, "loops of sizes held out"),
-    ):
-        rms, basis = max((rms, basis), (_less(part, sensed), name))
-    return rms, basis
-
-
-def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:
-    """Return the reasons for care that lie in the records."""
-    reasons = []
-    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
-    if aside > RULES.most_set_aside:
-        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
-    drifted = max(abs(one.drifted_percent) for one in errors)
-    if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
-    return reasons
+    if_lags = None if lagging is None else ((rms**2 + lagging[0] ** 2) ** 0.5, largest + lagging[1])
+    return Expectation(rms, largest, measured, noise, errors[0].stroke, goal, basis, tuple(reasons), if_lags, by_others)
 
 
 def _less(error: float, noise: float) -> float:

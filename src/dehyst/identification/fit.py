@@ -97,9 +97,8 @@ class Fit:
         """
         names = "record", "role", "samples", "left_out", "largest_percent", "rms_percent"
         columns = {name: [getattr(error, name) for error in self.errors] for name in names}
-        lengths = {f"{name}_nm": [getattr(error, name) * 1e9 for error in self.errors] for name in ("largest", "rms")}
-        drift = [error.drifted_percent for error in self.errors]
-        return tables.frame({**columns, **lengths, "drifted_percent": drift})
+        columns |= {f"{name}_nm": [getattr(error, name) * 1e9 for error in self.errors] for name in ("largest", "rms")}
+        return tables.frame({**columns, "drifted_percent": [error.drifted_percent for error in self.errors]})
 
     def plot(
         self,
@@ -184,19 +183,24 @@ def _brief(fit: Fit) -> Iterator[str]:
 
 
 def _lines(fit: Fit) -> Iterator[str]:
-    """Yield the _lines of a summary: verdict, errors, structures, parts, repairs, remaining error, remarks, solver."""
+    """Yield the lines of a summary: verdict, errors, structures, parts, repairs, remaining error, remarks, solver."""
     if fit.expectation is not None:
         yield fit.expectation.sentence
     yield fit.outcome.value
     yield from _error_table(fit.errors)
-    yield from _structures(fit)
+    if fit.trials:
+        yield from ("", "Structures tried, RMS error of cycles held out in turn:")
+        structure = fit.options.get("structure")
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
+            chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
+            yield f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}"
+        yield "  (A part is kept only if it lowers this error by at least 3 %.)"
     if parts := _parts_of(fit.actuator):
         yield from ("", "The model is made of:", *(f"  {name + ':':<18}{sentence}" for name, sentence in parts))
     for title, sentences in _lists(fit):
         if sentences:
             yield from ("", f"{title}:", *(f"  - {sentence}" for sentence in sentences))
-    yield ""
-    yield f"Solver: {fit.status}, duality gap {fit.gap:.1g}"
+    yield from ("", f"Solver: {fit.status}, duality gap {fit.gap:.1g}")
 
 
 def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
@@ -216,18 +220,6 @@ def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
         )
 
 
-def _structures(fit: Fit) -> Iterator[str]:
-    if not fit.trials:
-        return
-    yield ""
-    yield "Structures tried, RMS error of cycles held out in turn:"
-    structure = fit.options.get("structure")
-    for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
-        chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
-        yield f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}"
-    yield "  (A part is kept only if it lowers this error by at least 3 %.)"
-
-
 def _parts_of(actuator: Any) -> list[tuple[str, str]]:
     """Return name and sentence of each part of an actuator; none of slip elements and a spring alone."""
     more = isinstance(actuator, Actuator) and actuator.wide
@@ -244,16 +236,10 @@ def _as_html(fit: Fit) -> str:
     head = ("record", "role", "samples", "left out", "largest", "RMS", "largest, % of stroke", "RMS, % of stroke")
     rows = [
         (
-            error.record,
-            error.role,
-            error.samples,
-            error.left_out,
-            length(error.largest),
-            length(error.rms),
-            percent(error.largest, error.stroke),
-            percent(error.rms, error.stroke),
+            *(one.record, one.role, one.samples, one.left_out, length(one.largest), length(one.rms)),
+            *(percent(one.largest, one.stroke), percent(one.rms, one.stroke)),
         )
-        for error in fit.errors
+        for one in fit.errors
     ]
     verdict = fit.expectation
     return html.block(

@@ -20,6 +20,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
 from dehyst.model import State
+from dehyst.records.signals import turning_points, white_noise
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -149,6 +150,19 @@ class Trace:
         return tables.frame(columns, record=self.record, role=self.role)
 
 
+# The model's part is located if it is the first share, and worth a better model if it is the second.
+_NAMED, _WORTH = 0.1, 0.25
+# By the first word of the largest part.
+_REMEDIES = {
+    "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",
+    "drift": "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
+    "the": "More elements, grades or loops that turn elsewhere may reduce it.",
+    "a": "Isolate the stage, or close the loop: no model of the voltage can follow it.",
+}
+# Lines around a vibration; the middle of one is known to this part of a step.
+_NEIGHBOURS, _APART = 20, 0.15
+
+
 @dataclass(frozen=True)
 class RemainingError:
     """Where the error of a record comes from: shares of the power of its residual.
@@ -199,34 +213,93 @@ class RemainingError:
             parts.append((self.vibration, f"a vibration of {self.frequency:.3g} Hz, {size}"))
         parts.sort(reverse=True)
         shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
-        remedy = _REMEDIES[parts[0][1].split()[0]]
+        remedy, place = _REMEDIES[parts[0][1].split()[0]], ""
         if self.noise == parts[0][0] and self.model > _WORTH:
             remedy = "A quieter sensor or averaged cycles would reduce it; a better model, its own part."
-        return f"{shares}.{self._where(stroke)} {remedy}"
-
-    def _where(self, stroke: float) -> str:
-        """Return where the model's part is largest, if it is a part worth naming."""
-        if self.model < _NAMED or not self.means:
-            return ""
-        worst = max(range(len(self.means)), key=lambda k: abs(self.means[k]))
-        way, third = ("rising", "falling")[worst // 3], ("lowest", "middle", "highest")[worst % 3]
-        mean = f"{100 * self.means[worst] / stroke:+.2g} % of the stroke"
-        return f" The model's part is largest where {way} in the {third} third: {mean} on average."
+        if self.model >= _NAMED and self.means:
+            worst = max(range(len(self.means)), key=lambda k: abs(self.means[k]))
+            way, third = ("rising", "falling")[worst // 3], ("lowest", "middle", "highest")[worst % 3]
+            mean = f"{100 * self.means[worst] / stroke:+.2g} % of the stroke"
+            place = f" The model's part is largest where {way} in the {third} third: {mean} on average."
+        return f"{shares}.{place} {remedy}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return asdict(self)
 
 
-# The model's part is located if it is the first share, and worth a better model if it is the second.
-_NAMED, _WORTH = 0.1, 0.25
-# By the first word of the largest part.
-_REMEDIES = {
-    "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",
-    "drift": "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
-    "the": "More elements, grades or loops that turn elsewhere may reduce it.",
-    "a": "Isolate the stage, or close the loop: no model of the voltage can follow it.",
-}
+def remaining_error(trace: Trace) -> RemainingError:
+    """Split the mean square of a record's residual.
+
+    White noise is what differs from one sample to the next. Slow is what remains in means over a cycle: drift,
+    temperature, creep that the model lacks. A line that the voltage does not have is a vibration. The rest repeats
+    with the voltage: the model's own error.
+    """
+    residual = trace.residual - trace.residual.mean()
+    total = float(np.mean(residual**2))
+    size = float(np.sqrt(total))
+    if residual.size < 64 or not total:
+        return RemainingError(trace.record, trace.role, size, 0.0, 0.0, 0.0, 0.0, 0.0)
+    white = min(white_noise(trace.residual) ** 2, total)
+    slow = _slow(trace, residual)
+    fast = residual - slow
+    frequency, line = _vibration(trace, fast)
+    drifting = float(np.mean(slow**2))
+    model = max(total - white - drifting - line, 0.0)
+    # Estimates of parts may add up to more than the whole.
+    scale = total / max(white + drifting + line + model, total)
+    noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
+    # Means where the voltage rises, then where it falls, by thirds of the displacements.
+    y, change = trace.simulated, np.gradient(trace.voltage)
+    third = np.clip((3 * (y - y.min()) / max(float(np.ptp(y)), 1e-300)).astype(int), 0, 2)
+    places = [(change * way > 0) & (third == k) for way in (1, -1) for k in range(3)]
+    means = tuple(float(fast[place].mean()) if place.any() else 0.0 for place in places)
+    return RemainingError(trace.record, trace.role, size, noise, drift, vibration, rest, frequency, means)
+
+
+def _slow(trace: Trace, residual: Array) -> Array:
+    """Return means over a cycle of the voltage (n,)."""
+    turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
+    cycle = max(int(2 * residual.size / max(len(turns), 2)), 2)
+    if cycle >= residual.size:
+        return np.zeros(residual.size)
+    padded = np.pad(residual, (cycle // 2, cycle - 1 - cycle // 2), mode="reflect")
+    sums = np.cumsum(np.append(0.0, padded))
+    return np.asarray((sums[cycle:] - sums[:-cycle]) / cycle)
+
+
+def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
+    """Return frequency [Hz] and mean square [m2] of the strongest line that the voltage does not have; 0 if none."""
+    step, window = float(np.median(np.diff(trace.time))), np.hanning(residual.size)
+    power = np.abs(np.fft.rfft(residual * window)) ** 2
+    drive = np.abs(np.fft.rfft((trace.voltage - trace.voltage.mean()) * window)) ** 2
+    k = int(np.argmax(power[2:])) + 2
+    near = slice(max(k - 2, 1), k + 3)
+    around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
+    share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
+    driven = float(drive[near].max()) > RULES.driven_line * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
+    if driven or share < RULES.line_power or not around.size or power[k] < RULES.line_height * float(np.median(around)):
+        return 0.0, 0.0
+    # The sine next to that line that holds most of the residual.
+    time = np.arange(residual.size) * step
+    frequencies = k / (step * residual.size) + np.linspace(-1, 1, 21) / time[-1]
+    sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
+    best = int(np.argmax(sizes))
+    return float(frequencies[best]), 0.5 * float(sizes[best]) ** 2
+
+
+def _harmonic(drive: Array, k: int) -> bool:
+    """Whether line k is a multiple of the one that holds most of the voltage: hysteresis makes those."""
+    first = int(np.argmax(drive[1:])) + 1
+    lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
+    own = drive[lines]
+    if first < RULES.fewest_periods or float(own.sum()) < RULES.periodic * float(drive[1:].sum()):
+        return False
+    middle = float(lines @ own / own.sum())
+    multiple = max(round(k / middle), 1)
+    within = _APART * multiple + 1
+    # Beyond a quarter of the distance between multiples, any line would count as one.
+    return abs(k - multiple * middle) <= within <= middle / 4
 
 
 class Verdict(Enum):

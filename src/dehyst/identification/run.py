@@ -14,7 +14,7 @@ from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.checks import model_checks
-from dehyst.identification.expectation import HeldOutErrors, expectation, remaining_error
+from dehyst.identification.expectation import HeldOutErrors, expectation
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import block_error, disagreement, size_error
 from dehyst.identification.lag_search import find_lag
@@ -24,7 +24,7 @@ from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.fold_sums import least_squares_of_sums, training_errors
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.results import RecordErrors, Trace
+from dehyst.identification.results import RecordErrors, Trace, remaining_error
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm

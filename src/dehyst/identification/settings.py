@@ -9,7 +9,6 @@ from math import inf
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dehyst import _validation
 from dehyst._errors import IdentifyError
@@ -193,11 +192,9 @@ class Settings:
             _validation.seconds(self.delay, "delay")
         if self.sensor_lag is not None:
             _validation.seconds(self.sensor_lag, "sensor_lag")
-        if self.breakaway is not None:
-            self._check_breakaway(self.breakaway)
-
-    def _check_breakaway(self, breakaway: ArrayLike) -> None:
-        rho = _validation.vector(breakaway, "breakaway", error=IdentifyError)
+        if self.breakaway is None:
+            return
+        rho = _validation.vector(self.breakaway, "breakaway", error=IdentifyError)
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need only one of them")
         if self.method != "record":

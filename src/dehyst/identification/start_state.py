@@ -13,6 +13,7 @@ b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,17 +26,14 @@ from dehyst.model.elements import segment_of
 # All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
 _STARTS = (0.0, 1.0, -1.0)
 _GOOD = 5e-3
-_STEPS = 12
-# A step that lowers the sum of squares by less than this part ends the search.
-_WORTH = 1e-4
-# Neighbours are held alike by this part of the rows' weight: some carts bear on no sample.
-_ALIKE = 1e-2
-# The same where each cart is free.
-_HARDLY = 1e-9
+# A step that lowers the sum of squares by less than a part ends the search.
+_STEPS, _WORTH = 12, 1e-4
+# Neighbours are held alike by this part of the rows' weight: some carts bear on no sample. The same where each cart is
+# free.
+_ALIKE, _HARDLY = 1e-2, 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class StartState:
+class StartState(NamedTuple):
     """Carts at the first sample of a piece.
 
     `carts` (N,): positions [m], on the axis of the displacement. `constant`: what the voltages have beside the model's
@@ -63,24 +61,21 @@ def fit_start(
     volt that each creep branch held at the first sample. `most` (J,): the largest such voltages [V]. `constant`: the
     constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the elements only.
     """
-    known = constant is not None
-    problem = _Problem(
-        slip, np.ascontiguousarray(displacement), force - (constant or 0.0), fades * most, known, counted
-    )
-    solutions = []
+    y, left, known = np.ascontiguousarray(displacement), force - (constant or 0.0), constant is not None
+    problem = _Problem(slip, y, left, fades * most, known, slice(None) if counted is None else counted)
+    solutions, count = [], len(slip)
     for sign in _STARTS:
-        solutions.append(problem.solved(np.append(np.full(len(slip), sign), np.zeros(most.size))))
+        solutions.append(problem.solved(np.append(np.full(count, sign), np.zeros(most.size))))
         if solutions[-1][0] < (_GOOD * float(np.ptp(force))) ** 2:
             break
     cost, u, rest = min(solutions, key=lambda solution: solution[0])
     # No history need lead to the carts: each by itself, from there.
     free = replace(problem, alone=True)
-    rho = slip.breakaway
-    alone = np.append(np.clip((problem.carts(u) - displacement[0]) / rho, -1.0, 1.0), u[rho.size :])
-    polished = free.solved(alone)
+    start = np.clip((problem.carts(u) - displacement[0]) / slip.breakaway, -1.0, 1.0)
+    polished = free.solved(np.append(start, u[count:]))
     if polished[0] < RULES.carts_alone_gain * cost:
         problem, (_, u, rest) = free, polished
-    return StartState(problem.carts(u), (constant or 0.0) + rest, u[rho.size :] * most)
+    return StartState(problem.carts(u), (constant or 0.0) + rest, u[count:] * most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +87,7 @@ class _Problem:
     force: Array
     fades: Array
     known: bool
-    counted: Mask | None = None
+    counted: Mask | slice
     alone: bool = False
 
     def carts(self, u: Array) -> Array:
@@ -104,24 +99,22 @@ class _Problem:
 
     def _residual(self, u: Array) -> tuple[Array, Array]:
         """Return the force less that of the elements (n,) [V], and what u takes from it (n, N + J)."""
-        carts, rho = self.carts(u), self.slip.breakaway
+        carts, slip, y = self.carts(u), self.slip, self.displacement[:, None]
+        rho = slip.breakaway
         elongation, _ = slip_elongations(rho, carts, self.displacement)
-        position = self.displacement[:, None] - elongation
-        held, stiffness = _held(self.slip, self.displacement, position), _stiffness_at(self.slip, carts)
+        position = y - elongation
+        if isinstance(slip, MaxwellSlip):
+            held, stiffness = (y - position) @ slip.stiffness, slip.stiffness
+        else:
+            held = _integrals(slip, y).sum(axis=1) - _integrals(slip, position).sum(axis=1)
+            stiffness = slip.slopes_at(carts)
         # An element that has slid once no longer depends on where its cart stood.
         standing = np.logical_and.accumulate(np.abs(position - carts) <= 1e-9 * rho, axis=0)
         # Reversed cumulative sums: u_i moves cart i and all those of longer elements.
         by_cart = standing * -stiffness
         by_u = by_cart * rho if self.alone else np.cumsum(by_cart[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
         residual = self.force - held - self.fades @ u[rho.size :]
-        slopes = np.hstack([by_u, self.fades])
-        return (residual, slopes) if self.counted is None else (residual[self.counted], slopes[self.counted])
-
-    def _alike(self) -> Array:
-        """Rows that hold neighbouring carts alike, and creep at rest."""
-        count, branches = len(self.slip), self.fades.shape[1]
-        carts = np.hstack([np.diff(np.eye(count), axis=0), np.zeros((count - 1, branches))])
-        return np.vstack([carts, np.hstack([np.zeros((branches, count)), np.eye(branches)])])
+        return residual[self.counted], np.hstack([by_u, self.fades])[self.counted]
 
     def _cost(self, residual: Array) -> float:
         return float(np.mean(residual**2) if self.known else np.var(residual))
@@ -131,10 +124,12 @@ class _Problem:
         from scipy.optimize import lsq_linear
 
         residual, slopes = self._residual(u)
-        cost = self._cost(residual)
-        alike = self._alike() * (
-            (_HARDLY if self.alone else _ALIKE) * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size)
-        )
+        cost, count, branches = self._cost(residual), len(self.slip), self.fades.shape[1]
+        # Rows that hold neighbouring carts alike, and creep at rest.
+        alike = np.zeros((count - 1 + branches, count + branches))
+        alike[: count - 1, :count] = np.diff(np.eye(count), axis=0)
+        alike[count - 1 :, count:] = np.eye(branches)
+        alike *= (_HARDLY if self.alone else _ALIKE) * np.abs(slopes).max(initial=0.0) * np.sqrt(residual.size)
         for _ in range(_STEPS):
             both = np.column_stack([slopes, residual])
             both -= 0.0 if self.known else both.mean(axis=0)
@@ -154,23 +149,9 @@ class _Problem:
         return cost, u, 0.0 if self.known else float(residual.mean())
 
 
-def _held(slip: MaxwellSlip | GradedSlip, displacement: Array, position: Array) -> Array:
-    """Return the force of all elements (n,) [V] at carts (n, N)."""
-    if isinstance(slip, MaxwellSlip):
-        return np.asarray((displacement[:, None] - position) @ slip.stiffness)
-    return np.asarray(_integrals(slip, displacement[:, None]).sum(axis=1) - _integrals(slip, position).sum(axis=1))
-
-
 def _integrals(slip: GradedSlip, y: Array) -> Array:
     """Return the stiffness of each element, integrated from the first knot to y (n, N) or (n, 1) [V]."""
     knots, stiffness = slip.knots, slip.stiffness
     below = np.hstack([np.zeros((len(slip), 1)), np.cumsum(stiffness * np.diff(knots), axis=1)])
     segment, number = segment_of(knots, y), np.arange(len(slip))
     return np.asarray(below[number, segment] + stiffness[number, segment] * (y - knots[segment]))
-
-
-def _stiffness_at(slip: MaxwellSlip | GradedSlip, carts: Array) -> Array:
-    """Return the stiffness of each element where its cart stands (N,) [V/m]."""
-    if isinstance(slip, MaxwellSlip):
-        return slip.stiffness
-    return np.asarray(slip.stiffness[np.arange(len(slip)), segment_of(slip.knots, carts)])

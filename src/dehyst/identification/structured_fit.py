@@ -20,14 +20,8 @@ from dehyst._types import Array, Mask, Progress
 from dehyst.identification.preprocessing.denoising import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import Epoch
+from dehyst.identification.regression import fold_sums
 from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.fold_sums import (
-    FoldSums,
-    blocks,
-    equally_weighted,
-    least_squares_of_sums,
-    nearly_least_absolute,
-)
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.program import Norm, solve
@@ -60,8 +54,10 @@ class StructuredFit:
         """Solve the program of all rows."""
         regression = frame.regression(structure)
         if regression.whole:
-            weights = FoldSums(regression, equally_weighted(regression).inverse_slopes).inverse_slopes
-            found = regression.fit(norm, weights, like=nearly_least_absolute(regression, weights))
+            weights = fold_sums.FoldSums(
+                regression, fold_sums.equally_weighted(regression).inverse_slopes
+            ).inverse_slopes
+            found = regression.fit(norm, weights, like=fold_sums.nearly_least_absolute(regression, weights))
         else:
             found = regression.fit_weighted(norm)
         return cls(frame, structure, norm, regression, found)
@@ -70,7 +66,7 @@ class StructuredFit:
     def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
         """Solve the program by least squares, of the rows that fit in memory."""
         regression = frame.regression(structure)
-        return cls(frame, structure, "l2", regression, least_squares_of_sums(regression))
+        return cls(frame, structure, "l2", regression, fold_sums.least_squares_of_sums(regression))
 
     @cached_property
     def actuator(self) -> Actuator:
@@ -247,7 +243,7 @@ def refine(fit: StructuredFit, progress: Progress) -> Refinement:
     """Refine an actuator by the simulation error on its training records."""
     point = _Iterate.of(fit)
     voltage = np.concatenate([epoch.piece(0.0).voltage for epoch in point.simulation.epochs])
-    held_out = blocks(voltage, point.simulation.numbers) % _FOLDS == _FOLDS - 1
+    held_out = fold_sums.blocks(voltage, point.simulation.numbers) % _FOLDS == _FOLDS - 1
     before = rms(point.errors()[held_out])
     if not held_out.any() or held_out.all():
         return Refinement(fit.actuator, False, before, before)

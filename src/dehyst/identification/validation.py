@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
@@ -21,14 +20,12 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.start_state import fit_start
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, Motion, State
+from dehyst.model import Actuator, Identification, State
 from dehyst.records import Record
 from dehyst.records.signals import largest, turning_points
 
-# Rows in memory: more are gone through in blocks.
-MOST_ROWS = 200_000
-# Of a longer record so many suffice for what is not found by going through them all.
-_FEW_ROWS = 20_000
+# Rows in memory: more are gone through in blocks. Of a longer record so many suffice for what is not found by that.
+MOST_ROWS, _FEW_ROWS = 200_000, 20_000
 # Samples played at a time, and kept for pictures.
 _AT_A_TIME = 1 << 20
 _MOST_DRAWN = 1 << 20
@@ -47,38 +44,40 @@ class RecordComparison:
     Attributes
     ----------
     given : Prepared
-    record : Prepared
-        Reduced.
     stroke : float
         Reference of the percentages [m].
     source : RowSource
-        Its pieces, voltages delayed; with dynamics the displacements are those that hysteresis makes, before the
-        resonance.
+        The pieces of `record`, voltages delayed; with dynamics the displacements are those that hysteresis makes,
+        before the resonance.
     measured : list of Record
         The same pieces with the displacements measured.
+    whole : list of Piece
+        The pieces with all their samples, measured, voltages delayed: those that are played.
     regression : Regression
         Its rows (of a long record some, evenly), with its datum and drift.
     found : Coefficients
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
-    whole : list of (number, Record, drift curve (n,))
-        The pieces with all their samples, measured, voltages delayed: those that are played.
     """
 
     given: Prepared
-    record: Prepared
     stroke: float
     source: RowSource
     measured: list[Record]
+    whole: list[Piece]
     regression: Regression
     found: Coefficients
     base: float
-    whole: list[tuple[int, Record, Array]]
+
+    @property
+    def record(self) -> Prepared:
+        """The record, reduced."""
+        return self.given.reduced
 
     @property
     def pieces(self) -> list[Piece]:
-        """Record number, piece and drift curve of each piece of `source`."""
+        """Of `source`."""
         return self.source.pieces
 
     @property
@@ -97,33 +96,26 @@ class RecordComparison:
         return self.found.drifts.get(0, 0.0)
 
     @property
-    def start(self) -> Array:
-        """What creep branches held as the record began (J,) [V]."""
-        return self.found.starts.get(0, np.zeros(0))
-
-    @property
     def offsets(self) -> list[float]:
         """Offset [V] of each epoch; one of which thinning left no row has that of the nearest."""
         known = sorted(self.found.offsets)
         nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
         return [self.found.offsets[k] - self.base for k in nearest]
 
+    def last_offsets(self) -> list[float]:
+        """Offset [V] of the last epoch of each piece, that of the one before where a piece has none."""
+        offsets = self.offsets
+        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
+
     def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
         """Piece number, epoch, and what `play` gives, of every epoch."""
         parts, left = [], iter(self.offsets)
         for number, own in enumerate(self.epochs):
             for epoch in own:
-                state, size = self.state_before(actuator, number, epoch), epoch.stop - epoch.start
-                runs = self.play(
-                    actuator, number, slice(epoch.start, epoch.stop), (state, next(left)), self.given.block * size
-                )
+                begin, span = (self.state_before(actuator, number, epoch), next(left)), slice(epoch.start, epoch.stop)
+                runs = self.play(actuator, number, span, begin, self.given.block * (epoch.stop - epoch.start))
                 parts.append((number, epoch, tuple(map(np.concatenate, zip(*runs, strict=True)))))
         return parts
-
-    def last_offsets(self) -> list[float]:
-        """Offset [V] of the last epoch of each piece, that of the one before where a piece has none."""
-        offsets = self.offsets
-        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
 
     def play(
         self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float], size: int
@@ -133,57 +125,71 @@ class RecordComparison:
         Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
         [V]. Through what is set aside the displacement leads the model.
         """
-        (_, piece, curve), (state, offset) = self.whole[number], begin
-        block = self.given.block
+        (_, piece, curve), (state, offset), block = self.whole[number], begin, self.given.block
         last = len(piece) if span.stop == len(self.measured[number]) else span.stop * block
-        span = slice(span.start * block + block // 2, last)
-        y, drift = piece.displacement, self.drift * curve
-        level = float(drift[span].mean())
+        first = span.start * block + block // 2
+        drift = self.drift * curve
+        level = float(drift[first:last].mean())
+        # The piece's voltages are those that act, behind the amplifier.
+        model = replace(actuator, lag=0.0) if actuator.lag else actuator
         steady = drifting = state.shifted(self.datum)
-        for start, stop, counted in _runs(piece, span, size):
+        for start, stop, counted in _runs(piece, first, last, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
-            again = int(actuator.needs_time and start > span.start)
+            again = int(actuator.needs_time and start > first)
             run, own = slice(start - again, stop), slice(start, stop)
-            if not counted:
-                steady, drifting = (_followed(actuator, piece, run, self.datum, one) for one in (steady, drifting))
-                moved = y[own] + self.datum
-                yield piece.time[own], without_offset(actuator, piece.voltage[own], offset), moved, moved, moved
-                continue
-            one = _driven(actuator, piece, run, (offset, drift[run]), steady)
-            other = _driven(actuator, piece, run, (offset, level), drifting)
+            time = piece.time[run] if model.needs_time else None
+            measured = piece.displacement[run] + self.datum
+            if counted:
+                one, other = (
+                    model.simulate(
+                        without_offset(actuator, piece.voltage[run], offset, less),
+                        time=time,
+                        state=state,
+                        extrapolate=True,
+                    )
+                    for state, less in ((steady, drift[run]), (drifting, level))
+                )
+                simulated, drifted = one.displacement[again:], other.displacement[again:]
+            else:
+                one, other = (
+                    model.compensate(measured, time=time, state=state, extrapolate=True) for state in (steady, drifting)
+                )
+                simulated = drifted = measured[again:]
             steady, drifting = one.state, other.state
             voltage = without_offset(actuator, piece.voltage[own], offset)
-            yield piece.time[own], voltage, y[own] + self.datum, one.displacement[again:], other.displacement[again:]
+            yield piece.time[own], voltage, measured[again:], simulated, drifted
 
     def start_of(self, actuator: Actuator, number: int, first: int = 0) -> tuple[State, float]:
         """Return the state at a piece's sample `first` on the record's axis, and the offset of its voltages [V].
 
         The carts are those that explain its voltages best before the displacement alone determines them.
         """
-        own, piece = self.epochs[number], self.pieces[number][1]
+        own, (_, piece, curve) = self.epochs[number], self.pieces[number]
         last = own[-1] if own else Epoch(0, 0, len(piece), 0.0)
         standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
-        places = first + _places(piece.displacement[first:stop])
-        y = piece.displacement[places] + self.datum
-        rows = [
-            block[places[(places >= k) & (places < k + len(block))] - k]
-            for k, block in zip(count(0, _STOPS_AT_A_TIME), self.source.states(number, _STOPS_AT_A_TIME))
-        ]
-        states = np.concatenate(rows)
-        tau, spring = actuator.transformer, actuator.spring(y)
-        force = piece.voltage[places] if tau is None else tau(piece.voltage[places])
-        internal = np.split(
-            states, np.cumsum([self.regression.grid.time_constants.size, self.regression.grid.lengths.size]), axis=1
+        path = piece.displacement[first:stop]
+        # Samples that lead elements as all of them do: the first one, the turning points, and some evenly.
+        places = np.arange(path.size)
+        if path.size > _START_SAMPLES:
+            some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
+            places = np.union1d(some, turning_points(path, 1e-3 * float(np.ptp(path))))
+        places, y = first + places, path[places] + self.datum
+        states = np.concatenate(
+            [
+                block[places[(places >= k) & (places < k + len(block))] - k]
+                for k, block in zip(count(0, _STOPS_AT_A_TIME), self.source.states(number, _STOPS_AT_A_TIME))
+            ]
         )
-        fades, most = internal[2], np.zeros(internal[2].shape[1])
+        tau, voltage, (creep, smooth, fades) = actuator.transformer, piece.voltage[places], self._split(states)
+        held, most = voltage if tau is None else tau(voltage), np.zeros(fades.shape[1])
         if actuator.creep is not None:
-            force = force - internal[0] @ actuator.creep.stiffness
+            held = held - creep @ actuator.creep.stiffness
             most = float(np.ptp(self.regression.grid.knots)) * actuator.creep.stiffness
         if actuator.smooth is not None:
-            force = force - internal[1] @ actuator.smooth.stiffness
+            held = held - smooth @ actuator.smooth.stiffness
+        held = held - actuator.spring(y) - self.drift * curve[places]
         known = None if standing or not own else self.last_offsets()[number]
-        held = force - spring - self.drift * self.pieces[number][2][places]
         counted = None if piece.counted is None else piece.counted[places]
         start = fit_start(actuator.slip, y, held, fades, most, known, counted)
         state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.creep)
@@ -194,15 +200,14 @@ class RecordComparison:
 
         Creep branches held `begun` (J,) [V] as the record began, by default the start that was fitted.
         """
-        begun = self.start if begun is None else begun
-        rho, grid = actuator.slip.breakaway, Grid.of_actuator(actuator)
-        y = self.pieces[number][1].displacement[: epoch.start + 1]
+        begun = self.found.starts.get(0, np.zeros(0)) if begun is None else begun
+        rho = actuator.slip.breakaway
+        y = self.pieces[number].path.displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         for start in range(0, y.size, _STOPS_AT_A_TIME):
             _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        moved = self.source.state_at(number, epoch.start)
-        creep, smooth, left = np.split(moved, np.cumsum([grid.time_constants.size, grid.lengths.size]))
+        creep, smooth, left = self._split(self.source.state_at(number, epoch.start))
         if actuator.creep is not None and begun.size:
             c = actuator.creep.stiffness
             creep = creep + np.divide(begun * left, c, out=np.zeros_like(left), where=c > 0)
@@ -211,6 +216,11 @@ class RecordComparison:
             measured = self.measured[number]
             motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
         return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
+
+    def _split(self, states: Array) -> list[Array]:
+        """Return internal states as creep strains, smooth elongations and decays."""
+        grid = self.source.grid
+        return np.split(states, np.cumsum([grid.time_constants.size, grid.lengths.size]), axis=-1)
 
 
 def compare(
@@ -221,23 +231,29 @@ def compare(
     `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
     whether a drift is set aside.
     """
-    delay, few, whole = actuator.delay, record.reduced, record.delayed(0, actuator.delay, actuator.lag)
-    measured = whole if record.block == 1 else few.delayed(0, delay, actuator.lag)
-    pieces = [(q, _path(actuator, piece, few.noise, stroke), drift) for q, piece, drift in measured]
+    few, whole = record.reduced, record.delayed(0, actuator.delay, actuator.lag)
+    measured = whole if record.block == 1 else few.delayed(0, actuator.delay, actuator.lag)
+    pieces = measured
+    # Maxwell-slip takes a displacement of little noise as it is.
+    if actuator.wide or disturbs(few.noise, stroke):
+        paths = [remove_jitter(remove_dynamics(one.path, actuator.dynamics), few.noise, stroke) for one in measured]
+        pieces = [one._replace(path=path) for one, path in zip(measured, paths, strict=True)]
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
-    noise = [left_of(few.noise, stroke)] * len(pieces)
-    source = RowSource.of(pieces, grid, noise, leads=[few.lead])
-    regression, model = (
-        _regression(actuator, source, grid, (0,) if drifting else ()),
-        Coefficients.from_actuator(actuator),
+    source = RowSource.of(pieces, grid, [left_of(few.noise, stroke)] * len(pieces), leads=[few.lead])
+    spring, model = actuator.spring, Coefficients.from_actuator(actuator)
+    regression = Regression(
+        source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS),
+        grid,
+        min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min())),
+        np.zeros(1),
+        (0,) if drifting else (),
+        (0,) if grid.time_constants.size else (),
     )
     if datum is None:
         datum = find_datum(regression, 0, stroke, given=model)
     regression = replace(regression, datum=np.array([datum]), source=None if regression.strained else source)
-    found = regression.fit_nuisances(model)
-    base = float(actuator.spring.voltage[0])
-    samples = [piece for _, piece, _ in measured]
-    return RecordComparison(record, few, stroke, source, samples, regression, found, base, whole)
+    found, samples = regression.fit_nuisances(model), [one.path for one in measured]
+    return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]))
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
@@ -249,11 +265,11 @@ def prepare_for(actuator: Actuator, record: Record) -> Prepared:
 def compare_all(
     actuator: Actuator, records: Record | Sequence[Record]
 ) -> tuple[tuple[RecordComparison, ...], float, float]:
-    """Put the records that an actuator was identified from beside it, by the options of its identification.
+    """Compare an actuator with the records that it was identified from, by the options of its identification.
 
     Returns
     -------
-    tuple of Comparison, float, float
+    tuple of RecordComparison, float, float
         One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
     """
     prepared = [prepare_for(actuator, record) for record in as_list(records)]
@@ -282,14 +298,14 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
-        record = prepare_for(actuator, lead)
-        beside = compare(actuator, record, stroke)
-        number, own = len(beside.pieces) - 1, beside.epochs[-1]
+        compared = compare(actuator, prepare_for(actuator, lead), stroke)
+        own = compared.epochs[-1]
     except ValueError:
         own = []
     if own:
-        last = replace(own[-1], start=len(beside.pieces[number][1]) - 1)
-        return beside.state_before(actuator, number, last).shifted(beside.datum), beside.last_offsets()[-1]
+        number = len(compared.pieces) - 1
+        last = replace(own[-1], start=len(compared.measured[number]) - 1)
+        return compared.state_before(actuator, number, last).shifted(compared.datum), compared.last_offsets()[-1]
     y = lead.displacement
     _, carts = slip_elongations(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
     creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
@@ -310,9 +326,9 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
     that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
-    beside = compare(actuator, prepare_for(actuator, record), stroke)
-    state, offset = beside.start_of(actuator, 0, _first_sample(beside.pieces[0][1], actuator.delay))
-    return state.shifted(beside.datum), offset
+    compared = compare(actuator, prepare_for(actuator, record), stroke)
+    state, offset = compared.start_of(actuator, 0, _first_sample(compared.pieces[0].path, actuator.delay))
+    return state.shifted(compared.datum), offset
 
 
 def _first_sample(piece: Record, delay: float) -> int:
@@ -321,53 +337,43 @@ def _first_sample(piece: Record, delay: float) -> int:
     return first if piece.counted is None else max(first, int(np.argmax(piece.counted)))
 
 
-def _regression(actuator: Actuator, source: RowSource, grid: Grid, drifting: tuple[int, ...]) -> Regression:
-    """Return the regression of a record for an actuator, on some of its samples if there are many."""
-    most = MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS
-    spring = actuator.spring
-    floor = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
-    strained = (0,) if grid.time_constants.size else ()
-    return Regression(source.thinned(most), grid, floor, np.zeros(1), drifting, strained, source=source)
-
-
-def _path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """Return the path that drives the elements; Maxwell-slip takes a displacement of little noise as it is."""
-    if not actuator.wide and not disturbs(noise, stroke):
-        return piece
-    return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
-
-
 def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
     """Simulate each piece of a record whole, from the state at its first sample that suits it best, and compare.
 
     `role`: "training" or "validation".
     """
     found, regression, record = compared.found, compared.regression, compared.given
-    sums = _Sums(max(1, sum(len(piece) for _, piece, _ in compared.pieces) // _MOST_DRAWN))
-    starts = []
+    # Every step-th sample is kept for pictures. Errors are steady, then with the drift left in.
+    step = max(1, sum(len(piece.path) for piece in compared.pieces) // _MOST_DRAWN)
+    starts, drawn, samples, worst, squares = [], [], 0, [0.0, 0.0], [0.0, 0.0]
     for number, (_, piece, _) in enumerate(compared.pieces):
         first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
         starts.append(start[0].shifted(compared.datum))
         for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
-            sums.add(counted_of(played, piece))
-    time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*sums.drawn, strict=True))
+            columns = counted_of(played, piece)
+            drawn.append([column[-samples % step :: step].copy() for column in columns[:4]])
+            samples += columns[0].size
+            for k, simulated in enumerate(columns[3:]):
+                error = columns[2] - simulated
+                worst[k] = max(worst[k], largest(error))
+                squares[k] += float(np.sum(error**2))
+    time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
-    slope = float(np.median(regression.slope(found)))
-    offset = float(np.median(list(found.offsets.values()))) - compared.base
+    rms, rms_with_drift = (float(np.sqrt(one / samples)) for one in squares)
     return RecordErrors(
         record=record.name,
         role=role,
-        samples=sums.samples,
-        left_out=record.samples - sums.samples,
-        largest=sums.largest[0],
-        rms=sums.rms[0],
-        largest_with_drift=sums.largest[1],
-        rms_with_drift=sums.rms[1],
+        samples=samples,
+        left_out=record.samples - samples,
+        largest=worst[0],
+        rms=rms,
+        largest_with_drift=worst[1],
+        rms_with_drift=rms_with_drift,
         stroke=compared.stroke,
-        offset=offset,
+        offset=float(np.median(list(found.offsets.values()))) - compared.base,
         datum=compared.datum,
-        drift=-compared.drift / slope,
+        drift=-compared.drift / float(np.median(regression.slope(found))),
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
         starts=tuple(starts),
@@ -385,63 +391,14 @@ def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
     return tuple(column[kept] for column in played)
 
 
-class _Sums:
-    """Errors of a record, steady and with its drift, added up as it is played; every step-th sample is kept."""
-
-    def __init__(self, step: int) -> None:
-        self.samples, self.drawn, self.largest = 0, list[tuple[Array, ...]](), [0.0, 0.0]
-        self._step, self._squares = step, [0.0, 0.0]
-
-    @property
-    def rms(self) -> list[float]:
-        """Root mean squares of both errors [m]."""
-        return [float(np.sqrt(squares / self.samples)) for squares in self._squares]
-
-    def add(self, played: tuple[Array, ...]) -> None:
-        """Add a stretch, as `RecordComparison.play` yields it."""
-        first = -self.samples % self._step
-        self.drawn.append(tuple(column[first :: self._step].copy() for column in played[:4]))
-        self.samples += played[0].size
-        for k, simulated in enumerate(played[3:]):
-            error = played[2] - simulated
-            self.largest[k] = max(self.largest[k], largest(error))
-            self._squares[k] += float(np.sum(error**2))
-
-
-def _runs(piece: Record, span: slice, size: int) -> Iterator[tuple[int, int, bool]]:
+def _runs(piece: Record, first: int, last: int, size: int) -> Iterator[tuple[int, int, bool]]:
     """Yield the first and one after the last sample of runs of at most `size`, and whether their samples count."""
-    edges = [span.start, span.stop]
+    edges = [first, last]
     if piece.counted is not None:
-        edges[1:1] = [k for k in (np.flatnonzero(np.diff(piece.counted)) + 1).tolist() if span.start < k < span.stop]
-    for first, last in pairwise(edges):
-        for start in range(first, last, size):
-            yield start, min(start + size, last), piece.counted is None or bool(piece.counted[start])
-
-
-def _followed(actuator: Actuator, piece: Record, run: slice, datum: float, state: State) -> State:
-    """Return the state after a model has followed the displacements of a piece."""
-    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
-    time = piece.time[run] if actuator.needs_time else None
-    path = piece.displacement[run] + datum
-    reached: State = actuator.compensate(path, time=time, state=state, extrapolate=True).state
-    return reached
-
-
-def _driven(actuator: Actuator, piece: Record, span: slice, less: tuple[float, Array | float], state: State) -> Motion:
-    """Play samples of a piece from a state, their voltages less offset and drift [V]."""
-    # The piece's voltages are those that act, behind the amplifier.
-    actuator = replace(actuator, lag=0.0) if actuator.lag else actuator
-    time = piece.time[span] if actuator.needs_time else None
-    voltage = without_offset(actuator, piece.voltage[span], *less)
-    return actuator.simulate(voltage, time=time, state=state, extrapolate=True)
-
-
-def _places(y: Array) -> NDArray[np.intp]:
-    """Return samples that lead elements as all of them do: the first one, the turning points, and some evenly."""
-    if y.size <= _START_SAMPLES:
-        return np.arange(y.size)
-    some = np.linspace(0, y.size - 1, _START_SAMPLES).astype(np.intp)
-    return np.union1d(some, turning_points(y, 1e-3 * float(np.ptp(y))))
+        edges[1:1] = [k for k in (np.flatnonzero(np.diff(piece.counted)) + 1).tolist() if first < k < last]
+    for begin, end in pairwise(edges):
+        for start in range(begin, end, size):
+            yield start, min(start + size, end), piece.counted is None or bool(piece.counted[start])
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:

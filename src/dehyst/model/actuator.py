@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dehyst._errors import ModelError
 from dehyst._native import EMPTY, Core
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import plotted
-from dehyst.model import checks, physical, serialization
+from dehyst.model import checks, serialization
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
 from dehyst.model.dynamics import Creep, Dynamics
@@ -96,8 +97,7 @@ class Actuator(JsonFile, AbstractModel):
     recorded_slew_rate: float | None = None
 
     def __post_init__(self) -> None:
-        checks.check_kinds(self)
-        keep(self, **checks.checked_numbers(self))
+        keep(self, **checks.checked_parts(self))
         least_slope(self.slip, self.spring)
         if self.state is None:
             keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
@@ -189,8 +189,13 @@ class Actuator(JsonFile, AbstractModel):
 
     @cached_property
     def plausible(self) -> Range:
-        """Displacements [m] within `reach` or the knots of the spring."""
-        return checks.plausible_displacements(self)
+        """Displacements [m] within `reach` or the knots of the spring; the knots alone if the reach is not known."""
+        knots = Range(*self._knots)
+        try:
+            low, high = self.reach
+        except ModelError:
+            return knots
+        return knots.joined((low, high)) if 0 < high - low < np.inf else knots
 
     @cached_property
     def _voltages(self) -> Range:
@@ -249,7 +254,7 @@ class Actuator(JsonFile, AbstractModel):
         """
         (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
-            checks.check_voltages(low, high, self._voltages)
+            self._refuse_voltages(low, high)
         y, reached = self.model.simulate(v, PathData(time, load), start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
@@ -294,7 +299,7 @@ class Actuator(JsonFile, AbstractModel):
         """
         (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
         if not extrapolate and self.plausible.is_far(low, high):
-            checks.check_displacements(self, y, load)
+            self._refuse_displacements(y, load)
         v, reached = self.model.compensate(y, PathData(time, load, velocity, acceleration), start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
@@ -306,7 +311,7 @@ class Actuator(JsonFile, AbstractModel):
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
-            checks.check_voltages(v, v, self._voltages)
+            self._refuse_voltages(v, v)
         y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
@@ -320,7 +325,7 @@ class Actuator(JsonFile, AbstractModel):
         y = number(displacement, "displacement")
         knots = self.spring.displacement
         if not extrapolate and not knots[0] <= y <= knots[-1]:
-            checks.check_displacements(self, np.array([y]), None)
+            self._refuse_displacements(np.array([y]))
         side = 1 if rising else -1
         smooth = () if self.smooth is None else side * self.smooth.length
         return State(y, y - side * self.slip.breakaway, smooth=smooth)
@@ -387,24 +392,7 @@ class Actuator(JsonFile, AbstractModel):
         `transformer_ratio`: T [N/V]. `mechanical_stiffness`, `electrical_stiffness`: km and ke = T^2 / C [N/m]. Raise
         `ModelError` if one of them is not a positive number, elements are graded, or there is a transformer curve.
         """
-        return physical.physical(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
-
-    def charge(
-        self,
-        displacement: ArrayLike,
-        *,
-        transformer_ratio: float,
-        mechanical_stiffness: float,
-        electrical_stiffness: float,
-    ) -> Array:
-        """Return the charge q = T x [C] (theory section 9), 0 where the spring alone holds 0 V.
-
-        `displacement` (n,) [m]; with dynamics or a load that of w, such as `State.displacement`. `transformer_ratio`,
-        `mechanical_stiffness`, `electrical_stiffness`: as in `physical`. Raise `ModelError` if a number is impossible,
-        or there is a transformer curve, with which T x balances no power.
-        """
-        x = vector(displacement, "displacement")
-        return physical.charge(self, x, transformer_ratio, mechanical_stiffness, electrical_stiffness)
+        return Physical.of(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
@@ -427,7 +415,23 @@ class Actuator(JsonFile, AbstractModel):
 
         A `displacement` is implausible if it lies farther outside of `plausible` and `others` than these are wide.
         """
-        return checks.implausibility(self, displacement, load, *others)
+        ends, displacements = self.plausible.far_ends(displacement), self.plausible.joined(*others)
+        if ends is None:
+            return ""
+        pushed = displacements
+        if load is not None and self.load_stiffness is not None:
+            push = vector(load, "load") / self.load_stiffness
+            low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
+            pushed = Range(displacements.low + low, displacements.high + high)
+        return "" if pushed.far_ends(displacement) is None else checks.displacement_error(ends, displacements)
+
+    def _refuse_voltages(self, low: float, high: float) -> None:
+        if self._voltages.is_far(low, high):
+            raise ModelError(f"{checks.voltage_error((low, high), self._voltages)}; {checks.ANYWAY}")
+
+    def _refuse_displacements(self, displacement: Array, load: ArrayLike | None = None) -> None:
+        if reason := self.implausibility(displacement, load):
+            raise ModelError(f"{reason}; {checks.ANYWAY}")
 
     def _start(self, state: State | None) -> State:
         return self.model.complete_state(self.state if state is None else state)

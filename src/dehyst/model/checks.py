@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import demand_divisors, demand_magnitudes, number, vector
+from dehyst._validation import demand_divisors, demand_magnitudes, number
 from dehyst.model.dynamics import Creep, Dynamics
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 
@@ -18,14 +17,14 @@ if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
     from dehyst.model.base import Motion
 
-_KINDS: tuple[tuple[str, tuple[type, ...]], ...] = (
-    ("slip", (MaxwellSlip, GradedSlip)),
-    ("spring", (Spring,)),
-    ("transformer", (Transformer, type(None))),
-    ("creep", (Creep, type(None))),
-    ("dynamics", (Dynamics, type(None))),
-    ("smooth", (SmoothSlip, type(None))),
-)
+_KINDS: dict[str, tuple[type, ...]] = {
+    "slip": (MaxwellSlip, GradedSlip),
+    "spring": (Spring,),
+    "transformer": (Transformer, type(None)),
+    "creep": (Creep, type(None)),
+    "dynamics": (Dynamics, type(None)),
+    "smooth": (SmoothSlip, type(None)),
+}
 # Name, unit, what is needed, whether 0 is impossible and None allowed, and whether it is divided by.
 _NUMBERS = (
     ("delay", "s", "0 or more: a displacement does not lead its voltage", False, False),
@@ -42,18 +41,17 @@ _REST = 1e9
 _VISITS = 60
 
 
-def check_kinds(actuator: Actuator) -> None:
-    """Raise `ModelError` if a part is not of its class."""
-    for name, kinds in _KINDS:
+def checked_parts(actuator: Actuator) -> dict[str, float]:
+    """Return delay, lag, load stiffness and slew rate as floats, those that are given.
+
+    Raise `ModelError` if a part is not of its class, or a number is impossible.
+    """
+    for name, kinds in _KINDS.items():
         part = getattr(actuator, name)
         if not isinstance(part, kinds):
             needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
             raise ModelError(argument=name, got=type(part).__name__, need=f"a {needed}")
-
-
-def checked_numbers(actuator: Actuator) -> dict[str, float | None]:
-    """Return delay, lag, load stiffness and slew rate as floats; raise `ModelError` if one is impossible."""
-    found: dict[str, float | None] = {}
+    found = {}
     for name, unit, need, above_zero, divides in _NUMBERS:
         given = getattr(actuator, name)
         if given is None and above_zero:
@@ -97,45 +95,6 @@ def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
     rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
     time = np.arange(voltage.size) * rest if slow.needs_time else None
     return slow.simulate(voltage, time=time, extrapolate=True)
-
-
-def plausible_displacements(actuator: Actuator) -> Range:
-    """Return the displacements [m] within the reach or the knots; the knots alone if the reach cannot be computed."""
-    knots = Range(float(actuator.spring.displacement[0]), float(actuator.spring.displacement[-1]))
-    try:
-        low, high = actuator.reach
-    except ModelError:
-        return knots
-    return knots.joined((low, high)) if 0 < high - low < np.inf else knots
-
-
-def check_voltages(low: float, high: float, voltages: Range) -> None:
-    """Raise `ModelError` if one of two voltages [V] lies far outside of a model's."""
-    if voltages.is_far(low, high):
-        raise ModelError(f"{voltage_error((low, high), voltages)}; {ANYWAY}")
-
-
-def check_displacements(actuator: Actuator, displacement: Array, load: ArrayLike | None) -> None:
-    """Raise `ModelError` if displacements (n,) [m] under a load (n,) [N] are implausible for an actuator."""
-    reason = implausibility(actuator, displacement, load)
-    if reason:
-        raise ModelError(f"{reason}; {ANYWAY}")
-
-
-def implausibility(
-    actuator: Actuator, displacement: Array, load: ArrayLike | None, *others: tuple[float, float]
-) -> str:
-    """Return why displacements (n,) [m] under a load (n,) [N] are implausible; empty if they are not."""
-    ends = actuator.plausible.far_ends(displacement)
-    if ends is None:
-        return ""
-    displacements = actuator.plausible.joined(*others)
-    pushed = displacements
-    if load is not None and actuator.load_stiffness is not None:
-        push = vector(load, "load") / actuator.load_stiffness
-        low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
-        pushed = Range(displacements.low + low, displacements.high + high)
-    return displacement_error(ends, displacements) if pushed.far_ends(displacement) is not None else ""
 
 
 def displacement_error(got: tuple[float, float], displacements: Range) -> str:

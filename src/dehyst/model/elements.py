@@ -14,14 +14,6 @@ from dehyst._validation import demand_curve, demand_divisors, demand_magnitudes,
 from dehyst._views.lines import brief
 
 
-def checked_breakaway(breakaway: ArrayLike) -> Array:
-    """Return breakaway elongations (N,) [m]; raise `ModelError` if they are not positive and strictly increasing."""
-    rho = vector(breakaway, "breakaway elongations")
-    if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
-        raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
-    return rho
-
-
 def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
     """Return the number of the segment between knots (M,) in which each y lies; end segments are unbounded."""
     return np.clip(np.searchsorted(knots, y, side="right") - 1, 0, knots.size - 2)
@@ -35,6 +27,38 @@ def parts_in_segments(knots: Array, y: Array) -> Array:
     lower, upper = knots[:-1].copy(), knots[1:].copy()
     lower[0], upper[-1] = -np.inf, np.inf
     return np.asarray(np.clip(y[:, None], lower, upper) - knots[:-1])
+
+
+def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
+    """Evaluate a piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
+    x = np.asarray(at, dtype=np.float64)
+    j = segment_of(knots, x)
+    slopes = np.diff(values) / np.diff(knots)
+    return np.asarray(values[j] + slopes[j] * (x - knots[j]))
+
+
+def _elements(breakaway: ArrayLike, stiffness: Array) -> tuple[Array, Array]:
+    """Return breakaway elongations (N,) [m] and stiffnesses (N, ...) [V/m] of slip elements, if they are possible."""
+    rho = vector(breakaway, "breakaway elongations")
+    if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
+        raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
+    if np.any(stiffness < 0):
+        place = ", ".join(map(str, np.unravel_index(int(np.argmin(stiffness)), stiffness.shape)))
+        raise ModelError(f"stiffness {place} is {stiffness.min():g} V/m; a negative one grows without bound")
+    demand_magnitudes(stiffness, "stiffnesses")
+    demand_magnitudes(rho, "breakaway elongations")
+    return rho, stiffness
+
+
+def _curve(x: ArrayLike, y: ArrayLike, what: str, names: tuple[str, str]) -> tuple[Array, Array]:
+    """Return the points of a curve: at least two, with knots that strictly increase."""
+    (first, second), (knots, values) = names, (vector(x, f"{what} {names[0]}"), vector(y, f"{what} {names[1]}"))
+    if knots.size != values.size or knots.size < 2:
+        sizes = f"{knots.size} {what} {first} and {values.size} {second}"
+        raise ModelError(f"got {sizes}, need the same number, at least two")
+    if np.any(np.diff(knots) <= 0):
+        raise ModelError(f"{what} {first} must strictly increase, got {knots}")
+    return knots, values
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +78,11 @@ class MaxwellSlip:
     __repr__ = brief
 
     def __init__(self, breakaway: ArrayLike, stiffness: ArrayLike) -> None:
-        rho, kappa = checked_breakaway(breakaway), vector(stiffness, "stiffnesses")
+        rho, kappa = _elements(breakaway, vector(stiffness, "stiffnesses"))
         if rho.size != kappa.size:
             raise ModelError(
                 f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each for an element"
             )
-        if np.any(kappa < 0):
-            raise ModelError(
-                f"stiffness {int(np.argmin(kappa))} is {kappa.min():g} V/m; a negative one grows without bound"
-            )
-        demand_magnitudes(kappa, "stiffnesses")
-        demand_magnitudes(rho, "breakaway elongations")
         keep(self, breakaway=rho, stiffness=kappa)
 
     def __len__(self) -> int:
@@ -106,8 +124,8 @@ class GradedSlip:
     __repr__ = brief
 
     def __init__(self, breakaway: ArrayLike, knots: ArrayLike, stiffness: ArrayLike) -> None:
-        rho, ends = checked_breakaway(breakaway), vector(knots, "grade knots")
-        kappa = matrix(stiffness, "stiffnesses")
+        ends = vector(knots, "grade knots")
+        rho, kappa = _elements(breakaway, matrix(stiffness, "stiffnesses"))
         if ends.size < 2 or kappa.shape != (rho.size, ends.size - 1):
             raise ModelError(
                 f"got stiffnesses of shape {kappa.shape} for {rho.size} breakaway elongations and {ends.size} grade "
@@ -117,11 +135,6 @@ class GradedSlip:
             raise ModelError(f"grade knots must strictly increase, got {ends}")
         demand_magnitudes(ends, "grade knots")
         demand_divisors(np.diff(ends), "grade knots: steps")
-        demand_magnitudes(kappa, "stiffnesses")
-        demand_magnitudes(rho, "breakaway elongations")
-        if np.any(kappa < 0):
-            i, m = np.unravel_index(int(np.argmin(kappa)), kappa.shape)
-            raise ModelError(f"stiffness {i}, {m} is {kappa.min():g} V/m; a negative one grows without bound")
         keep(self, breakaway=rho, knots=ends, stiffness=kappa)
 
     def __len__(self) -> int:
@@ -164,11 +177,7 @@ class Spring:
     __repr__ = brief
 
     def __init__(self, displacement: ArrayLike, voltage: ArrayLike) -> None:
-        y, v = vector(displacement, "spring knots"), vector(voltage, "spring voltages")
-        if y.size != v.size or y.size < 2:
-            raise ModelError(f"got {y.size} spring knots and {v.size} voltages, need the same number, at least two")
-        if np.any(np.diff(y) <= 0):
-            raise ModelError(f"spring knots must strictly increase, got {y}")
+        y, v = _curve(displacement, voltage, "spring", ("knots", "voltages"))
         falls = np.flatnonzero(np.diff(v) <= 0)
         if falls.size:
             raise ModelError(
@@ -214,16 +223,9 @@ class Transformer:
     __repr__ = brief
 
     def __init__(self, voltage: ArrayLike, drive: ArrayLike) -> None:
-        v, tau = vector(voltage, "transformer knots"), vector(drive, "transformer drives")
-        if v.size != tau.size or v.size < 2:
-            raise ModelError(
-                f"got {v.size} transformer knots and {tau.size} drives, need the same number, at least two"
-            )
-        for values, what in ((v, "knots"), (tau, "drives")):
-            if np.any(np.diff(values) <= 0):
-                raise ModelError(
-                    f"transformer {what} must strictly increase, got {values}: each drive needs one voltage"
-                )
+        v, tau = _curve(voltage, drive, "transformer", ("knots", "drives"))
+        if np.any(np.diff(tau) <= 0):
+            raise ModelError(f"transformer drives must strictly increase, got {tau}: each drive needs one voltage")
         demand_curve(v, tau, "transformer")
         keep(self, voltage=v, drive=tau)
 
@@ -242,14 +244,6 @@ class Transformer:
         `drive` holds the values of tau [V].
         """
         return on_curve(self.drive, self.voltage, drive)
-
-
-def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
-    """Evaluate a piecewise-linear curve through knots and values (M,), continued linearly, at places of any shape."""
-    x = np.asarray(at, dtype=np.float64)
-    j = segment_of(knots, x)
-    slopes = np.diff(values) / np.diff(knots)
-    return np.asarray(values[j] + slopes[j] * (x - knots[j]))
 
 
 @dataclass(frozen=True, eq=False)

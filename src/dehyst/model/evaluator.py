@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -59,22 +59,20 @@ class Evaluator:
     @cached_property
     def core(self) -> Core:
         """All parts in C."""
-        slip, tau, dynamics = self.slip, self.transformer, self.dynamics
-        graded = isinstance(slip, GradedSlip)
-        s = self.smooth
-        smooth = (EMPTY,) * 3 if s is None else (s.length, s.closing, s.stiffness)
+        slip, tau, dynamics, smooth = self.slip, self.transformer, self.dynamics, self.smooth
+        graded = slip if isinstance(slip, GradedSlip) else None
         return Core(
             slip.breakaway,
-            np.zeros(len(slip)) if graded else slip.stiffness,
+            slip.stiffness if graded is None else np.zeros(len(slip)),
             self.spring.displacement,
             self.spring.voltage,
-            slip.knots if isinstance(slip, GradedSlip) else EMPTY,
-            slip.stiffness.ravel() if graded else EMPTY,
+            EMPTY if graded is None else graded.knots,
+            EMPTY if graded is None else graded.stiffness.ravel(),
             EMPTY if tau is None else tau.voltage,
             EMPTY if tau is None else tau.drive,
             EMPTY if self.creep is None else self.creep.stiffness,
             EMPTY if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
-            *smooth,
+            *((EMPTY,) * 3 if smooth is None else (smooth.length, smooth.closing, smooth.stiffness)),
         )
 
     def simulate(self, voltage: Array, path: PathData, start: State, stack: bool) -> tuple[Array, State]:
@@ -133,19 +131,39 @@ class Evaluator:
             raise ModelError(f"state: got {type(start).__name__}, need a State, such as that of a Motion")
         if start.carts.size != len(self.slip):
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
-        start = _with_motion(self, start)
-        rho = self.slip.breakaway
-        excess = np.abs(start.displacement - start.carts) - rho
-        worst = int(np.argmax(excess)) if excess.size else 0
-        if excess.size and excess[worst] > 1e-9 * (rho[worst] + abs(start.displacement)):
+        rho, length = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length
+        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
+        w, carts, creep, motion, smooth = start.displacement, start.carts, start.creep, start.motion, start.smooth
+        if creep.size not in (0, branches):
+            raise ModelError(f"state: got {creep.size} creep strains, this actuator has {branches} creep branches")
+        if motion.size > moving:
+            raise ModelError("state: got a motion, this actuator has no dynamics")
+        if smooth.size not in (0, length.size):
             raise ModelError(
-                f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
-                f"elongation {rho[worst]:.3g} m"
+                f"state: got {smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
             )
-        if not excess.size or excess[worst] <= 0:
-            return start
-        carts = np.clip(start.carts, start.displacement - rho, start.displacement + rho)
-        return State.unchecked(start.displacement, carts, start.creep, start.motion, start.smooth)
+        creep = np.zeros(branches) if creep.size < branches else creep
+        motion = np.array([w, 0.0]) if motion.size < moving else motion
+        smooth = np.zeros(length.size) if smooth.size < length.size else smooth
+        excess = np.abs(smooth) - length
+        if np.any(excess > 0):
+            worst = int(np.argmax(excess / length))
+            if excess[worst] > 1e-9 * length[worst]:
+                raise ModelError(
+                    f"state: smooth element {worst} is elongated by {smooth[worst]:.3g} m, its length is "
+                    f"{length[worst]:.3g} m"
+                )
+            smooth = np.clip(smooth, -length, length)
+        excess = np.abs(w - carts) - rho
+        if np.any(excess > 0):
+            worst = int(np.argmax(excess))
+            if excess[worst] > 1e-9 * (rho[worst] + abs(w)):
+                raise ModelError(
+                    f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
+                    f"elongation {rho[worst]:.3g} m"
+                )
+            carts = np.clip(carts, w - rho, w + rho)
+        return State.unchecked(w, carts, creep, motion, smooth)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
@@ -251,15 +269,12 @@ class Evaluator:
         self.clock(path.time, displacement.size)
         columns = []
         for order, values, what in ((1, path.velocity, "velocity"), (2, path.acceleration, "acceleration")):
-            if values is None:
-                columns.append(_spline_derivative(displacement, _seconds(path), order))
-                continue
-            given = vector(values, what)
-            if given.size != displacement.size:
+            found = _spline_derivative(displacement, path, order) if values is None else vector(values, what)
+            if found.size != displacement.size:
                 raise ModelError(
-                    argument=what, got=f"{given.size} values for {displacement.size} samples", need="one a sample"
+                    argument=what, got=f"{found.size} values for {displacement.size} samples", need="one a sample"
                 )
-            columns.append(given)
+            columns.append(found)
         return columns[0], columns[1]
 
 
@@ -267,11 +282,13 @@ def _seconds(path: PathData) -> Array:
     return EMPTY if path.time is None else vector(path.time, "time")
 
 
-def _spline_derivative(displacement: Array, time: Array, order: int) -> Array:
+def _spline_derivative(displacement: Array, path: PathData, order: int) -> Array:
     from scipy.interpolate import CubicSpline
 
-    n = displacement.size
-    return np.asarray(CubicSpline(time, displacement)(time, order)) if n > 1 else np.zeros(n)
+    if displacement.size < 2:
+        return np.zeros(displacement.size)
+    time = _seconds(path)
+    return np.asarray(CubicSpline(time, displacement)(time, order))
 
 
 def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
@@ -298,34 +315,3 @@ def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
             )
         least.append(float(slope.min()))
     return min(least)
-
-
-def _with_motion(parts: Evaluator, state: State) -> State:
-    """Return the state with creep strains, smooth elongations and motion, at rest where they were left out."""
-    branches, moving = 0 if parts.creep is None else len(parts.creep), 0 if parts.dynamics is None else 2
-    if state.creep.size not in (0, branches):
-        raise ModelError(f"state: got {state.creep.size} creep strains, this actuator has {branches} creep branches")
-    if state.motion.size > moving:
-        raise ModelError("state: got a motion, this actuator has no dynamics")
-    if state.creep.size < branches:
-        state = replace(state, creep=np.zeros(branches))
-    state = _with_elongations(parts, state)
-    return replace(state, motion=np.array([state.displacement, 0.0])) if state.motion.size < moving else state
-
-
-def _with_elongations(parts: Evaluator, state: State) -> State:
-    length = EMPTY if parts.smooth is None else parts.smooth.length
-    if state.smooth.size not in (0, length.size):
-        raise ModelError(
-            f"state: got {state.smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
-        )
-    if state.smooth.size < length.size:
-        return replace(state, smooth=np.zeros(length.size))
-    excess = np.abs(state.smooth) - length
-    worst = int(np.argmax(excess / length)) if excess.size else 0
-    if excess.size and excess[worst] > 1e-9 * length[worst]:
-        raise ModelError(
-            f"state: smooth element {worst} is elongated by {state.smooth[worst]:.3g} m, its length is "
-            f"{length[worst]:.3g} m"
-        )
-    return replace(state, smooth=np.clip(state.smooth, -length, length)) if np.any(excess > 0) else state

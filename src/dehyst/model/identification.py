@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from math import inf
 from typing import Any
 
 from dehyst._errors import ModelError
 from dehyst._validation import keep, number
+from dehyst._views.fields import json_value
 
 
 class Outcome(Enum):
@@ -82,24 +83,9 @@ def _outcome(value: object, where: str) -> Outcome | None:
     return Outcome[value]
 
 
-# Of each field its key in a model file, and the check of its value.
-_ENTRIES: dict[str, tuple[str, Callable[[object, str], Any]]] = {
-    "method": ("method", _text),
-    "norm": ("norm", _text),
-    "slope_floor": ("slope_floor", _size),
-    "shared_datum": ("shared_datum", _flag),
-    "drift": ("drift", _flag),
-    "sensor_lag": ("sensor_lag_s", _size),
-    "ringing": ("ringing", _flag),
-    "smoothing": ("smoothing", _size_or_none),
-    "outcome": ("outcome", _outcome),
-    "provisional": ("provisional", _flag),
-    "largest_error": ("largest_error_m", _size_or_none),
-    "goal": ("goal_percent", _size_or_none),
-    "expected_rms": ("expected_rms_m", _size_or_none),
-    "expected_largest": ("expected_largest_m", _size_or_none),
-    "tested": ("tested", _flag),
-}
+def _entry(default: Any, read: Callable[[object, str], Any], key: str = "") -> Any:
+    """Return a field with the check of its value and its key in a model file, by default its name."""
+    return field(default=default, metadata={"read": read, "key": key})
 
 
 @dataclass(frozen=True)
@@ -142,34 +128,38 @@ class Identification:
         If a value has another type, or a number is negative or not finite.
     """
 
-    method: str = ""
-    norm: str = ""
-    slope_floor: float = 0.2
-    shared_datum: bool = False
-    drift: bool = True
-    sensor_lag: float = 0.0
-    ringing: bool = False
-    smoothing: float | None = None
-    outcome: Outcome | None = None
-    provisional: bool = False
-    largest_error: float | None = None
-    goal: float | None = None
-    expected_rms: float | None = None
-    expected_largest: float | None = None
-    tested: bool = False
+    method: str = _entry("", _text)
+    norm: str = _entry("", _text)
+    slope_floor: float = _entry(0.2, _size)
+    shared_datum: bool = _entry(False, _flag)
+    drift: bool = _entry(True, _flag)
+    sensor_lag: float = _entry(0.0, _size, "sensor_lag_s")
+    ringing: bool = _entry(False, _flag)
+    smoothing: float | None = _entry(None, _size_or_none)
+    outcome: Outcome | None = _entry(None, _outcome)  # noqa: RUF009
+    provisional: bool = _entry(False, _flag)
+    largest_error: float | None = _entry(None, _size_or_none, "largest_error_m")
+    goal: float | None = _entry(None, _size_or_none, "goal_percent")
+    expected_rms: float | None = _entry(None, _size_or_none, "expected_rms_m")
+    expected_largest: float | None = _entry(None, _size_or_none, "expected_largest_m")
+    tested: bool = _entry(False, _flag)
 
     def __post_init__(self) -> None:
-        keep(self, **{name: read(getattr(self, name), name) for name, (_, read) in _ENTRIES.items()})
+        keep(self, **{one.name: one.metadata["read"](getattr(self, one.name), one.name) for one in fields(self)})
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        values = {key: getattr(self, name) for name, (key, _) in _ENTRIES.items()}
-        return {**values, "outcome": None if self.outcome is None else self.outcome.name}
+        return {key: json_value(getattr(self, name)) for key, name in self.keys().items()}
+
+    @classmethod
+    def keys(cls) -> dict[str, str]:
+        """Return the name of the field of each key in a model file."""
+        return {one.metadata["key"] or one.name: one.name for one in fields(cls)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Identification:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        return cls(**{name: data[key] for name, (key, _) in _ENTRIES.items()})
+        return cls(**{name: data[key] for key, name in cls.keys().items()})
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Identification | None:
@@ -181,8 +171,9 @@ class Identification:
         given = {**entries, "sensor_lag_s": entries.get("sensor_lag") or 0.0}
         given["smoothing"] = structure.get("smoothing") if isinstance(structure, Mapping) else None
         found = {}
-        for name, (key, read) in _ENTRIES.items():
+        for one in fields(cls):
+            key = one.metadata["key"] or one.name
             with suppress(ModelError):
-                found[name] = read(given.get(key, getattr(cls, name)), key)
+                found[one.name] = one.metadata["read"](given.get(key, one.default), key)
         own = cls(**found)
         return None if own == cls() else own

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number
+from dehyst._validation import number, vector
 from dehyst._views.lines import brief
 from dehyst.model.elements import MaxwellSlip
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 class Physical:
     """The paper's symbols (Table 1), from the terminals' numbers and a nominal T, km and ke.
 
-    `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m].
+    `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m]. `rest` [m]: the
+    displacement at which the spring alone holds 0 V, where x = 0.
 
     `stiffness`, `friction`, `breakaway` (N,): k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x]. `deformation`,
     `nonlinear`, `parallel` (M,): x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x)
@@ -31,6 +33,7 @@ class Physical:
     transformer_ratio: float
     mechanical_stiffness: float
     electrical_stiffness: float
+    rest: float
     stiffness: Array
     friction: Array
     breakaway: Array
@@ -40,59 +43,34 @@ class Physical:
 
     __repr__ = brief
 
+    @classmethod
+    def of(cls, actuator: Actuator, ratio: float, km: float, ke: float) -> Physical:
+        """Convert the numbers of an `actuator`, see `Actuator.physical`: `ratio` T [N/V], `km` and `ke` [N/m]."""
+        slip, spring = actuator.slip, actuator.spring
+        if not isinstance(slip, MaxwellSlip):
+            raise ModelError("no physical units: graded elements have no single stiffness k_i")
+        if actuator.transformer is not None:
+            raise ModelError("no physical units: with a transformer curve T v is no force, and T x no charge")
+        names = ("transformer_ratio", "mechanical_stiffness", "electrical_stiffness")
+        for value, name in zip((ratio, km, ke), names, strict=True):
+            if number(value, name) <= 0:
+                raise ModelError(argument=name, got=value, need="a positive number")
+        rest, equivalent = actuator.core.spring_inverse(0.0), ke * km / (ke + km)
+        c, h = equivalent / km, ratio * spring.voltage
+        x = (spring.displacement - rest) / c
+        elements = slip.stiffness * ratio * c, slip.friction * ratio, slip.breakaway / c
+        return cls(float(ratio), float(km), float(ke), rest, *elements, x, h - equivalent * x, h)
+
     @property
     def equivalent_stiffness(self) -> float:
         """Keq = ke km / (ke + km) [N/m]."""
-        return _in_series(self.electrical_stiffness, self.mechanical_stiffness)
+        km, ke = self.mechanical_stiffness, self.electrical_stiffness
+        return ke * km / (ke + km)
 
+    def charge(self, displacement: ArrayLike) -> Array:
+        """Return the charge q = T x [C] (theory section 9) at a `displacement` (n,) [m], 0 at `rest`.
 
-def physical(actuator: Actuator, ratio: float, km: float, ke: float) -> Physical:
-    """Convert to the paper's symbols, see `Actuator.physical`."""
-    slip, spring = actuator.slip, actuator.spring
-    if not isinstance(slip, MaxwellSlip):
-        raise ModelError("no physical units: graded elements have no single stiffness k_i")
-    at_rest = _rest_displacement(actuator)
-    ratio, km, ke = _positive(ratio, km, ke)
-    equivalent = _in_series(ke, km)
-    c = equivalent / km
-    x = (spring.displacement - at_rest) / c
-    h = ratio * spring.voltage
-    return Physical(
-        transformer_ratio=ratio,
-        mechanical_stiffness=km,
-        electrical_stiffness=ke,
-        stiffness=slip.stiffness * ratio * c,
-        friction=slip.friction * ratio,
-        breakaway=slip.breakaway / c,
-        deformation=x,
-        nonlinear=h - equivalent * x,
-        parallel=h,
-    )
-
-
-def charge(actuator: Actuator, displacement: Array, ratio: float, km: float, ke: float) -> Array:
-    """Return q = T x [C], with x = (y - y0) km / keq and y0 [m] where the spring alone holds 0 V."""
-    at_rest = _rest_displacement(actuator)
-    ratio, km, ke = _positive(ratio, km, ke)
-    return np.asarray(ratio * (displacement - at_rest) * km / _in_series(ke, km))
-
-
-def _rest_displacement(actuator: Actuator) -> float:
-    """Return where the spring alone holds 0 V [m]; raise `ModelError` with a transformer curve."""
-    if actuator.transformer is not None:
-        raise ModelError("no physical units: with a transformer curve T v is no force, and T x no charge")
-    return actuator.core.spring_inverse(0.0)
-
-
-def _positive(ratio: float, km: float, ke: float) -> list[float]:
-    checked = []
-    names = ("transformer_ratio", "mechanical_stiffness", "electrical_stiffness")
-    for value, name in zip((ratio, km, ke), names, strict=True):
-        checked.append(number(value, name))
-        if checked[-1] <= 0:
-            raise ModelError(argument=name, got=value, need="a positive number")
-    return checked
-
-
-def _in_series(a: float, b: float) -> float:
-    return a * b / (a + b)
+        With dynamics or a load, that of w, such as `State.displacement`. Raise `ModelError` if it is not finite.
+        """
+        moved = vector(displacement, "displacement") - self.rest
+        return np.asarray(self.transformer_ratio * moved * self.mechanical_stiffness / self.equivalent_stiffness)

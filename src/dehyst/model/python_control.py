@@ -30,23 +30,23 @@ def actuator_block(
     model: Evaluator, start: State, period: float | None, name: str, allowed: Range | None
 ) -> NonlinearIOSystem:
     """Return the block of `dehyst.Actuator.to_control`; `start` is complete; voltages far out of `allowed` raise."""
-    period = None if period is None else number(period, "period")
-    if period is not None and period <= 0:
+    seconds = 0.0 if period is None else number(period, "period")
+    if period is not None and seconds <= 0:
         raise ModelError(argument="period", got=period, need="a positive number of seconds")
     if period is None and model.needs_time:
         raise ModelError(
             "creep, inertia or a lag need the time between samples", hint="give the period [s]", change=("period",)
         )
-    seconds = 0.0 if period is None else period
     steps = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
     numbers = np.array([-_LARGEST, _LARGEST, _LARGEST, *model.amplifier(seconds)])
-    loop = model.core.loop(steps, np.ones(1), numbers, _ignore_clamps, model.core_state(start))
-    return _block(loop, loop.moved, loop.reached, ("voltage", "displacement"), labels(model, 1), period, name, allowed)
+    loop = model.core.loop(steps, np.ones(1), numbers, lambda *_: None, model.core_state(start))
+    functions, signals = (loop.moved, loop.reached), ("voltage", "displacement")
+    return _block(loop, functions, signals, labels(model, 1), period and seconds, name, allowed)
 
 
 def compensator_block(loop: Loop, states: list[str], period: float | None, name: str) -> NonlinearIOSystem:
     """Return the block of `dehyst.Compensator.to_control`; the loop belongs to the block and is in its start state."""
-    return _block(loop, loop.stepped, loop.offered, ("wanted", "voltage"), states, period, name)
+    return _block(loop, (loop.stepped, loop.offered), ("wanted", "voltage"), states, period, name)
 
 
 def labels(model: Evaluator, taps: int) -> list[str]:
@@ -55,24 +55,24 @@ def labels(model: Evaluator, taps: int) -> list[str]:
     w and carts, creep strains, smooth elongations [m]; with dynamics y, y'/omega and the push on the mass [m]; the
     voltage last sent; with a lag the acting voltage and the last two wanted ones [V]; with preview the inputs [m].
     """
-    branches, elements = len(model.creep or ()), len(model.smooth or ())
-    names = ["w", *_numbered("cart", len(model.slip)), *_numbered("creep", branches), *_numbered("smooth", elements)]
-    names += ["y", "y_rate", "push"] if model.dynamics is not None else []
-    names += ["sent", *(["acting", *_numbered("wished", 2)] if model.lag else [])]
-    return [*names, *_numbered("fed", taps - 1)]
+    counts = {"cart": len(model.slip), "creep": len(model.creep or ()), "smooth": len(model.smooth or ())}
+    names = ["w", *(f"{name}[{i}]" for name, count in counts.items() for i in range(count))]
+    if model.dynamics is not None:
+        names += ["y", "y_rate", "push"]
+    names += ["sent", "acting", "wished[0]", "wished[1]"] if model.lag else ["sent"]
+    return [*names, *(f"fed[{i}]" for i in range(taps - 1))]
 
 
 def _block(
     loop: Loop,
-    next_state: Callable[[Array, float], Array],
-    read_output: Callable[[Array, float], float],
+    functions: tuple[Callable[[Array, float], Array], Callable[[Array, float], float]],
     signals: tuple[str, str],
     states: list[str],
     period: float | None,
     name: str,
     allowed: Range | None = None,
 ) -> NonlinearIOSystem:
-    """Return a block of one input and one output; both functions depend on their state and input alone."""
+    """Return a block by functions of the next state and of the output, of the state and the input alone."""
     try:
         import control
     except ImportError as error:
@@ -81,15 +81,11 @@ def _block(
     if not isinstance(name, str) or not name:
         raise ModelError(argument="name", got=repr(name), need="a word, such as 'stage'")
 
-    def update(_t: float, x: Any, u: Any, _params: Any) -> Array:
-        return np.asarray(_evaluate(next_state, x, u, signals[0], allowed))
-
-    def output(_t: float, x: Any, u: Any, _params: Any) -> Array:
-        return np.array([_evaluate(read_output, x, u, signals[0], allowed)])
+    def evaluated(function: Callable[[Array, float], Any]) -> Callable[..., Array]:
+        return lambda _t, x, u, _params: np.atleast_1d(_evaluate(function, x, u, signals[0], allowed))
 
     block = control.NonlinearIOSystem(
-        update,
-        output,
+        *map(evaluated, functions),
         inputs=[signals[0]],
         outputs=[signals[1]],
         states=states,
@@ -103,34 +99,25 @@ def _block(
 
 
 def _evaluate(function: Callable[[Array, float], Any], x: Any, u: Any, signal: str, allowed: Range | None) -> Any:
-    state, given = _row(x, "the state"), _row(u, signal)
-    if given.size != 1 or not np.isfinite(given[0]):
+    given = []
+    for values, what in ((x, "the state"), (u, signal)):
+        try:
+            given.append(np.array(values, dtype=np.float64, ndmin=1).ravel())
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"block: got {np.ravel(values).tolist()} for {what}, need finite numbers") from error
+    state, signals = given
+    if signals.size != 1 or not np.isfinite(signals[0]):
         raise ModelError(f"block: got {signal} = {np.ravel(u).tolist()}, need one finite number")
-    if allowed is not None and (got := allowed.far_ends(given)) is not None:
+    if allowed is not None and (got := allowed.far_ends(signals)) is not None:
         raise ModelError(f"block: {voltage_error(got, allowed)}; or let the block extrapolate")
     try:
-        return function(state, float(given[0]))
+        return function(state, float(signals[0]))
     except CoreError as error:
         raise ModelError(
-            f"block: got {signal} = {float(given[0])!r} and a state that no history leaves behind: {error}. Give "
+            f"block: got {signal} = {float(signals[0])!r} and a state that no history leaves behind: {error}. Give "
             f"`start` of the block, or a state that it reached, as the initial state. If you did: {_LINEAR}"
         ) from error
 
 
-def _row(values: Any, what: str) -> Array:
-    try:
-        return np.array(values, dtype=np.float64, ndmin=1).ravel()
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"block: got {np.ravel(values).tolist()} for {what}, need finite numbers") from error
-
-
 def _not_linear(*_given: Any, **_options: Any) -> NoReturn:
     raise ModelError(f"linearize: {_LINEAR}; measure the slope: play a small cycle and a large one")
-
-
-def _numbered(name: str, count: int) -> list[str]:
-    return [f"{name}[{i}]" for i in range(count)]
-
-
-def _ignore_clamps(_slewed: bool, _displacement: float, _voltage: float) -> None:
-    """Ignore clamps: an actuator has no limits."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ _PLACES = 400
 _FURTHER = {"transformer": "transformer", "creep": "creep", "smooth": "smooth elements", "dynamics": "inertia"}
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """One part of an actuator.
 
     `sentence`: its effect in this actuator. `holds`: the largest voltage that it holds within the range of the spring's
@@ -32,12 +32,15 @@ class Part:
 
     name: str
     sentence: str
-    holds: float | None
+    holds: float | None = None
 
 
 def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     """Return every part of an actuator, in the order of its equation."""
-    parts = [_slip(actuator.slip, actuator.spring), _spring(actuator.spring)]
+    slopes = actuator.spring.slopes * 1e-6
+    knots = f"{actuator.spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
+    parts = [_slip(actuator.slip, actuator.spring)]
+    parts.append(Part("Parallel spring", knots, float(np.ptp(actuator.spring.voltage))))
     if actuator.transformer is not None:
         parts.append(_transformer(actuator.transformer))
     if actuator.creep is not None:
@@ -46,7 +49,14 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
         parts.append(_smooth(actuator.smooth))
     if actuator.dynamics is not None:
         parts.append(_dynamics(actuator.dynamics, actuator.spring))
-    return (*parts, *_numbers(actuator))
+    if actuator.delay:
+        late = _seconds(actuator.delay)
+        parts.append(Part("Delay", f"The measured displacement lags the voltage by {late}; the model leaves this out."))
+    if actuator.lag:
+        parts.append(Part("Amplifier", f"The acting voltage lags the command by {_seconds(actuator.lag)}."))
+    if actuator.load_stiffness is not None:
+        parts.append(Part("Load", f"A force of 1 N moves the actuator by {1e6 / actuator.load_stiffness:.3g} um."))
+    return tuple(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +75,7 @@ class Slopes:
     @classmethod
     def of(cls, slip: GradedSlip | MaxwellSlip, spring: Spring) -> Slopes:
         """Compute the slopes of slip elements and a spring."""
-        ends = spring.displacement[[0, -1]]
-        y = np.linspace(ends[0], ends[1], _PLACES)
+        y = np.linspace(spring.displacement[0], spring.displacement[-1], _PLACES)
         spring_slopes = spring.slopes[segment_of(spring.displacement, y)]
         if isinstance(slip, MaxwellSlip):
             return cls(y, spring_slopes + slip.stiffness.sum(), spring_slopes, spring_slopes)
@@ -114,25 +123,16 @@ def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
 
 
 def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
-    holds = float(slip.friction.sum())
-    stiff = int(np.count_nonzero(slip.friction > 0))
-    sentence = f"{len(slip)} elements, {stiff} of them with stiffness"
-    if isinstance(slip, MaxwellSlip):
-        return Part("Slip elements", f"{sentence}.", holds)
-    slopes = Slopes.of(slip, spring)
-    least, most = int(np.argmin(slopes.turned)), int(np.argmax(slopes.turned))
-    y, k = slopes.displacement * 1e6, slopes.turned * 1e-6
-    sentence += (
-        f", graded in {slip.knots.size - 1} segments: just after a turn the slope is {k[least]:.3g} V/um at "
-        f"{y[least]:.3g} um and {k[most]:.3g} V/um at {y[most]:.3g} um."
-    )
-    return Part("Slip elements", sentence, holds)
-
-
-def _spring(spring: Spring) -> Part:
-    slopes = spring.slopes * 1e-6
-    sentence = f"{spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
-    return Part("Parallel spring", sentence, float(np.ptp(spring.voltage)))
+    sentence = f"{len(slip)} elements, {int(np.count_nonzero(slip.friction > 0))} of them with stiffness"
+    if isinstance(slip, GradedSlip):
+        slopes = Slopes.of(slip, spring)
+        y, k = slopes.displacement * 1e6, slopes.turned * 1e-6
+        least, most = int(np.argmin(k)), int(np.argmax(k))
+        sentence += (
+            f", graded in {slip.knots.size - 1} segments: just after a turn the slope is {k[least]:.3g} V/um at "
+            f"{y[least]:.3g} um and {k[most]:.3g} V/um at {y[most]:.3g} um"
+        )
+    return Part("Slip elements", f"{sentence}.", float(slip.friction.sum()))
 
 
 def _transformer(transformer: Transformer) -> Part:
@@ -144,30 +144,28 @@ def _transformer(transformer: Transformer) -> Part:
         f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt "
         f"counts for {gains.min():.2g} to {gains.max():.2g} of the mean one."
     )
-    return Part("Transformer", sentence, None)
+    return Part("Transformer", sentence)
 
 
 def _creep(actuator: Actuator, creep: Creep) -> Part:
     time, share = step_response(actuator)
     half = float(np.interp(0.5 * share[-1], share, time)) if share[-1] > 0 else 0.0
+    branches = "One branch" if len(creep) == 1 else f"{len(creep)} branches"
     sentence = (
-        f"{_count(len(creep), 'branch', 'branches')}, {_seconds(creep.time_constants.min())} to "
-        f"{_seconds(creep.time_constants.max())}: after a sudden rise through all voltages the displacement "
-        f"continues by {100 * share[-1]:.2g} % of the rise in {_seconds(time[-1])}, half of it within {_seconds(half)}."
+        f"{branches}, {_seconds(creep.time_constants.min())} to {_seconds(creep.time_constants.max())}: after a sudden "
+        f"rise through all voltages the displacement continues by {100 * share[-1]:.2g} % of the rise in "
+        f"{_seconds(time[-1])}, half of it within {_seconds(half)}."
     )
     return Part("Creep", sentence, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
 
 
 def _smooth(smooth: SmoothSlip) -> Part:
-    holds = smooth.stiffness * smooth.length
     lengths = np.unique(smooth.length) * 1e6
-    sentence = (
-        f"{_count(len(smooth), 'element', 'elements')} that yield gradually over {lengths[0]:.3g} to "
-        f"{lengths[-1]:.3g} um: inner loops do not quite close."
-        if len(smooth) > 1
-        else f"One element that yields gradually over {lengths[0]:.3g} um: inner loops do not quite close."
-    )
-    return Part("Smooth elements", sentence, float(holds.sum()))
+    elements = f"One element that yields gradually over {lengths[0]:.3g} um"
+    if len(smooth) > 1:
+        elements = f"{len(smooth)} elements that yield gradually over {lengths[0]:.3g} to {lengths[-1]:.3g} um"
+    holds = float((smooth.stiffness * smooth.length).sum())
+    return Part("Smooth elements", f"{elements}: inner loops do not quite close.", holds)
 
 
 def _dynamics(dynamics: Dynamics, spring: Spring) -> Part:
@@ -177,22 +175,7 @@ def _dynamics(dynamics: Dynamics, spring: Spring) -> Part:
         sentence += f", under a voltage at {driven:.4g} Hz about the mean slope"
     slow = 0.1 * driven
     error = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
-    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {error:.2g} %.", None)
-
-
-def _numbers(actuator: Actuator) -> list[Part]:
-    parts = []
-    if actuator.delay:
-        sentence = (
-            f"The measured displacement lags the voltage by {_seconds(actuator.delay)}; the model leaves this out."
-        )
-        parts.append(Part("Delay", sentence, None))
-    if actuator.lag:
-        parts.append(Part("Amplifier", f"The acting voltage lags the command by {_seconds(actuator.lag)}.", None))
-    if actuator.load_stiffness is not None:
-        sentence = f"A force of 1 N moves the actuator by {1e6 / actuator.load_stiffness:.3g} um."
-        parts.append(Part("Load", sentence, None))
-    return parts
+    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {error:.2g} %.")
 
 
 def _seconds(time: float) -> str:
@@ -201,8 +184,11 @@ def _seconds(time: float) -> str:
     return f"{time:.3g} s" if time < 1000 else f"{time:.0f} s"
 
 
-def _count(count: int, singular: str, plural: str) -> str:
-    return f"One {singular}" if count == 1 else f"{count} {plural}"
+def _ranges(actuator: Actuator, unit: str = "um") -> tuple[str, str, str]:
+    """Return the limits, the displacements of the spring's knots, and their range, in words."""
+    limits = "no voltage limits" if actuator.limits is None else "{:.4g} to {:.4g} V".format(*actuator.limits)
+    knots = actuator.spring.displacement[[0, -1]]
+    return limits, span_of(knots, unit, 1e6), f"a range of {length(float(np.ptp(knots)))}"
 
 
 def one_line(actuator: Actuator) -> str:
@@ -210,12 +196,12 @@ def one_line(actuator: Actuator) -> str:
     graded = "graded " if isinstance(actuator.slip, GradedSlip) else ""
     further = [words for name, words in _FURTHER.items() if getattr(actuator, name) is not None]
     parts = ", ".join([f"{graded}{counted(len(actuator.slip), 'slip element')}", *further])
-    return f"<Actuator '{escaped(actuator.name)}': {parts}, {_limits_words(actuator)}, {_knots(actuator, 'um')}>"
+    return "<Actuator '{}': {}, {}, {}>".format(escaped(actuator.name), parts, *_ranges(actuator)[:2])
 
 
 def lines(actuator: Actuator) -> Iterator[str]:
     """Yield the lines of a summary: ranges, then each part with its sentence."""
-    yield f"{escaped(actuator.name)}: {_limits_words(actuator)}, {_knots(actuator, 'um')} ({_stroke(actuator)})"
+    yield "{}: {}, {} ({})".format(escaped(actuator.name), *_ranges(actuator))
     for part in parts_of(actuator):
         holds = "" if part.holds is None else f" Holds {part.holds:.3g} V at most."
         yield f"  {part.name + ':':<18}{part.sentence}{holds}"
@@ -223,18 +209,7 @@ def lines(actuator: Actuator) -> Iterator[str]:
 
 def as_html(actuator: Actuator) -> str:
     """Return an actuator for a notebook: ranges, and a table of its parts."""
-    rows = [("voltage", _limits_words(actuator)), ("displacement", f"{_knots(actuator, 'µm')} ({_stroke(actuator)})")]
+    limits, knots, stroke = _ranges(actuator, "µm")
+    rows = [("voltage", limits), ("displacement", f"{knots} ({stroke})")]
     rows += [(part.name, part.sentence.replace("um", "µm")) for part in parts_of(actuator)]
     return html.block(f"Actuator '{actuator.name}'", html.facts(rows))
-
-
-def _limits_words(actuator: Actuator) -> str:
-    return "no voltage limits" if actuator.limits is None else "{:.4g} to {:.4g} V".format(*actuator.limits)
-
-
-def _knots(actuator: Actuator, unit: str) -> str:
-    return span_of(actuator.spring.displacement[[0, -1]], unit, 1e6)
-
-
-def _stroke(actuator: Actuator) -> str:
-    return f"a range of {length(float(np.ptp(actuator.spring.displacement)))}"

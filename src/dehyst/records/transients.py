@@ -166,16 +166,14 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
     own: list[int] = []
     for last, one in pairwise([jump, *turns]):
         half = float(np.median(np.diff(own))) if len(own) > 1 else float("inf")
-        if one - last > _LATE * max(half, 2) or not _turns_alone(v[one:], y[one:], least, gain):
+        if one - last > _LATE * max(half, 2):
+            break
+        # The displacement must leave the turn by far more than the voltage explains, over some of the samples.
+        away, moved = (np.maximum.accumulate(np.abs(signal[one:] - signal[one])) for signal in (y, v))
+        if not np.any((away > least) & (away > _STEEP * gain * moved)):
             break
         own.append(one)
     return own
-
-
-def _turns_alone(v: Array, y: Array, least: float, gain: float) -> bool:
-    """Whether a displacement leaves its first value by far more than the voltage explains, over some of the samples."""
-    away, moved = np.maximum.accumulate(np.abs(y - y[0])), np.maximum.accumulate(np.abs(v - v[0]))
-    return bool(np.any((away > least) & (away > _STEEP * gain * moved)))
 
 
 def _half_life(y: Array, first: int) -> int:

@@ -4,34 +4,22 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
-from dehyst._views.html import escape
 from dehyst.control import Compensator, PossibleStart
 from dehyst.exports import wasm_module
 from dehyst.identification import Fit
-from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model import Actuator, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.summary import Slopes, bend, parts_of, step_response
 from dehyst.records.signals import largest, turning_points
-from dehyst.report.charts import Axis, Chart, Colour, Series, stems, steps
-from dehyst.report.html import (
-    MINUS,
-    Applet,
-    Charts,
-    Part,
-    Row,
-    folded,
-    length,
-    length_unit,
-    number,
-    spelled,
-    table,
-)
+from dehyst.report import html
+from dehyst.report.charts import Axis, Chart, Colour, Kind, Series, stems, steps
+from dehyst.report.html import MINUS, Applet, Charts, Part, Row, length, length_unit, number
 from dehyst.trust.turn_plane import turn_plane
 
 if TYPE_CHECKING:
@@ -45,40 +33,49 @@ def made_of(actuator: Actuator) -> list[Part]:
     rows: list[Row] = [
         (
             part.name,
-            spelled(part.sentence).replace("tau(v)", "τ(v)"),
+            html.spelled(part.sentence).replace("tau(v)", "τ(v)"),
             "–" if part.holds is None else f"{number(part.holds)} V",
         )
         for part in parts_of(actuator)
     ]
-    tables = {} if actuator.creep is None else {"Creep branches": _branches(actuator.creep)}
-    charts = [] if actuator.transformer is None else transformer_charts(actuator.transformer)
-    if actuator.creep is not None:
+    tables, charts = {}, []
+    if actuator.transformer is not None:
+        charts += _transformer(actuator.transformer)
+    if (creep := actuator.creep) is not None:
         charts.append(creep_chart(actuator))
+        total = float(creep.stiffness.sum()) or 1.0
+        branches = zip(creep.time_constants, creep.stiffness, strict=True)
+        each = ((number(tau), number(c * 1e-6), f"{number(100 * c / total)} %") for tau, c in branches)
+        tables["Creep branches"] = html.table(("Time constant (s)", "cⱼ (V/µm)", "of all"), each, texts=0)
     if isinstance(actuator.slip, GradedSlip):
         charts += [_graded(actuator.slip), slopes_chart(actuator)]
-    if actuator.smooth is not None:
-        charts.append(_smooth(actuator.smooth))
-        tables["Smooth elements"] = _lengths(actuator.smooth)
-    head = ("Part", "What it does", "Holds at most")
+    if (smooth := actuator.smooth) is not None:
+        charts.append(_smooth(smooth))
+        elements = zip(smooth.length, smooth.closing, smooth.stiffness, strict=True)
+        numbers_ = (tuple(map(number, (y * 1e6, closing, k * 1e-6, k * y))) for y, closing, k in elements)
+        head = ("Length (µm)", "Closing", "k (V/µm)", "Holds (V)")
+        tables["Smooth elements"] = html.table(head, numbers_, texts=0)
     caption = (
         "The parts beyond a plain Maxwell-slip model. In a plain model this line of tau is zero, elements are even "
         "stripes, and there is no creep."
     )
+    parts = html.table(("Part", "What it does", "Holds at most"), rows, texts=2)
     return [
-        f"<h2>What the model is made of</h2>\n{table(head, rows, texts=2)}",
-        Charts("", caption, tuple(charts)),
-        folded("The parts' numbers", tables),
+        f"<h2>What the model is made of</h2>\n{parts}",
+        Charts("", caption, charts),
+        html.folded("The parts' numbers", tables),
     ]
 
 
-def transformer_charts(tau: Transformer) -> list[Chart]:
+def _transformer(tau: Transformer) -> list[Chart]:
     """Return tau(v) minus the straight line between its ends, and its slope."""
-    off = Series("", tau.voltage, bend(tau), "measured"), Series("", tau.voltage, bend(tau), "measured", "points", 5)
+    kinds: tuple[Kind, ...] = ("line", "points")
+    off = [Series("", tau.voltage, bend(tau), "measured", kind, 4) for kind in kinds]
     slope = Series("", *steps(tau.voltage, tau.slopes), "measured")
-    x, title = Axis("voltage", "V"), "Transformer"
+    x, y = Axis("voltage", "V"), Axis("slope of τ", "V/V", _from_zero(tau.slopes))
     return [
-        Chart(title, "", "tau less a straight line,", x, Axis("τ(v) less a straight line", "V"), off, zero=True),
-        Chart(title, "", "slope of tau,", x, Axis("slope of τ", "V/V", (0.0, 1.1 * float(tau.slopes.max()))), (slope,)),
+        Chart("Transformer", x, Axis("τ(v) less a straight line", "V"), off, zero=True),
+        Chart("Transformer", x, y, [slope]),
     ]
 
 
@@ -91,8 +88,7 @@ def creep_chart(actuator: Actuator) -> Chart:
     marks = stems("time constants", constants, np.full(constants.shape, top), "simulated", width=1)
     x = Axis("time since the rise", "s", (float(time[0]), float(time[-1])), log=True)
     y = Axis("further displacement", "% of the rise", (0.0, top))
-    series = (Series("creep", time, 100 * share, "measured", width=1.8), *marks)
-    return Chart("Creep after a sudden rise", "", "displacement over time,", x, y, series)
+    return Chart("Creep after a sudden rise", x, y, [Series("creep", time, 100 * share, "measured", width=1.8), *marks])
 
 
 def _graded(slip: GradedSlip) -> Chart:
@@ -100,29 +96,26 @@ def _graded(slip: GradedSlip) -> Chart:
     factor, unit = length_unit(float(np.ptp(slip.knots)))
     edges = np.concatenate([[0.0], slip.breakaway]) * factor
     held = slip.stiffness * slip.breakaway[:, None]
-    axes = Axis("slider position", unit), Axis("breakaway elongation", unit)
     cells = Series("", slip.knots * factor, edges, "measured", "cells", values=held)
-    notes = ((f"stiffness times breakaway elongation, darkest {number(float(held.max()))} V", "measured"),)
-    return Chart("Graded elements", "", "what each element holds over its position,", *axes, (cells,), notes=notes)
+    notes = [(f"stiffness times breakaway elongation, darkest {number(float(held.max()))} V", "measured")]
+    axes = Axis("slider position", unit), Axis("breakaway elongation", unit)
+    return Chart("Graded elements", *axes, [cells], notes=notes)
 
 
 def slopes_chart(actuator: Actuator) -> Chart:
     """Return the slope of slow motion: just after a turn, and when every element slides."""
-    steepness = Slopes.of(actuator.slip, actuator.spring)
-    factor, unit = length_unit(float(np.ptp(steepness.displacement)))
-    curves: tuple[tuple[str, Array, Colour], ...] = (
-        ("just after a turn", steepness.turned, "ink"),
-        ("rising", steepness.rising, "rising"),
-        ("falling", steepness.falling, "falling"),
-    )
+    found = Slopes.of(actuator.slip, actuator.spring)
+    factor, unit = length_unit(float(np.ptp(found.displacement)))
     # Those of plain elements are equal.
-    same = np.array_equal(steepness.rising, steepness.falling)
-    series = tuple(
-        Series(name, steepness.displacement * factor, values * 1e-6, colour, dashed=same and name == "falling")
-        for name, values, colour in curves
-    )
-    y = Axis("slope of the voltage", "V/µm", (0.0, 1.1e-6 * float(steepness.turned.max())))
-    return Chart("Stiffness along the stroke", "", "slopes over", Axis("displacement", unit), y, series)
+    same = np.array_equal(found.rising, found.falling)
+    y = found.displacement * factor
+    series = [
+        Series("just after a turn", y, found.turned * 1e-6, "ink"),
+        Series("rising", y, found.rising * 1e-6, "rising"),
+        Series("falling", y, found.falling * 1e-6, "falling", dashed=same),
+    ]
+    slope = Axis("slope of the voltage", "V/µm", _from_zero(found.turned * 1e-6))
+    return Chart("Stiffness along the stroke", Axis("displacement", unit), slope, series)
 
 
 def _smooth(elements: SmoothSlip) -> Chart:
@@ -140,29 +133,12 @@ def _smooth(elements: SmoothSlip) -> Chart:
         for x in [at[kind] + 0.008 * aside * at.max()]
         for one in (*stems("", x, held[kind], colour), Series(name, x, held[kind], colour, "points", 6))
     ]
-    axes = Axis("length", unit, (0.0, 1.08 * float(at.max()))), Axis("holds at most", "V", _from_zero(held))
-    return Chart("Smooth elements", "", "what each holds over its length,", *axes, tuple(series))
+    axes = Axis("length", unit, _from_zero(at)), Axis("holds at most", "V", _from_zero(held))
+    return Chart("Smooth elements", *axes, series)
 
 
 def _from_zero(values: Array) -> tuple[float, float]:
-    return 0.0, 1.12 * float(values.max()) if values.any() else 1.0
-
-
-def _branches(creep: Creep) -> str:
-    total = float(creep.stiffness.sum()) or 1.0
-    rows: list[Row] = [
-        (number(tau), number(c * 1e-6), f"{number(100 * c / total)} %")
-        for tau, c in zip(creep.time_constants, creep.stiffness, strict=True)
-    ]
-    return table(("Time constant (s)", "cⱼ (V/µm)", "of all"), rows, texts=0)
-
-
-def _lengths(smooth: SmoothSlip) -> str:
-    rows: list[Row] = [
-        (number(length * 1e6), number(closing), number(k * 1e-6), number(k * length))
-        for length, closing, k in zip(smooth.length, smooth.closing, smooth.stiffness, strict=True)
-    ]
-    return table(("Length (µm)", "Closing", "k (V/µm)", "Holds (V)"), rows, texts=0)
+    return 0.0, 1.1 * float(values.max()) if values.any() else 1.0
 
 
 def slip_and_spring(actuator: Actuator) -> Charts:
@@ -174,66 +150,69 @@ def slip_and_spring(actuator: Actuator) -> Charts:
     if isinstance(actuator.slip, GradedSlip):
         caption += " These elements are graded: each is shown with its largest stiffness."
     title = "Its slip elements and spring" if actuator.wide else "The model"
-    return Charts(title, caption, (*element_charts(actuator), *spring_charts(actuator.spring)))
+    return Charts(title, caption, [*element_charts(actuator), *spring_charts(actuator.spring)])
 
 
 def _plain_slip(actuator: Actuator) -> MaxwellSlip:
     return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
 
 
-def element_charts(actuator: Actuator) -> tuple[Chart, Chart]:
+def element_charts(actuator: Actuator) -> list[Chart]:
     """Return stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
     slip = _plain_slip(actuator)
     factor, unit = length_unit(float(slip.breakaway[-1]))
-    rho = slip.breakaway * factor
-
-    def chart(values: Array, quantity: str, unit_: str) -> Chart:
+    rho, charts = slip.breakaway * factor, []
+    for values, quantity, in_ in (
+        (slip.stiffness * 1e-6, "stiffness", "V/µm"),
+        (slip.friction, "breakaway voltage", "V"),
+    ):
         zero = values <= 0
         series = (
             *stems("", rho[~zero], values[~zero], "measured"),
             Series("", rho[~zero], values[~zero], "measured", "points", 5),
             Series("", rho[zero], values[zero], "measured", "points", 5, hollow=True),
         )
-        x = Axis("breakaway elongation", unit, (0.0, 1.05 * float(rho[-1])))
-        y = Axis(quantity, unit_, _from_zero(values))
-        return Chart("Slip elements", "", f"{quantity} of", x, y, tuple(one for one in series if one.x.size))
-
-    return chart(slip.stiffness * 1e-6, "stiffness", "V/µm"), chart(slip.friction, "breakaway voltage", "V")
+        axes = Axis("breakaway elongation", unit, _from_zero(rho)), Axis(quantity, in_, _from_zero(values))
+        charts.append(Chart("Slip elements", *axes, [one for one in series if one.x.size]))
+    return charts
 
 
-def spring_charts(spring: Spring) -> tuple[Chart, Chart]:
+def spring_charts(spring: Spring) -> list[Chart]:
     """Return the voltage of the parallel spring over displacement, and its slope with the least one marked."""
     factor, unit = length_unit(float(np.ptp(spring.displacement)))
     y, slopes = spring.displacement * factor, spring.slopes * 1e-6
-    voltage = Series("", y, spring.voltage, "measured"), Series("", y, spring.voltage, "measured", "points", 4)
+    kinds: tuple[Kind, ...] = ("line", "points")
+    voltage = [Series("", y, spring.voltage, "measured", kind, 3) for kind in kinds]
     least = int(np.argmin(slopes))
     marked = Series("least slope", y[least : least + 2], slopes[[least, least]], "simulated", width=3.4)
     ends = min(0.0, 1.1 * float(slopes.min())), 1.1 * max(float(slopes.max()), 0.0)
-    x, title, slope = Axis("displacement", unit), "Parallel spring", Axis("slope", "V/µm", ends)
-    return (
-        Chart(title, "", "voltage of", x, Axis("spring voltage", "V"), voltage),
-        Chart(title, "", "slope of", x, slope, (Series("slope", *steps(y, slopes), "measured"), marked), zero=True),
-    )
+    x, slope = Axis("displacement", unit), Series("slope", *steps(y, slopes), "measured")
+    return [
+        Chart("Parallel spring", x, Axis("spring voltage", "V"), voltage),
+        Chart("Parallel spring", x, Axis("slope", "V/µm", ends), [slope, marked], zero=True),
+    ]
 
 
 def numbers(actuator: Actuator) -> str:
     """Return tables of the slip elements and of the knots of the spring."""
+
+    def rows(*columns: Array) -> Iterable[Row]:
+        # As many decimals as give the largest value of a column six digits.
+        decimals = [5 - math.floor(math.log10(most)) if (most := largest(one)) else 0 for one in columns]
+        for i, row in enumerate(zip(*columns, strict=True), 1):
+            written = (
+                f"{value:.{min(12, max(0, n))}f}" if value else "0" for value, n in zip(row, decimals, strict=True)
+            )
+            yield (str(i), *(text.replace("-", MINUS) for text in written))
+
     slip, spring = _plain_slip(actuator), actuator.spring
-    each = [str(i) for i in range(1, len(slip) + 1)]
-    columns = (slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
-    elements = zip(each, *map(_column, columns), strict=True)
-    each = [str(i) for i in range(1, spring.voltage.size + 1)]
-    knots = zip(each, _column(spring.displacement * 1e6), _column(spring.voltage), strict=True)
-    first = table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0)
-    second = table(("Knot", "y (µm)", "η (V)"), knots, texts=0)
-    return folded("The model's numbers", {"Slip elements": first, "Knots of the parallel spring": second})
-
-
-def _column(values: Array) -> list[str]:
-    """Write a column with the decimals that give its largest value six digits."""
-    largest = float(np.abs(values).max())
-    decimals = min(12, max(0, 5 - math.floor(math.log10(largest)))) if largest > 0 else 0
-    return [f"{float(value):.{decimals}f}".replace("-", MINUS) if value else "0" for value in values]
+    elements = rows(slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
+    knots = rows(spring.displacement * 1e6, spring.voltage)
+    tables = {
+        "Slip elements": html.table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0),
+        "Knots of the parallel spring": html.table(("Knot", "y (µm)", "η (V)"), knots, texts=0),
+    }
+    return html.folded("The model's numbers", tables)
 
 
 SAMPLES = 2001
@@ -250,7 +229,12 @@ def path_trial(fit: Fit) -> Applet | str:
     made = _compensator(actuator, _duration(fit))
     if made is None:
         return ""
-    (compensator, seconds), share = made, _own_share(fit)
+    (compensator, seconds), share = made, None
+    # The largest error on records that were not trained on, or else on all.
+    judged = [one for one in fit.errors if one.role == "validation"] or fit.errors
+    shares = [one.largest / one.stroke for one in judged if one.stroke > 0]
+    if shares and np.isfinite(max(shares)):
+        share = max(shares)
     own = "the error on the actuator itself is that of the model"
     if share is not None:
         own = f"on the records the model itself was wrong by up to {number(100 * share)} % of the stroke"
@@ -268,7 +252,10 @@ def path_trial(fit: Fit) -> Applet | str:
         "band": None if share is None else 1e6 * share * fit.errors[0].stroke,
         "tested": None if tested is None else tested.as_dict(),
     }
-    body = f'<h2>Try a path</h2>\n<p class="caption">{escape(caption)}</p>\n<section id="path-trial"></section>'
+    body = (
+        f'<div class="applet">\n<h2>Try a path</h2>\n<p class="caption">{html.escape(caption)}</p>\n'
+        '<section id="path-trial"></section>\n</div>'
+    )
     return Applet(body, "path_trial.js", "path-data", data)
 
 
@@ -298,13 +285,6 @@ def _compensator(actuator: Actuator, seconds: float) -> tuple[Compensator, float
     return None
 
 
-def _own_share(fit: Fit) -> float | None:
-    """Return the largest error on records that were not trained on, or else on all, as a share of the stroke."""
-    errors = [one for one in fit.errors if one.role == "validation"] or list(fit.errors)
-    shares = [one.largest / one.stroke for one in errors if one.stroke > 0]
-    return max(shares) if shares and np.isfinite(max(shares)) else None
-
-
 _COLOURS: tuple[Colour, ...] = ("simulated", "measured")
 _WORDS = {"nominal": "by a constant ratio", "compensated": "by the model"}
 
@@ -315,13 +295,8 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
         return []
     head = ("Voltage", "Largest error, % of the stroke", "RMS, %", "Largest")
     rows = [
-        (
-            (name, _WORDS.get(name, "")),
-            number(path.largest_percent),
-            number(path.rms_percent),
-            length(largest(path.error)),
-        )
-        for name, path in followed.items()
+        ((name, _WORDS.get(name, "")), number(one.largest_percent), number(one.rms_percent), length(largest(one.error)))
+        for name, one in followed.items()
     ]
     caption = (
         "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
@@ -330,24 +305,16 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
     )
     first, time = next(iter(followed.values())), Axis("time", "s")
     factor, unit = length_unit(first.stroke)
-    coloured = list(zip(followed.items(), _COLOURS, strict=False))
-    reached = [Series(name, path.time, path.reached * factor, colour, exact=True) for (name, path), colour in coloured]
+    reached, errors = [], []
+    for (name, one), colour in zip(followed.items(), _COLOURS, strict=False):
+        reached.append(Series(name, one.time, one.reached * factor, colour, exact=True))
+        # The errors differ too much for one scale.
+        error = Series("", one.time, 100 * one.error / one.stroke, colour, exact=True)
+        role = _WORDS.get(name, "")
+        errors.append(Chart(name, time, Axis("error", "% of the stroke"), [error], role=role, zero=True))
     wanted = Series("wanted", first.time, first.wanted * factor, "ink", exact=True, width=1, dashed=True)
-    paths = Chart("Path", "", "wanted and reached displacement,", time, Axis("displacement", unit), (*reached, wanted))
-    # The errors differ too much for one scale.
-    errors = [
-        Chart(
-            name,
-            _WORDS.get(name, ""),
-            "error of",
-            time,
-            Axis("error", "% of the stroke"),
-            (Series("", path.time, 100 * path.error / path.stroke, colour, exact=True),),
-            zero=True,
-        )
-        for (name, path), colour in coloured
-    ]
+    path = Chart("Path", time, Axis("displacement", unit), [*reached, wanted])
     return [
-        f"<h2>Measured along a path</h2>\n{table(head, rows, texts=1)}",
-        Charts("", caption, (paths, *errors)),
+        f"<h2>Measured along a path</h2>\n{html.table(head, rows, texts=1)}",
+        Charts("", caption, [path, *errors]),
     ]

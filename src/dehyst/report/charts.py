@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dehyst._types import Array
 
 # Names of colours in web/style.css, where each has a light and a dark form.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink", "noise", "tested"]
+Kind: TypeAlias = Literal["line", "points", "area", "cells"]
 # Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
 # A line leaves out vertices that do not move by this part of its range.
@@ -23,13 +24,10 @@ _CELLS = 2000
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: its quantity, the unit of its numbers if they have one, and its range if it is not that of the data.
-
-    A `log` axis has positive numbers.
-    """
+    """An axis: quantity, unit, and range if it is not that of the data. A `log` axis has positive numbers."""
 
     quantity: str
-    unit: str
+    unit: str = ""
     range: tuple[float, float] | None = None
     log: bool = False
 
@@ -37,11 +35,6 @@ class Axis:
     def label(self) -> str:
         """Quantity and unit."""
         return f"{self.quantity} ({self.unit})" if self.unit else self.quantity
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what the script of a page needs."""
-        ends = {} if self.range is None else {"range": self.scaled(self.range).tolist()}
-        return {"label": self.label, "unit": self.unit, **({"log": True} if self.log else {}), **ends}
 
     def scaled(self, values: ArrayLike) -> Array:
         """Return values as a page stores them: of a `log` axis their decimal exponents."""
@@ -53,23 +46,16 @@ class Axis:
 class Series:
     """A curve, points, an area or cells: x and y (n,), in the units of the axes; NaN breaks a curve.
 
-    Attributes
-    ----------
-    top : (n,) array, optional
-        The other edge of an area, whose first is y.
-    values : (m, k) array, optional
-        Of cells between m + 1 edges y and k + 1 edges x; the larger, the darker.
-    names : tuple of str
-        Those of single points.
-    exact : bool
-        Whether x needs more than 16 bits, as the time of a long record does.
+    `top` (n,) is the other edge of an area; `values` (m, k) are those of cells between m + 1 edges y and k + 1 edges x,
+    the larger, the darker; `names` those of single points. An `exact` x needs more than 16 bits, as the time of a long
+    record does.
     """
 
     name: str
     x: Array
     y: Array
     colour: Colour
-    kind: Literal["line", "points", "area", "cells"] = "line"
+    kind: Kind = "line"
     width: float = 1.4
     opacity: float = 1.0
     exact: bool = False
@@ -109,39 +95,23 @@ def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart.
+    """A chart: above it a title, such as a record, and its `role`.
 
-    Attributes
-    ----------
-    title, role : str
-        Above it: a record, and what it is.
-    label : str
-        For readers that do not see it.
-    x, y : Axis
-    series : tuple of Series
-    right : (factor, quantity, unit), optional
-        A second axis at the right: numbers of y times the factor.
-    shaded : sequence of (from, to)
-        Parts of the abscissa.
-    band : (low, high), optional
-        Part of the ordinate.
-    zero : bool
-        Whether zero is marked.
-    notes : tuple of (str, str)
-        Words of the legend that belong to no series, and their colours.
+    `right` is a second axis, of the numbers of y times a factor: (factor, quantity, unit). Parts of the abscissa are
+    `shaded`, a part of the ordinate is the `band`, `zero` is marked if set; `notes` are words of the legend that belong
+    to no series, with their colours.
     """
 
     title: str
-    role: str
-    label: str
     x: Axis
     y: Axis
-    series: tuple[Series, ...]
+    series: Sequence[Series]
+    role: str = ""
     right: tuple[float, str, str] | None = None
     shaded: Sequence[tuple[float, float]] = ()
     band: tuple[float, float] | None = None
     zero: bool = False
-    notes: tuple[tuple[str, str], ...] = ()
+    notes: Sequence[tuple[str, str]] = ()
 
 
 @dataclass(eq=False)
@@ -160,9 +130,9 @@ class ChartData:
         stored: dict[str, Any] = {
             "title": chart.title,
             "role": chart.role,
-            "label": f"{chart.label} {chart.title}".strip(),
-            "x": chart.x.as_dict(),
-            "y": chart.y.as_dict(),
+            "label": f"{chart.title}: {chart.y.quantity} over {chart.x.quantity}",
+            "x": _axis(chart.x),
+            "y": _axis(chart.y),
             "series": [self._series(one, chart) for one in chart.series],
             "shaded": [list(ends) for ends in chart.shaded],
             "levels": [{"value": 0}] if chart.zero else [],
@@ -207,6 +177,13 @@ class ChartData:
         return self._places[key]
 
 
+def _axis(axis: Axis) -> dict[str, Any]:
+    stored = {"label": axis.label, "unit": axis.unit, "log": axis.log}
+    if axis.range is not None:
+        stored["range"] = axis.scaled(axis.range).tolist()
+    return {key: value for key, value in stored.items() if value or key == "unit"}
+
+
 def in_page(data: Mapping[str, Any]) -> str:
     """Return data as JSON that can stand inside a page."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
@@ -217,14 +194,10 @@ def in_page(data: Mapping[str, Any]) -> str:
 def _stored(values: Array, exact: bool) -> dict[str, Any]:
     """Return a column as base64: 32-bit floats, or 16-bit steps above its least value."""
     if exact:
-        return {"floats": _base64(values.astype("<f4"))}
+        return {"floats": base64.b64encode(values.astype("<f4").tobytes()).decode()}
     good = np.isfinite(values)
     low, high = (float(values[good].min()), float(values[good].max())) if good.any() else (0.0, 0.0)
     step = (high - low) / _STEPS or 1.0
     codes = np.full(values.size, _MISSING, dtype="<u2")
     codes[good] = np.rint((values[good] - low) / step).astype("<u2")
-    return {"low": low, "step": step, "steps": _base64(codes)}
-
-
-def _base64(codes: NDArray[Any]) -> str:
-    return base64.b64encode(codes.tobytes()).decode("ascii")
+    return {"low": low, "step": step, "steps": base64.b64encode(codes.tobytes()).decode()}

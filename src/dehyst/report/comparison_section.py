@@ -12,6 +12,12 @@ from dehyst.baselines.tracking_trials import TrackingErrors
 from dehyst.report.html import Row, bullets, document, folded, length, number, reproduction, table
 
 _NONE = "–"
+_KINDS = {
+    "Largest": "largest",
+    "RMS": "rms",
+    "Largest, no constant": "largest_without",
+    "RMS, no constant": "rms_without",
+}
 # Bars of one model are no comparison; largest ratio of the longest to the median.
 _FEWEST_BARS, _LONGEST = 2, 6.0
 
@@ -46,11 +52,11 @@ def _bars(found: ModelComparison) -> str:
         return ""
     scores.sort(key=lambda pair: pair[0].largest)
     # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
-    end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest)
+    end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest) or 1.0
     lines = "\n".join(
         f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
-        f'<span class="bar" data-style="width:{_width(score.largest, end):.1f}%"></span>'
-        f'<span class="bar rms" data-style="width:{_width(score.rms, end):.1f}%"></span>'
+        f'<span class="bar" style="width:{100 * min(score.largest / end, 1.0):.1f}%"></span>'
+        f'<span class="bar rms" style="width:{100 * min(score.rms / end, 1.0):.1f}%"></span>'
         f"<small>{number(score.largest)} % · {number(score.rms)} %"
         f"{' (longer than drawn)' if score.largest > end else ''}</small></dd>"
         for score, name in scores
@@ -62,28 +68,25 @@ def _bars(found: ModelComparison) -> str:
     )
 
 
-def _width(error: float, end: float) -> float:
-    """Return the width of a bar, in % of the room for it."""
-    return 100 * min(error / end, 1.0) if end > 0 else 0.0
-
-
 def _table(found: ModelComparison) -> str:
-    head: Row = [
-        "Model",
-        "Training",
-        "Held out",
-        "Held out, no constant",
-        *(f"Tracking, {name}" for name in found.truths),
-    ]
+    """Return the errors of each model, the least of a column marked where two rows or more have a number."""
+    columns: dict[str, list[tuple[float, float] | None]] = {
+        "Training": [_errors(row.worst("training")) for row in found.rows],
+        "Held out": [_errors(row.worst("validation")) for row in found.rows],
+        "Held out, no constant": [
+            None if (score := row.worst("validation")) is None else (score.largest_without, score.rms_without)
+            for row in found.rows
+        ],
+        **{f"Tracking, {name}": [_errors(row.tracking.get(name)) for row in found.rows] for name in found.truths},
+    }
+    best = set()
+    for number_, errors in enumerate(columns.values(), 1):
+        known = [(error[0], i) for i, error in enumerate(errors) if error is not None]
+        if len(known) > 1:
+            best.add((min(known)[1], number_))
     rows: list[Row] = [
-        [
-            (row.name, "this package" if row.name == OURS else ""),
-            _errors(row.worst("training")),
-            _errors(row.worst("validation")),
-            _NONE if (score := row.worst("validation")) is None else _pair(score.largest_without, score.rms_without),
-            *(_errors(row.tracking.get(name)) for name in found.truths),
-        ]
-        for row in found.rows
+        ((row.name, "this package" if row.name == OURS else ""), *map(_cell, errors))
+        for row, *errors in zip(found.rows, *columns.values(), strict=True)
     ]
     return (
         "<h2>Models compared</h2>\n"
@@ -92,28 +95,16 @@ def _table(found: ModelComparison) -> str:
         "RMS, with one free constant for each record or with none. Tracking: wanted minus reached displacement of a "
         "virtual actuator along a random path of 40 reversals; the model was fitted to that actuator's own records."
         f"{' ' + escape(found.note) if found.note else ''}</p>\n"
-        f"{table(head, rows, texts=1, best=_best(found))}"
+        f"{table(('Model', *columns), rows, texts=1, best=best)}"
     )
 
 
-def _best(found: ModelComparison) -> set[tuple[int, int]]:
-    """Return row and column of the least largest error of each column; none where one row alone has a number."""
-    columns = [
-        [_largest(row.worst("training")) for row in found.rows],
-        [_largest(row.worst("validation")) for row in found.rows],
-        [score.largest_without if (score := row.worst("validation")) else None for row in found.rows],
-        *([_largest(row.tracking.get(name)) for row in found.rows] for name in found.truths),
-    ]
-    best = set()
-    for column, errors in enumerate(columns, 1):
-        known = [(error, i) for i, error in enumerate(errors) if error is not None]
-        if len(known) > 1:
-            best.add((min(known)[1], column))
-    return best
+def _errors(score: RecordScore | TrackingErrors | None) -> tuple[float, float] | None:
+    return None if score is None else (score.largest, score.rms)
 
 
-def _largest(score: RecordScore | TrackingErrors | None) -> float | None:
-    return None if score is None else score.largest
+def _cell(errors: tuple[float, float] | None) -> str | tuple[str, str]:
+    return _NONE if errors is None else (f"{number(errors[0])} %", f"{number(errors[1])} %")
 
 
 def _costs(found: ModelComparison) -> str:
@@ -129,39 +120,11 @@ def _costs(found: ModelComparison) -> str:
     return f"<h2>Cost</h2>\n{table(head, rows, texts=1)}"
 
 
-def _pair(largest: float, rms: float) -> tuple[str, str]:
-    return f"{number(largest)} %", f"{number(rms)} %"
-
-
-def _errors(score: RecordScore | TrackingErrors | None) -> str | tuple[str, str]:
-    return _NONE if score is None else _pair(score.largest, score.rms)
-
-
 def _each(found: ModelComparison) -> str:
-    rows: list[Row] = [
-        (
-            row.name,
-            score.record,
-            score.role,
-            *_pair(score.largest, score.rms),
-            *_pair(score.largest_without, score.rms_without),
-            str(score.samples),
-            str(score.left_out),
-        )
-        for row in found.rows
-        for score in row.scores
-    ]
-    if not rows:
-        return ""
-    head = (
-        "Model",
-        "Record",
-        "Role",
-        "Largest",
-        "RMS",
-        "Largest, no constant",
-        "RMS, no constant",
-        "Samples counted",
-        "Left out",
-    )
-    return folded("Every model on every record", {"": table(head, rows, texts=3)})
+    head = ("Model", "Record", "Role", *_KINDS, "Samples counted", "Left out")
+    rows: list[Row] = []
+    for row in found.rows:
+        for score in row.scores:
+            errors = (f"{number(getattr(score, kind))} %" for kind in _KINDS.values())
+            rows.append((row.name, score.record, score.role, *errors, str(score.samples), str(score.left_out)))
+    return folded("Every model on every record", {"": table(head, rows, texts=3)}) if rows else ""

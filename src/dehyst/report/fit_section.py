@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import Any, TypeAlias
@@ -10,15 +10,17 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._types import Array
-from dehyst._views.html import escape
+from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.identification.fit import label
 from dehyst.model import Actuator
 from dehyst.records.signals import largest, white_noise
+from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
-from dehyst.report.html import Charts, Part, Row, folded, length, length_unit, number, spelled, table, words
+from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
+
+Indices: TypeAlias = NDArray[np.intp]
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
@@ -29,19 +31,19 @@ def verdict(fit: Fit) -> str:
     if expected is None:
         word = Readiness.NOT_USABLE.value.capitalize()
         return f'<p class="outcome red" role="status"><strong>{word}</strong> {words(fit.outcome.value)}</p>'
-    word = expected.readiness.value.capitalize()
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
-    largest, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
-    sentences = (
+    most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
+    said = (
         f"is the largest error to expect on a path like the records, RMS {rms} (from {expected.basis}; the goal is "
         f"{expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
-        f"{spelled(fit.outcome.value)}"
+        f"{fit.outcome.value}"
     )
     why = "".join(f"<li>{words(one[0].upper() + one[1:])}.</li>" for one in expected.why_not_ready)
     return (
-        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status"><strong>{word}</strong>'
-        f"<b>{largest} of the stroke <small>or {escape(length(expected.largest))}</small></b>\n"
-        f"{escape(sentences)}{f'<ul>{why}</ul>' if why else ''}</div>"
+        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status">'
+        f"<strong>{expected.readiness.value.capitalize()}</strong>"
+        f"<b>{most} of the stroke <small>or {escape(length(expected.largest))}</small></b>\n"
+        f"{words(said)}{f'<ul>{why}</ul>' if why else ''}</div>"
     )
 
 
@@ -49,32 +51,31 @@ def errors_table(errors: Sequence[RecordErrors]) -> str:
     """Return the errors by record, steady and with its drift."""
     if not errors:
         return ""
+    kinds = {
+        "Largest error": "largest",
+        "RMS error": "rms",
+        "Largest, drift left in": "largest_with_drift",
+        "RMS, drift left in": "rms_with_drift",
+    }
+
+    def cell(one: RecordErrors, name: str) -> tuple[str, str]:
+        error = float(getattr(one, name))
+        return f"{number(100 * error / one.stroke)} %", length(error)
+
     rows: list[Row] = [
         (
-            (error.record, error.role),
-            *(
-                (f"{number(100 * e / error.stroke)} %", length(e))
-                for e in (error.largest, error.rms, error.largest_with_drift, error.rms_with_drift)
-            ),
-            *(str(error.samples), str(error.left_out)),
+            (one.record, one.role),
+            *(cell(one, name) for name in kinds.values()),
+            str(one.samples),
+            str(one.left_out),
         )
-        for error in errors
+        for one in errors
     ]
-    head = (
-        "Record",
-        "Largest error",
-        "RMS error",
-        "Largest, drift left in",
-        "RMS, drift left in",
-        "Samples counted",
-        "Left out",
-    )
-    stroke = length(errors[0].stroke)
     return (
         "<h2>Errors by record</h2>\n"
         '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
-        f"({stroke}, the range of the widest training loop). Validation records took no part in the fit of the "
-        f"model.</p>\n{table(head, rows, texts=1)}"
+        f"({length(errors[0].stroke)}, the range of the widest training loop). Validation records took no part in the "
+        f"fit of the model.</p>\n{html.table(('Record', *kinds, 'Samples counted', 'Left out'), rows, texts=1)}"
     )
 
 
@@ -102,86 +103,87 @@ def structures(fit: Fit) -> list[Part]:
             "chosen one."
         )
     return [
-        Charts("Choice of the structure", why, (_by_size(fit, best),)),
-        folded("The structures that were tried", {"": table(head, rows, texts=1)}),
+        Charts("Choice of the structure", why, [_by_size(fit, best)]),
+        html.folded("The structures that were tried", {"": html.table(head, rows, texts=1)}),
     ]
 
 
 def _by_size(fit: Fit, best: Any) -> Chart:
     """Return the errors of the structures against their number of coefficients."""
     factor, unit = length_unit(max(trial.held_out for trial in fit.trials))
-    sizes = np.array([float(trial.structure.parameters) for trial in fit.trials])
-    held_out = factor * np.array([trial.held_out for trial in fit.trials])
-    training = factor * np.array([trial.training for trial in fit.trials])
+    sizes, held_out, training = (
+        np.array(values, dtype=np.float64)
+        for values in zip(
+            *((one.structure.parameters, factor * one.held_out, factor * one.training) for one in fit.trials),
+            strict=True,
+        )
+    )
     names = tuple(label(trial.structure, fit.trials) for trial in fit.trials)
-    one = np.array([fit.trials.index(best)])
-    series = (
+    k = fit.trials.index(best)
+    chosen = (f"chosen: {names[k]}",)
+    series = [
         Series("held-out cycles", sizes, held_out, "measured", "points", 7, 0.8, names=names),
         Series("the records themselves", sizes, training, "without", "points", 5, 0.7, names=names),
-        Series("chosen", sizes[one], held_out[one], "simulated", "points", 11, names=(f"chosen: {names[one[0]]}",)),
-    )
-    y = Axis("RMS error", unit, (0.0, 1.1 * float(np.max(held_out, where=np.isfinite(held_out), initial=0.0)) or 1.0))
-    return Chart("", "", "Error against size of the structures tried", Axis("number of coefficients", ""), y, series)
+        Series("chosen", sizes[[k]], held_out[[k]], "simulated", "points", 11, names=chosen),
+    ]
+    top = 1.1 * float(np.max(held_out, where=np.isfinite(held_out), initial=0.0)) or 1.0
+    return Chart("", Axis("number of coefficients"), Axis("RMS error", unit, (0.0, top)), series)
 
 
-_CAUSES = (
-    ("noise", "the sensor's noise"),
-    ("slow", "drift and other slow causes"),
-    ("vibration", "a vibration"),
-    ("model", "the model"),
-)
+_CAUSES = {
+    "noise": "the sensor's noise",
+    "slow": "drift and other slow causes",
+    "vibration": "a vibration",
+    "model": "the model",
+}
 
 
 def remaining_error(fit: Fit) -> str:
     """Return where the remaining error of each record comes from: a bar of shares, and a sentence."""
     if not fit.remaining or not fit.errors:
         return ""
-    swatch = '<span class="note"><i data-style="background:var(--{})"></i>{}</span>'
-    keys = "".join(swatch.format(key, cause) for key, cause in _CAUSES)
-    bars = []
-    for one in fit.remaining:
-        shares = "".join(
-            f'<span data-style="width:{100 * getattr(one, key):.1f}%;background:var(--{key})" '
-            f'title="{cause}: {100 * getattr(one, key):.0f} %"></span>'
-            for key, cause in _CAUSES
-        )
-        bars.append(
-            f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">{shares}</div>\n'
-            f'<p class="muted">{words(one.causes(fit.errors[0].stroke))}</p>'
-        )
+    swatch = '<span class="note"><i style="background:var(--{})"></i>{}</span>'
+    bar = '<span style="width:{1:.1f}%;background:var(--{0})" title="{2}: {1:.0f} %"></span>'
+    bars = "".join(
+        f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">'
+        f"{''.join(bar.format(key, 100 * getattr(one, key), cause) for key, cause in _CAUSES.items())}</div>\n"
+        f'<p class="muted">{words(one.causes(fit.errors[0].stroke))}</p>'
+        for one in fit.remaining
+    )
+    keys = "".join(swatch.format(*one) for one in _CAUSES.items())
     return (
         '<h2>Where the remaining error comes from</h2>\n<p class="muted">Shares of the power of the residual.</p>\n'
-        f'<div class="shares"><p class="legend">{keys}</p>\n{"".join(bars)}</div>'
+        f'<div class="shares"><p class="legend">{keys}</p>\n{bars}</div>'
     )
 
 
 def assumptions(fit: Fit, actuator: Actuator | None) -> str:
     """Return the checks of a model's assumptions, with their floors."""
-    wide, checks = actuator is not None and actuator.wide, fit.checks
-    if not checks:
+    if not fit.checks:
         return ""
     rows: list[Row] = [
         (
-            *(check.name, check.verdict.value, spelled(check.sentence)),
+            *(check.name, check.verdict.value, html.spelled(check.sentence)),
             *(("–" if x is None else (number(x), check.unit.replace("um", "µm"))) for x in (check.value, check.floor)),
         )
-        for check in checks
+        for check in fit.checks
     ]
-    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
     where, slope = "the records", "Assumption I"
-    if wide:
+    if actuator is not None and actuator.wide:
         where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
         slope = "rising branches"
     return (
         "<h2>Assumptions</h2>\n"
         f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
         f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
-        f"in any case.</p>\n{table(head, rows, texts=3)}"
+        f"in any case.</p>\n{html.table(('Assumption', 'Verdict', 'Finding', 'Value', 'Floor'), rows, texts=3)}"
     )
 
 
-def constants(errors: Iterable[RecordErrors]) -> str:
+def constants(errors: Sequence[RecordErrors]) -> str:
     """Show each record's nuisances: they are fitted to held-out records too."""
+    if not errors:
+        return ""
     rows: list[Row] = [
         (
             (error.record, error.role),
@@ -189,13 +191,10 @@ def constants(errors: Iterable[RecordErrors]) -> str:
         )
         for error in errors
     ]
-    if not rows:
-        return ""
     head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
-    return folded("Constants found for each record, validation records too", {"": table(head, rows, texts=1)})
+    title = "Constants found for each record, validation records too"
+    return html.folded(title, {"": html.table(head, rows, texts=1)})
 
-
-Indices: TypeAlias = NDArray[np.intp]
 
 MOST_RECORDS = 6
 # Samples that are drawn of all records together.
@@ -221,67 +220,55 @@ def before_and_after(fit: Fit) -> Charts | str:
         ("straight scale factor", off, "without"),
         ("this model", trace.residual, "simulated"),
     )
-    series = tuple(
+    series = [
         Series(name, trace.simulated[at] * factor, _broken(trace, 100 * error / stroke)[at], colour)
         for name, error, colour in curves
-    )
-    chart = Chart(
-        trace.record,
-        trace.role,
-        "Error of a straight scale factor and of the model, against displacement, of",
-        Axis("displacement", unit),
-        Axis("error", "% of stroke"),
-        series,
-        right=_right("error", stroke, before),
-        zero=True,
-    )
+    ]
+    axes = Axis("displacement", unit), Axis("error", "% of stroke")
+    right = _right("error", stroke, before)
+    chart = Chart(trace.record, *axes, series, role=trace.role, right=right, zero=True)
     caption = (
         f"How far this record lies from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
         f"model: up to {number(100 * before / stroke)} % of the stroke before, {number(100 * after / stroke)} % after. "
         "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
     )
-    return Charts("Before and after", caption, (chart,), wide=True)
+    return Charts("Before and after", caption, [chart], wide=True)
 
 
-def loops(fit: Fit) -> Charts | str:
+def loops(fit: Fit) -> Charts:
     """Return the loops off a straight line, measured and simulated, so that hysteresis fills the height."""
     shown = _shown(fit)
     caption = (
         "Displacement minus a straight line, so that the hysteresis fills the height. Where the thin line (simulated) "
         "leaves the broad one (measured), the model is wrong; look at the turning points and at the minor loops."
     )
-    charts = tuple(hysteresis_chart([trace], len(shown)) for trace in shown)
-    return Charts("Loops, off a straight line", caption + _only(fit), charts) if charts else ""
+    return Charts(
+        "Loops, off a straight line", caption + _only(fit), [hysteresis_chart([one], len(shown)) for one in shown]
+    )
 
 
 def loops_chart(traces: Sequence[Trace]) -> Chart:
     """Return measured and simulated displacement over voltage."""
-    factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
-    label = "Displacement, measured and simulated, of"
-    return _both(traces, [trace.measured for trace in traces], Axis("displacement", unit), factor, label, len(traces))
+    return _both(traces, [trace.measured for trace in traces], "displacement", len(traces))
 
 
 def hysteresis_chart(traces: Sequence[Trace], records: int = 1) -> Chart:
     """Return the same less the best straight line through all measured loops, of `records` that are drawn."""
     measured, slope = _off_line(traces)
-    factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
-    y, label = Axis(f"off a line of {number(slope * 1e6)} µm/V", unit), "Deviation from a straight line of"
-    return replace(_both(traces, measured, y, factor, label, records), zero=True)
+    return replace(_both(traces, measured, f"off a line of {number(slope * 1e6)} µm/V", records), zero=True)
 
 
-def _both(
-    traces: Sequence[Trace], measured: Sequence[Array], y: Axis, factor: float, label: str, records: int
-) -> Chart:
+def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str, records: int) -> Chart:
     """Return a chart over voltage of what was measured and of what was simulated, which is less by the residual."""
+    factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
     broad, thin = [], []
     for trace, shown in zip(traces, measured, strict=True):
         at = _drawn(trace, records)
-        voltage = trace.voltage[at]
         first, second = (_broken(trace, one * factor)[at] for one in (shown, shown - trace.residual))
-        broad.append(Series("measured", voltage, first, "measured", width=3, opacity=0.5))
-        thin.append(Series("simulated", voltage, second, "simulated", width=1))
-    one = traces[0]
-    return Chart(one.record, one.role, label, Axis("voltage", "V"), y, (*broad, *thin))
+        broad.append(Series("measured", trace.voltage[at], first, "measured", width=3, opacity=0.5))
+        thin.append(Series("simulated", trace.voltage[at], second, "simulated", width=1))
+    axes = Axis("voltage", "V"), Axis(quantity, unit)
+    return Chart(traces[0].record, *axes, [*broad, *thin], role=traces[0].role)
 
 
 def residuals(fit: Fit) -> Charts | str:
@@ -290,37 +277,25 @@ def residuals(fit: Fit) -> Charts | str:
     if not shown:
         return ""
     limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
-    both = (
-        chart([trace], stroke, len(shown), limit)
-        for trace in shown
-        for chart in (residual_in_time, residual_over_displacement)
-    )
+    kinds = residual_in_time, residual_over_displacement
+    charts = [chart([trace], stroke, len(shown), limit) for trace in shown for chart in kinds]
     caption = (
         "A slow trend in time is drift or creep. A mean (line) outside of the noise band, or a distance between the "
         "means of rising and falling branches, is a limit of the model. Grey parts of the time were not compared: "
         "they are listed under what was repaired or left out. All charts share one scale."
     )
-    return Charts("Residuals: measured minus simulated", caption + _only(fit), tuple(both))
+    return Charts("Residuals: measured minus simulated", caption + _only(fit), charts)
 
 
 def residual_in_time(traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None) -> Chart:
     """Return residuals [% of the stroke in m] against time; of one record the times that were not compared shaded."""
     colours: tuple[Colour, ...] = ("measured", "simulated", "rising", "falling")
-    alone = len(traces) == 1
-    series = tuple(
-        Series(
-            "residual" if alone else trace.record,
-            trace.time[at],
-            100 * trace.residual[at] / stroke,
-            colour,
-            "points",
-            opacity=0.6,
-            exact=True,
-        )
-        for trace, colour in zip(traces, cycle(colours))
-        for at in [_drawn(trace, records)]
-    )
-    chart = _residual(traces, "time", Axis("time", "s"), series, stroke, limit)
+    alone, series = len(traces) == 1, []
+    for trace, colour in zip(traces, cycle(colours)):
+        at = _drawn(trace, records)
+        name, y = "residual" if alone else trace.record, 100 * trace.residual[at] / stroke
+        series.append(Series(name, trace.time[at], y, colour, "points", opacity=0.6, exact=True))
+    chart = _residual(traces, Axis("time", "s"), series, stroke, limit)
     if not alone:
         return chart
     return replace(chart, shaded=_left_out(traces[0]), notes=(*chart.notes, ("not compared", "shade")))
@@ -336,34 +311,31 @@ def residual_over_displacement(
     up = np.concatenate([rising(trace) for trace in traces])
     some = np.concatenate([np.isin(np.arange(trace.time.size), _drawn(trace, records)) for trace in traces])
     clouds, means = [], []
-    branches: tuple[tuple[Colour, NDArray[np.bool_]], ...] = (("rising", up), ("falling", ~up))
+    branches: tuple[tuple[Colour, Mask], ...] = (("rising", up), ("falling", ~up))
     for name, branch in branches:
         shown = branch & some
         clouds.append(Series(name, place[shown], off[shown], name, "points", 2.0, 0.45))
         means.append(Series(f"mean, {name}", *_means(place[branch], off[branch]), name, width=2.4))
-    return _residual(traces, "displacement", Axis("displacement", unit), (*clouds, *means), stroke, limit)
+    return _residual(traces, Axis("displacement", unit), [*clouds, *means], stroke, limit)
 
 
-def _residual(
-    traces: Sequence[Trace], against: str, x: Axis, series: tuple[Series, ...], stroke: float, limit: float | None
-) -> Chart:
-    most = max(100 * largest(trace.residual) / stroke for trace in traces)
-    noise = _DEVIATIONS * max(100 * white_noise(trace.residual) / stroke for trace in traces)
+def _residual(traces: Sequence[Trace], x: Axis, series: Sequence[Series], stroke: float, limit: float | None) -> Chart:
+    noise = _DEVIATIONS * 100 * max(white_noise(trace.residual) for trace in traces) / stroke
+    most = max(largest(trace.residual) for trace in traces) if limit is None else limit * stroke / 100
     return Chart(
         traces[0].record,
-        traces[0].role,
-        f"Residual against {against} of",
         x,
         Axis("residual", "% of stroke", None if limit is None else (-limit, limit)),
         series,
-        right=_right("residual", stroke, (limit or most) * stroke / 100),
+        role=traces[0].role,
+        right=_right("residual", stroke, most),
         band=(-noise, noise),
         zero=True,
-        notes=(("95 % of the noise", "band"),),
+        notes=[("95 % of the noise", "band")],
     )
 
 
-def rising(trace: Trace) -> NDArray[np.bool_]:
+def rising(trace: Trace) -> Mask:
     """Return whether each sample lies on a rising branch (n,); a hold belongs to the branch before it."""
     # The simulated displacement moves in the direction of the voltage, and stands still with it.
     sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
@@ -418,9 +390,9 @@ def _drawn(trace: Trace, records: int) -> Indices:
     return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))
 
 
-def _right(quantity: str, stroke: float, largest: float) -> tuple[float, str, str]:
+def _right(quantity: str, stroke: float, most: float) -> tuple[float, str, str]:
     """Return the second axis for errors in % of the stroke."""
-    factor, unit = length_unit(largest)
+    factor, unit = length_unit(most)
     return factor * stroke / 100, quantity, unit
 
 

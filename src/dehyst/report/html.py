@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from dehyst._io import GENERATOR
-from dehyst._views.html import escape
+from dehyst._views import html as notebook
 from dehyst.report.charts import Chart, ChartData, in_page
 from dehyst.web import files
 
+escape = notebook.escape
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 
 MINUS = "\N{MINUS SIGN}"
@@ -33,7 +34,7 @@ class Charts:
 
     title: str
     caption: str
-    charts: tuple[Chart, ...]
+    charts: Sequence[Chart]
     wide: bool = False
     beside: tuple[str, ...] = ()
 
@@ -51,24 +52,19 @@ class Charts:
 
 @dataclass(frozen=True, eq=False)
 class Applet:
-    """A section that a script of web/ computes by WebAssembly inside the page.
+    """A section that a script of `web`, by its name, computes by WebAssembly inside the page.
 
-    Attributes
-    ----------
-    body : str
-        HTML, with the heading.
-    script : str
-        Name of the module.
-    name : str
-        The id of the element that holds the data.
-    data : mapping
-        JSON that the script reads.
+    `body` is HTML, with the heading; the script reads `data` as JSON from the element with the id `name`.
     """
 
     body: str
     script: str
     name: str
     data: Mapping[str, Any]
+
+    def html(self, _: ChartData) -> str:
+        """Return the section."""
+        return self.body
 
 
 Part: TypeAlias = str | Charts | Applet
@@ -77,7 +73,7 @@ Part: TypeAlias = str | Charts | Applet
 def document(title: str, parts: Iterable[Part]) -> str:
     """Assemble parts to a page that loads nothing from outside; a longer one gets a list of contents."""
     data, shown = ChartData(), [part for part in parts if part]
-    body = "\n".join(_html(part, data) for part in shown)
+    body = "\n".join(part if isinstance(part, str) else part.html(data) for part in shown)
     applets = [part for part in shown if isinstance(part, Applet)]
     modules = [*(["report.js"] if data else []), *(one.script for one in applets)]
     policy, script = _POLICY, ""
@@ -106,12 +102,6 @@ def document(title: str, parts: Iterable[Part]) -> str:
         f"<title>{escape(title)}</title>\n<style>{files.text('style.css')}{files.text('report.css')}</style>\n</head>\n"
         f"<body>\n<main>\n{_with_contents(body)}\n</main>\n{script}</body>\n</html>\n"
     )
-
-
-def _html(part: Part, data: ChartData) -> str:
-    if isinstance(part, str):
-        return part
-    return part.html(data) if isinstance(part, Charts) else part.body
 
 
 def _with_contents(body: str) -> str:
@@ -199,7 +189,4 @@ def table(head: Row, rows: Iterable[Row], texts: int, best: Container[tuple[int,
 
     body = "\n".join(cells("td", row, number) for number, row in enumerate(rows))
     head_ = cells("th", head).replace("<th", '<th scope="col"')
-    return (
-        '<div class="wide" tabindex="0" role="region" aria-label="Table"><table>\n'
-        f"<thead>{head_}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
-    )
+    return f'<div class="wide" tabindex="0"><table>\n<thead>{head_}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'

@@ -138,4 +138,4 @@ def _actuator_loops(found: Actuator) -> Chart:
             series.append(Series("major loop", voltage, y, "measured", width=1.9))
         else:
             series.append(Series("inner loops", voltage, y, "falling", width=1.1))
-    return Chart(found.name, "", "loops of", Axis("voltage", "V"), Axis("displacement", unit), tuple(series))
+    return Chart(found.name, Axis("voltage", "V"), Axis("displacement", unit), series)

@@ -8,23 +8,12 @@ import numpy as np
 
 from dehyst._errors import IdentifyError
 from dehyst._io import PathLike, write_atomically
-from dehyst._types import Array
-from dehyst._views.html import escape
 from dehyst.identification import StageFit
 from dehyst.identification.coupling.matrix import AxisTraces
 from dehyst.records import Record
+from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Series, thinned
-from dehyst.report.html import (
-    Charts,
-    Part,
-    Row,
-    bullets,
-    document,
-    length_unit,
-    reproduction,
-    table,
-    words,
-)
+from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
 from dehyst.trust import CheckHistory
 from dehyst.trust.history import ControlChart
 
@@ -32,63 +21,44 @@ from dehyst.trust.history import ControlChart
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
     """Write a record to one HTML file that loads nothing from outside.
 
-    `record`: the record. `columns`: quantity, column and range, in words. `path`, `command` and errors are as in
-    `write_report`.
+    `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
     every = record.by_axis()
+    in_time = [chart for one in every for chart in time_charts(one)]
     parts: list[Part] = [
-        f"<h1>{escape(record.name)}</h1>",
-        table(("quantity", "column", "range"), columns, 3),
+        f"<h1>{html.escape(record.name)}</h1>",
+        html.table(("quantity", "column", "range"), columns, 3),
         bullets("Notes", (words(problem) for one in every for problem in one.problems())),
-        Charts(
-            "Against time",
-            "Check that the voltage is that of the actuator, not of a monitor.",
-            tuple(chart for one in every for chart in time_charts(one)),
-        ),
-        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", tuple(map(loop_chart, every))),
-        reproduction(command),
+        Charts("Against time", "Check that the voltage is that of the actuator, not of a monitor.", in_time),
+        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [loop_chart(one) for one in every]),
+        html.reproduction(command),
     ]
-    write_atomically(path, document(f"{record.name}: record", parts))
+    write_atomically(path, html.document(f"{record.name}: record", parts))
 
 
-def time_charts(record: Record) -> tuple[Chart, Chart]:
+def time_charts(record: Record) -> list[Chart]:
     """Return voltage and displacement of a record of one axis against time."""
     factor, unit = length_unit(record.stroke)
     quantities = (record.voltage, Axis("voltage", "V")), (record.displacement * factor, Axis("displacement", unit))
-
-    def chart(values: Array, y: Axis) -> Chart:
+    charts = []
+    for values, y in quantities:
         line = Series("", *thinned(record.time, record.time, values), "measured", exact=True)
-        return Chart(record.name, "", f"{y.quantity} against time of", Axis("time", "s"), y, (line,))
-
-    first, second = (chart(*one) for one in quantities)
-    return first, second
+        charts.append(Chart(record.name, Axis("time", "s"), y, [line]))
+    return charts
 
 
 def loop_chart(record: Record) -> Chart:
     """Return the displacement of a record of one axis over its voltage."""
     factor, unit = length_unit(record.stroke)
     line = Series("", *thinned(record.time, record.voltage, record.displacement * factor), "measured")
-    return Chart(record.name, "", "loop of", Axis("voltage", "V"), Axis("displacement", unit), (line,))
+    return Chart(record.name, Axis("voltage", "V"), Axis("displacement", unit), [line])
 
 
 def write_check_history(path: PathLike, history: CheckHistory) -> None:
     """Write a history to one HTML file: the errors with the goal, then each kind of change with its control limits.
 
-    Points are single checks, lines their exponentially weighted moving averages.
-
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    history : CheckHistory
-        One check at least.
-
-    Raises
-    ------
-    IdentifyError
-        If there is no check.
-    FileFormatError
-        If the file cannot be written.
+    Points are single checks, lines their exponentially weighted moving averages. `path` and errors are as in
+    `write_report`; raises IdentifyError if the `history` has no check.
     """
     checks = history.checks
     if not checks:
@@ -99,70 +69,48 @@ def write_check_history(path: PathLike, history: CheckHistory) -> None:
         "last checks most; dashed lines are their limits, of three standard deviations. A ring marks a change that is "
         "beyond its limits."
     )
-    charts = _errors(history), *(_control(history, chart) for chart in history.charts())
+    order, errors, goals = (
+        np.array(values, dtype=np.float64)
+        for values in zip(*((k, one.error, one.goal) for k, one in enumerate(checks, 1)), strict=True)
+    )
+    series = (
+        Series("goal", order, goals, "without", dashed=True),
+        Series("average", order, history.average_error(), "simulated"),
+        Series("error", order, errors, "measured", "points", 6, names=_days(history, range(len(checks)))),
+    )
+    y = Axis("error", "% of stroke", (0.0, 1.15 * float(max(errors.max(), goals.max()))))
+    charts = [Chart("Largest error", Axis("check"), y, series), *(_control(history, one) for one in history.charts())]
     parts: list[Part] = [
         "<h1>Checks of a model</h1>",
         bullets("What they show", map(words, history.sentences())),
         Charts("Check by check", caption, charts, wide=True),
     ]
-    write_atomically(path, document("Checks of a model", parts))
+    write_atomically(path, html.document("Checks of a model", parts))
 
 
-_NUMBER = Axis("check", "")
-
-
-def _days(history: CheckHistory, places: Sequence[int]) -> tuple[str, ...]:
+def _days(history: CheckHistory, places: Iterable[int]) -> tuple[str, ...]:
     return tuple(f"{history.checks[k].record}, {history.checks[k].checked:%Y-%m-%d}" for k in places)
-
-
-def _errors(history: CheckHistory) -> Chart:
-    """Return the largest error of each check, its average and the goal."""
-    order, errors, goals = (
-        np.array(values, dtype=np.float64)
-        for values in zip(*((k + 1, one.error, one.goal) for k, one in enumerate(history.checks)), strict=True)
-    )
-    series = (
-        Series("goal", order, goals, "without", dashed=True),
-        Series("average", order, history.average_error(), "simulated"),
-        Series("error", order, errors, "measured", "points", 6, names=_days(history, range(len(order)))),
-    )
-    y = Axis("error", "% of stroke", (0.0, 1.15 * float(max(errors.max(), goals.max()))))
-    return Chart("Largest error", "", "errors of the checks,", _NUMBER, y, series)
 
 
 def _control(history: CheckHistory, chart: ControlChart) -> Chart:
     """Return one kind of change in standard deviations: checks, average and its limits, alarms in rings."""
     order, alarms = chart.places + 1.0, np.asarray(chart.alarms)
     names = _days(history, chart.places.astype(int).tolist())
-    series = (
+    series = [
         Series("limits", order, chart.limits, "without", dashed=True),
         Series("", order, -chart.limits, "without", dashed=True),
         Series("average", order, chart.average, "simulated"),
         Series("beyond its limits", order[alarms], chart.scores[alarms], "simulated", "points", 13, hollow=True),
         Series("check", order, chart.scores, "measured", "points", 6, names=names),
-    )
-    shown = tuple(one for one in series if one.x.size)
-    y = Axis(chart.name, "standard deviations")
-    return Chart(chart.name.capitalize(), "", "changes found by the checks,", _NUMBER, y, shown, zero=True)
+    ]
+    axes = Axis("check"), Axis(chart.name, "standard deviations")
+    return Chart(chart.name.capitalize(), *axes, [one for one in series if one.x.size], zero=True)
 
 
 def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:
-    """Write a report of a stage to one HTML file that loads nothing from outside.
+    """Write a report of several axes to one HTML file that loads nothing from outside.
 
-    Parameters
-    ----------
-    path : path-like
-        Replaced if it exists; never left half written.
-    fit : StageFit
-    records : sequence of Record
-        Those of the identification, training first.
-    command : str, optional
-        The command line to show.
-
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be written.
+    `records` are those of the identification, training first. `path`, `command` and errors are as in `write_report`.
     """
     parts: list[Part] = [
         "<h1>Coupled axes</h1>",
@@ -172,42 +120,34 @@ def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record],
         *([] if fit.stage is None else _axes(fit, records)),
         bullets("Remarks", map(words, fit.remarks)),
         bullets("Axes", (words(f"{a}: {one}") for a, one in zip(fit.axes, fit.fits, strict=True))),
-        reproduction(command),
+        html.reproduction(command),
     ]
-    write_atomically(path, document("Coupled axes", parts))
+    write_atomically(path, html.document("Coupled axes", parts))
 
 
 def _coupling(fit: StageFit) -> str:
-    numbers = range(len(fit.axes))
-
-    def entry(i: int, j: int) -> str:
-        return "1" if i == j else f"{fit.coupling[i, j]:+.5f} ± {fit.uncertainty[i, j]:.5f}"
-
-    matrix = [(axis, *(entry(i, j) for j in numbers)) for i, axis in enumerate(fit.axes)]
+    matrix: list[Row] = []
+    left: list[Row] = []
+    talk = fit.cross_talk
+    for i, axis in enumerate(fit.axes):
+        entries = []
+        for j, other in enumerate(fit.axes):
+            entries.append("1" if i == j else f"{fit.coupling[i, j]:+.5f} ± {fit.uncertainty[i, j]:.5f}")
+            if i != j:
+                size, certainty = f"{100 * talk.size[i, j]:.3f}", f"{talk.certainty[i, j]:.1f}"
+                left.append((axis, other, size, certainty, "yes" if talk.beyond[i, j] else "no"))
+        matrix.append((axis, *entries))
     shares = ", ".join(f"{axis} {share:.5f}" for axis, share in zip(fit.axes, fit.rank_one_share, strict=True))
     caption = (
         f"Displacement of each axis (row) for each metre that an actuator (column) moves, with its standard error. "
         f"Condition {fit.condition:.4g}. Rank-one share of what each voltage moves: {shares}. "
         f"{'Coupling is a matrix' if fit.is_matrix else 'Coupling is NOT a matrix'}."
     )
-    talk = fit.cross_talk
-    left = [
-        (
-            fit.axes[i],
-            fit.axes[j],
-            f"{100 * talk.size[i, j]:.3f}",
-            f"{talk.certainty[i, j]:.1f}",
-            "yes" if talk.beyond[i, j] else "no",
-        )
-        for i in numbers
-        for j in numbers
-        if i != j
-    ]
     head = ("axis", "by the voltage of", "left, % of the stroke (RMS)", "over its scatter", "more than a matrix")
     return (
-        f"<h2>Coupling</h2><p>{escape(caption)}</p>{table(('axis', *fit.axes), matrix, 1)}"
+        f"<h2>Coupling</h2><p>{html.escape(caption)}</p>{html.table(('axis', *fit.axes), matrix, 1)}"
         f"<p>What the voltage of another axis predicts beyond the matrix, on time that was held out:</p>"
-        f"{table(head, left, 2)}"
+        f"{html.table(head, left, 2)}"
     )
 
 
@@ -220,7 +160,7 @@ def _stage_errors(fit: StageFit) -> str:
         )
         for e in fit.errors
     ]
-    return f"<h2>Errors of simulating each record</h2>{table(head, rows, 3)}" if rows else ""
+    return f"<h2>Errors of simulating each record</h2>{html.table(head, rows, 3)}" if rows else ""
 
 
 def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
@@ -230,22 +170,17 @@ def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
         "other axis: a shape there is coupling that the matrix does not describe."
     )
     left = [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
-
-    def over(j: int, displacements: Iterable[Array], y: Axis, role: str) -> Chart:
-        lines = (
-            Series(record.name, *thinned(record.time, record.voltage[:, j], values), "measured", width=1)
-            for record, values in zip(records, displacements, strict=True)
-        )
-        x = Axis(f"voltage of {fit.axes[j]}", "V")
-        return Chart(y.quantity, role, f"{y.quantity} over {x.quantity},", x, y, tuple(lines))
-
     parts: list[Part] = []
     for i, axis in enumerate(fit.axes):
-        loops = over(i, (one.displacement[:, i] * 1e6 for one in records), Axis(f"displacement {axis}", "µm"), "loops")
-        rests = [
-            over(j, (one[:, i] * 1e9 for one in left), Axis(f"residual of {axis}", "nm"), f"over v{other}")
-            for j, other in enumerate(fit.axes)
-            if j != i
-        ]
-        parts.append(Charts(f"Axis {axis}", caption, (loops, *rests)))
+        charts = []
+        # Its own voltage first.
+        for j in sorted(range(len(fit.axes)), key=lambda k: k != i):
+            shown = [one.displacement * 1e6 for one in records] if j == i else [one * 1e9 for one in left]
+            y = Axis(f"displacement {axis}", "µm") if j == i else Axis(f"residual of {axis}", "nm")
+            lines = [
+                Series(record.name, *thinned(record.time, record.voltage[:, j], values[:, i]), "measured", width=1)
+                for record, values in zip(records, shown, strict=True)
+            ]
+            charts.append(Chart(y.quantity, Axis(f"voltage of {fit.axes[j]}", "V"), y, lines))
+        parts.append(Charts(f"Axis {axis}", caption, charts))
     return parts

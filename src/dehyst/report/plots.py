@@ -48,24 +48,15 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.size": 8.5,
     "axes.labelsize": 8.5,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8),
     "legend.frameon": False,
     "legend.handlelength": 1.4,
     "legend.borderaxespad": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "axes.linewidth": 0.6,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(("xtick.major.width", "ytick.major.width"), 0.6),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3),
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": "#ECECEC",
@@ -85,14 +76,10 @@ class Drawing:
 
     def save(self, path: str | PathLike[str]) -> list[Path]:
         """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that is impossible."""
-        target = Path(path)
-        written: list[tuple[Path, str | bytes]] = [
-            (target.with_name(f"{target.name}.svg"), self.svg),
-            (target.with_name(f"{target.name}.png"), self.png),
-        ]
-        for file, content in written:
-            write_atomically(file, content)
-        return [file for file, _ in written]
+        svg, png = (Path(f"{path}{suffix}") for suffix in (".svg", ".png"))
+        write_atomically(svg, self.svg)
+        write_atomically(png, self.png)
+        return [svg, png]
 
 
 def drawing(
@@ -107,21 +94,10 @@ def drawing(
 ) -> Drawing:
     """Draw a figure for print in the house style.
 
-    Raise `MissingExtraError` if matplotlib is not installed.
-
-    Parameters
-    ----------
-    name : str
-        Makes the ids inside the SVG unique on a page.
-    draw : callable
-        Gets rows x columns axes, row by row.
-    size : (float, float)
-        Width and height [in]; widths of a journal are `COLUMN` and `PAGE`.
-    rows, columns : int
-    share : bool
-        Whether axes above one another share the abscissa, and those side by side the ordinate.
-    heights : tuple of float, optional
-        Relative heights of the rows.
+    `name` makes the ids inside the SVG unique on a page; `draw` gets rows x columns axes, row by row; `size` is width
+    and height [in], of a journal `COLUMN` or `PAGE` wide. With `share` axes above one another share the abscissa, and
+    those side by side the ordinate; `heights` are those of the rows, relative to each other. Raise `MissingExtraError`
+    if matplotlib is not installed.
     """
     text, picture = io.StringIO(), io.BytesIO()
     with _figure(name, size) as figure:

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import ModelError
 from dehyst._io import PathLike, write_atomically
+from dehyst._text import counted
 from dehyst._views.html import escape
 from dehyst.baselines import ModelComparison
 from dehyst.identification import Fit, Structure
 from dehyst.model import Actuator
+from dehyst.report import fit_section as of_fit
 from dehyst.report.actuator_section import followed_sections, made_of, numbers, path_trial, slip_and_spring
 from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.fit_section import (
-    assumptions,
-    before_and_after,
-    constants,
-    errors_table,
-    loops,
-    remaining_error,
-    residuals,
-    structures,
-    verdict,
-)
 from dehyst.report.html import Part, bullets, document, length, number, table, words
 from dehyst.report.trust_section import sections, turned
 from dehyst.trust import Insight
@@ -64,10 +55,8 @@ def write_report(
     fit : Fit
     command : str, optional
         The command line to show.
-    insight : Insight, optional
-        Assessment of the model, to show too.
-    comparison : ModelComparison, optional
-        Comparison with the baselines on the same records, to show too.
+    insight, comparison : Insight, ModelComparison, optional
+        Assessment of the model, and comparison with the baselines on the same records, to show too.
     followed : mapping of str to TrackedPath, optional
         Measurements along a path, by the kind of its voltage.
 
@@ -113,17 +102,17 @@ def render(
     parts: list[Part] = [
         f"<h1>{escape(name)}</h1>",
         _facts(fit, actuator),
-        verdict(fit),
+        of_fit.verdict(fit),
         *followed_sections(followed),
-        before_and_after(fit),
-        loops(fit),
-        residuals(fit),
-        remaining_error(fit),
+        of_fit.before_and_after(fit),
+        of_fit.loops(fit),
+        of_fit.residuals(fit),
+        of_fit.remaining_error(fit),
         path_trial(fit),
         *trust,
-        *structures(fit),
-        errors_table(fit.errors),
-        assumptions(fit, actuator),
+        *of_fit.structures(fit),
+        of_fit.errors_table(fit.errors),
+        of_fit.assumptions(fit, actuator),
         bullets("What was repaired or left out", map(words, fit.repairs), "Nothing was repaired or left out."),
         bullets("Remarks", map(words, fit.remarks), "No remarks."),
         *([*made_of(actuator), slip_and_spring(actuator), numbers(actuator)] if actuator else []),
@@ -137,8 +126,7 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
     kind = "wider " if actuator and actuator.wide else ""
     facts = [f"Identification of a {kind}Maxwell-slip model of hysteresis"]
     if actuator:
-        count = len(actuator.slip)
-        facts.append(f"{count} slip element{'s' if count != 1 else ''}, {actuator.spring.voltage.size} spring knots")
+        facts.append(f"{counted(len(actuator.slip), 'slip element')}, {actuator.spring.voltage.size} spring knots")
     if actuator and actuator.limits:
         facts.append(f"{number(actuator.limits[0])} to {number(actuator.limits[1])} V")
     if fit.errors:
@@ -155,29 +143,25 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     if isinstance(structure, Mapping):
         # A structure contains its number of elements.
         options.pop("elements", None)
-    entries = [(_LABELS.get(str(key), str(key)), _value(value)) for key, value in options.items()]
+    entries = {_LABELS.get(str(key), str(key)): _value(value) for key, value in options.items()}
     if isinstance(structure, Mapping):
         chosen = Structure(**structure)
-        entries.append(("Structure", f"{chosen.words}; smoothing {chosen.smoothing:g}"))
+        entries["Structure"] = f"{chosen.words}; smoothing {chosen.smoothing:g}"
     if isinstance(delay, int | float):
-        entries.append(("Delay of the displacement", f"{number(1e3 * delay, 4)} ms"))
+        entries["Delay of the displacement"] = f"{number(1e3 * delay, 4)} ms"
     if isinstance(stroke, int | float):
-        entries.append(("Stroke", length(stroke)))
-    entries.append(("Solver", fit.status or "not known"))
-    entries.append(("Duality gap, relative", number(fit.gap)))
-    listed = "\n".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in entries)
+        entries["Stroke"] = length(stroke)
+    entries |= {"Solver": fit.status or "not known", "Duality gap, relative": number(fit.gap)}
+    listed = "\n".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in entries.items())
     shown = f"<pre>{escape(command)}</pre>\n" if command else ""
-    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{_sources(records)}\n{constants(fit.errors)}"
-
-
-def _sources(records: Sequence[Any]) -> str:
     rows = [
-        tuple(str(record.get(key, "")) for key in ("name", "source", "sha256"))
-        if isinstance(record, Mapping)
-        else (_value(record), "", "")
-        for record in records
+        tuple(str(one.get(key, "")) for key in ("name", "source", "sha256"))
+        if isinstance(one, Mapping)
+        else (_value(one), "", "")
+        for one in records
     ]
-    return table(("Record", "File", "SHA-256"), rows, texts=3) if rows else ""
+    sources = table(("Record", "File", "SHA-256"), rows, texts=3) if rows else ""
+    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{sources}\n{of_fit.constants(fit.errors)}"
 
 
 def _value(value: Any) -> str:

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
-from dehyst._views.html import escape
 from dehyst.control import Homing
 from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series, stems
-from dehyst.report.html import (
-    Charts,
-    Part,
-    Row,
-    document,
-    folded,
-    length,
-    length_unit,
-    number,
-    reproduction,
-    table,
-    words,
-)
+from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
 from dehyst.trust import Insight
 from dehyst.trust.identifiability import SHARP
 from dehyst.trust.precision import NOISE_BIAS
@@ -34,9 +23,10 @@ from dehyst.trust.turn_plane import TurnPlane
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
 _MOST_SENTENCES = 24
+_INDEX, _SUBSCRIPTS = re.compile(r"\bk_(\d+)"), str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+# What models that the records do not contradict leave open, and what noise does.
 _FREE: Colour = "noise"
 _NOISE: Colour = "simulated"
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
@@ -50,9 +40,9 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
         f"<h1>{name}: how far to trust the model</h1>",
         f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
         *sections(found),
-        reproduction(command),
+        html.reproduction(command),
     ]
-    write_atomically(path, document(f"{found.actuator.name}: insight", parts))
+    write_atomically(path, html.document(f"{found.actuator.name}: insight", parts))
 
 
 def sections(found: Insight) -> list[Part]:
@@ -62,7 +52,7 @@ def sections(found: Insight) -> list[Part]:
         *_trajectory(found),
         *turned(found.turns, None if found.band is None else found.band.voltage),
         _next(found),
-        *_state(found),
+        _state(found),
         "<details>\n<summary>Which numbers of the model the records determine</summary>",
         *_numbers(found),
         "</details>",
@@ -73,9 +63,8 @@ def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
     if found.band is not None:
-        expected = (
-            f"Expect an error of {number(100 * found.band.error / stroke, 2)} % of the range at most on this path."
-        )
+        largest = number(100 * found.band.error / stroke, 2)
+        expected = f"Expect an error of {largest} % of the range at most on this path."
     else:
         promised = found.judgement.words(stroke)
         expected = f"Expect a path like the records {promised}." if promised else "The error to expect is not known."
@@ -91,52 +80,47 @@ def _verdict(found: Insight) -> str:
 
 def _trajectory(found: Insight) -> list[Part]:
     """Return the promise along a path; empty without one."""
-    band = found.band
+    band, stroke = found.band, found.evidence.stroke
     if band is None:
         return []
-    stroke = found.evidence.stroke
     rows: list[Row] = [
         (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
         for key, error in band.errors().items()
         if error or key != "clamped"
     ]
-    beside = f"<div><h3>Largest error to expect</h3>\n{table(('From', 'of stroke', ''), rows, 1)}</div>"
+    beside = f"<div><h3>Largest error to expect</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    factor, unit = length_unit(float(np.ptp(band.displacement)))
+    sample = np.arange(band.wanted.size, dtype=np.float64)
+    path = [
+        _area("may be reached", sample, (band.lowest * factor, band.highest * factor), "measured", 0.25),
+        Series("wanted", sample, band.wanted * factor, "measured", width=1.8),
+    ]
+    charts = Chart("Path", Axis("sample"), Axis("displacement", unit), path), band_chart(band, stroke)
     caption = f"{caption} {band.sentence(stroke)}".strip()
-    charts = _path_chart(band), band_chart(band, stroke)
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
 
 
-def _path_chart(band: PredictionBand) -> Chart:
-    factor, unit = length_unit(float(np.ptp(band.displacement)))
-    sample = np.arange(band.wanted.size, dtype=np.float64)
-    low, high = (edge * factor for edge in (band.lowest, band.highest))
-    series = (
-        Series("may be reached", sample, low, "measured", "area", opacity=0.25, top=high),
-        Series("wanted", sample, band.wanted * factor, "measured", width=1.8),
-    )
-    axes = Axis("sample", ""), Axis("displacement", unit)
-    return Chart("Path", "", "wanted path and where it may lead,", *axes, series)
+def _area(name: str, x: Array, edges: Sequence[Array] | Array, colour: Colour, opacity: float = 0.6) -> Series:
+    low, high = edges
+    return Series(name, x, low, colour, "area", opacity=opacity, top=high)
 
 
 def band_chart(band: PredictionBand, stroke: float) -> Chart:
     """Return the error to expect along a path, part by part [% of a stroke in m]."""
     sample = np.arange(band.displacement.size, dtype=np.float64)
-
-    def area(name: str, edges: Sequence[Array] | Array | None, colour: Colour, opacity: float) -> list[Series]:
-        if edges is None:
-            return []
-        low, high = (100 * (edge - band.wanted) / stroke for edge in edges)
-        return [Series(name, sample, low, colour, "area", opacity=opacity, top=high)]
-
-    series = (
-        *area("all", (band.lowest, band.highest), "noise", 0.3),
-        *area(f"{100 * band.level:g} %", band.likely, "measured", 0.35),
-        *area("compatible with the records", band.open, "without", 0.6),
-        *area("noise", band.noise, "simulated", 0.8),
+    kinds: tuple[tuple[str, Sequence[Array] | Array | None, Colour, float], ...] = (
+        ("all", (band.lowest, band.highest), _FREE, 0.3),
+        (f"{100 * band.level:g} %", band.likely, "measured", 0.35),
+        ("compatible with the records", band.open, "without", 0.6),
+        ("noise", band.noise, _NOISE, 0.8),
     )
-    axes = Axis("sample", ""), Axis("error", "% of stroke")
-    return Chart("Error", "", "error to expect along the path,", *axes, series, zero=True)
+    series = [
+        _area(name, sample, [100 * (edge - band.wanted) / stroke for edge in edges], colour, opacity)
+        for name, edges, colour, opacity in kinds
+        if edges is not None
+    ]
+    return Chart("Error", Axis("sample"), Axis("error", "% of stroke"), series, zero=True)
 
 
 def turned(plane: TurnPlane | None, voltage: Array | None = None) -> list[Part]:
@@ -148,27 +132,22 @@ def turned(plane: TurnPlane | None, voltage: Array | None = None) -> list[Part]:
         "a record turned, and do not go beyond it; there the model is tested, elsewhere it is not. "
         f"{'' if voltage is None else plane.sentence(voltage)}"
     )
-    rows: list[Row] = [
-        (
-            record,
-            str(sum(turn.times for turn in own)),
-            f"{number(min(turn.speed for turn in own))} to {number(max(turn.speed for turn in own))}",
-            number(held) if (held := max(turn.held for turn in own)) else "none",
-        )
-        for record in dict.fromkeys(turn.record for turn in plane.turns)
-        for own in [[turn for turn in plane.turns if turn.record == record]]
-    ]
+    rows: list[Row] = []
+    for record in dict.fromkeys(turn.record for turn in plane.turns):
+        own = [turn for turn in plane.turns if turn.record == record]
+        speeds, held = [turn.speed for turn in own], max(turn.held for turn in own)
+        times, ends = sum(turn.times for turn in own), f"{number(min(speeds))} to {number(max(speeds))}"
+        rows.append((record, str(times), ends, number(held) if held else "none"))
     head = ("Record", "Rises and falls", "Speed (V/s)", "Longest hold (s)")
-    beside = f"<div><h3>How fast, and how long they held</h3>\n{table(head, rows, 1)}</div>"
-    return [Charts("Where the records turned", caption.strip(), (turns_chart(plane, voltage),), beside=(beside,))]
+    beside = f"<div><h3>How fast, and how long they held</h3>\n{html.table(head, rows, 1)}</div>"
+    return [Charts("Where the records turned", caption.strip(), [_turns_chart(plane, voltage)], beside=(beside,))]
 
 
-def turns_chart(plane: TurnPlane, voltage: Array | None = None) -> Chart:
+def _turns_chart(plane: TurnPlane, voltage: Array | None) -> Chart:
     """Return the plane of turning points with the tested cells, and where a `voltage` [V] turns."""
     ends = plane.edges[[0, -1]]
     lower, upper = np.sort([(turn.begin, turn.end) for turn in plane.turns]).T
-    tested = 0.5 * plane.rising + 0.5 * plane.falling
-    names = tuple(turn.words for turn in plane.turns)
+    tested, names = 0.5 * plane.rising + 0.5 * plane.falling, tuple(turn.words for turn in plane.turns)
     series = [
         Series("", plane.edges, plane.edges, "tested", "cells", values=tested),
         Series("", ends, ends, "without", width=1),
@@ -180,14 +159,12 @@ def turns_chart(plane: TurnPlane, voltage: Array | None = None) -> Chart:
     edge = 0.03 * float(np.ptp(ends))
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
-    notes = (("tested, paler: one branch of the loop only", "tested"),)
-    return Chart("Turning points", "", "plane of turning points,", x, y, tuple(series), notes=notes)
+    return Chart("Turning points", x, y, series, notes=[("tested, paler: one branch of the loop only", "tested")])
 
 
 def _next(found: Insight) -> str:
-    title = "<h2>What to record next</h2>"
+    title, directions = "<h2>What to record next</h2>", found.identifiability
     if not found.advice:
-        directions = found.identifiability
         if directions.determined < directions.of:
             return ""
         sentence = "Nothing: no loop determines more directions."
@@ -195,18 +172,13 @@ def _next(found: Insight) -> str:
             sentence = f"No loop determines more directions. {found.precision.next}"
         return f'{title}\n<p class="muted">{escape(sentence)}</p>'
     rows: list[Row] = [
-        (
-            (advice.words, advice.command),
-            f"{advice.determined} of {advice.of}",
-            number(advice.weakest, 2),
-            f"{advice.seconds:.4g} s",
-        )
-        for advice in found.advice[:6]
+        ((one.words, one.command), f"{one.determined} of {one.of}", number(one.weakest, 2), f"{one.seconds:.4g} s")
+        for one in found.advice[:6]
     ]
-    return f"{title}\n{table(('Excitation', 'Known with it', 'Weakest (V/V)', 'Time'), rows, texts=1)}"
+    return f"{title}\n{html.table(('Excitation', 'Known with it', 'Weakest (V/V)', 'Time'), rows, texts=1)}"
 
 
-def _state(found: Insight) -> list[Part]:
+def _state(found: Insight) -> str:
     """Return a table of when the state becomes known, and the homing."""
 
     def moment(seconds: float | None) -> str:
@@ -217,8 +189,8 @@ def _state(found: Insight) -> list[Part]:
         for known in found.knowledge
     ]
     head = ("Record", "from the measured displacement", "from the voltage alone")
-    homing = [] if found.homing is None else [_homing(found.homing, creeps=found.actuator.creep is not None)]
-    return [f"<h2>When the state becomes known</h2>\n{table(head, rows, texts=1)}", *homing]
+    homing = "" if found.homing is None else _homing(found.homing, creeps=found.actuator.creep is not None)
+    return f"<h2>When the state becomes known</h2>\n{html.table(head, rows, texts=1)}\n{homing}"
 
 
 def _homing(homing: Homing, *, creeps: bool) -> str:
@@ -241,17 +213,24 @@ def _numbers(found: Insight) -> list[Part]:
     """Return what is known of single numbers, for those who ask."""
     precision = found.precision
     known = "How precisely its numbers are known was not judged: there are no intervals."
-    parts: list[Part] = [f"<p>{words(known if precision is None else precision.sentence)}</p>"]
-    parts += [*_directions(found), _parts(found), *_part_intervals(found), *_intervals(found)]
-    if found.not_judged:
-        parts.append(f'<h3>Not judged</h3>\n<p class="muted">{escape(found.not_judged)}</p>')
-    return parts
+    return [
+        f"<p>{words(known if precision is None else precision.sentence)}</p>",
+        *_directions(found),
+        _parts(found),
+        *_part_intervals(found),
+        *_intervals(found),
+        f'<h3>Not judged</h3>\n<p class="muted">{escape(found.not_judged)}</p>' if found.not_judged else "",
+    ]
 
 
 def _directions(found: Insight) -> list[Part]:
     directions = found.identifiability
     said = () if found.actuator.wide else directions.sentences()
-    items = [words(_subscripts(sentence)) for sentence in said[:_MOST_SENTENCES]]
+    # k_12 is written as k₁₂.
+    each = [
+        [w.translate(_SUBSCRIPTS).replace("_", "") if w.startswith("k_") else w for w in s.split(" ")] for s in said
+    ]
+    items = [words(" ".join(sentence)) for sentence in each[:_MOST_SENTENCES]]
     if len(said) > _MOST_SENTENCES:
         items.append(f"and {len(said) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
@@ -262,7 +241,7 @@ def _directions(found: Insight) -> list[Part]:
         "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
     body = (f"<div><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>",) if items else ()
-    charts = Charts("", caption, (directions_chart(directions),), beside=body)
+    charts = Charts("", caption, [directions_chart(directions)], beside=body)
     return ["<h3>What the turning points determine</h3>", charts]
 
 
@@ -270,26 +249,21 @@ def directions_chart(found: Identifiability) -> Chart:
     """Return the singular value of each direction, filled if the records determine it, hollow if not."""
     values = np.maximum(found.values, _FOOT)
     order, known = np.arange(1.0, values.size + 1), np.arange(values.size) < found.determined
-    series = (
+    series = [
         Series("determined", order[known], values[known], "measured", "points", 7),
         Series("open", order[~known], values[~known], "measured", "points", 7, hollow=True),
-    )
+    ]
     x = Axis("direction", "", (0.5, values.size + 0.5))
     y = Axis("singular value", "V/V", (0.8 * _FOOT, 2 * max(float(values.max()), _FOOT)), log=True)
-    shown = tuple(one for one in series if one.x.size)
-    return Chart("Singular values", "", "singular value of each direction,", x, y, shown)
-
-
-def _subscripts(sentence: str) -> str:
-    """Write k_12 as k₁₂."""
-    each = sentence.split(" ")
-    return " ".join("k" + word[2:].translate(_SUBSCRIPTS) if word.startswith("k_") else word for word in each)
+    return Chart("Singular values", x, y, [one for one in series if one.x.size])
 
 
 def _parts(found: Insight) -> str:
-    rows: list[Row] = [
-        (part.part.capitalize(), str(part.of), str(part.known), *_spread(part.deviations)) for part in found.parts
-    ]
+    rows: list[Row] = []
+    for part in found.parts:
+        spread = float(part.deviations.min()), float(np.median(part.deviations))
+        best = ("nothing" if np.isinf(x) else number(x, 2) for x in spread)
+        rows.append((part.part.capitalize(), str(part.of), str(part.known), *best))
     head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
     caption = (
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
@@ -303,33 +277,34 @@ def _parts(found: Insight) -> str:
             (part.several.capitalize(), str(part.of_all), str(part.known), str(sum(map(abs, part.biased))))
             for part in found.precision.parts
         ]
-        counts = table(("Number by number", "Coefficients", "Known", "Biased by noise"), numbers, texts=1)
+        counts = html.table(("Number by number", "Coefficients", "Known", "Biased by noise"), numbers, texts=1)
         counts += f'\n<p class="muted">{escape(found.precision.rule)}</p>'
     title = "<h3>What the records determine of each part</h3>"
-    return f'{title}\n<p class="muted">{caption}</p>\n{table(head, rows, texts=1)}\n{counts}'
-
-
-def _spread(deviations: Array) -> list[str]:
-    each = float(deviations.min()), float(np.median(deviations))
-    return ["nothing" if np.isinf(x) else number(x, 2) for x in each]
+    return f'{title}\n<p class="muted">{caption}</p>\n{html.table(head, rows, texts=1)}\n{counts}'
 
 
 def _part_intervals(found: Insight) -> list[Part]:
-    if found.intervals is None:
+    noise, tau, creep = found.intervals, found.actuator.transformer, found.actuator.creep
+    if noise is None:
         return []
-    charts = () if found.loop is None else (loop_chart(found.loop),)
+    charts = [] if found.loop is None else [loop_chart(found.loop)]
+    by_noise = f"{100 * noise.level:.0f} % by noise"
+    if tau is not None and noise.drive is not None:
+        area = _area(by_noise, tau.voltage, noise.drive - tau.drive, _NOISE)
+        charts.append(Chart("Transformer", Axis("voltage", "V"), Axis("tau, off the model's", "V"), [area], zero=True))
+    if creep is not None and noise.creep is not None:
+        low, high = noise.creep * 1e-6
+        bars = stems(by_noise, creep.time_constants, high, _NOISE, base=low, width=2.4)
+        model = Series("model", creep.time_constants, creep.stiffness * 1e-6, "ink", "points", 5)
+        axes = Axis("time constant", "s", log=True), Axis("stiffness", "V/µm", (0.0, 1.2 * float(high.max())))
+        charts.append(Chart("Creep", *axes, [*bars, model]))
     caption = (
-        f"{_level(found)} intervals from {len(found.intervals.actuators)} identifications of resampled cycles "
+        f"{100 * noise.level:.0f} % intervals from {len(noise.actuators)} identifications of resampled cycles "
         f"(bootstrap) with the same structure. {_bias(found)}The largest error on the records, {length(found.misfit)}, "
         "comes on top: this structure cannot follow it. Single stiffnesses and the spring compensate one another: "
         "together they are more accurate."
     )
-    charts = (*charts, *_drive_interval(found), *_creep_intervals(found))
     return ["<h3>How accurate the parts are</h3>", Charts("", caption, charts)]
-
-
-def _level(found: Insight) -> str:
-    return f"{100 * (found.intervals.level if found.intervals else 0):.0f} %"
 
 
 def _bias(found: Insight) -> str:
@@ -340,52 +315,26 @@ def _bias(found: Insight) -> str:
 
 def loop_chart(loop: MajorLoopWidth) -> Chart:
     """Return the uncertainty of the displacement by noise on the rise and the fall through the limits."""
-    low, high = (loop.noise - loop.displacement) * 1e9
+    off = (loop.noise - loop.displacement) * 1e9
     top = int(np.argmax(loop.voltage))
     branches: tuple[tuple[slice, Colour], ...] = ((slice(0, top + 1), "rising"), (slice(top, None), "falling"))
-    series = tuple(
-        Series(colour, loop.voltage[at], low[at], colour, "area", opacity=0.5, top=high[at]) for at, colour in branches
-    )
-    y = Axis("displacement, off the model's", "nm")
-    return Chart("The major loop", "", "uncertainty of", Axis("voltage", "V"), y, series, zero=True)
-
-
-def _drive_interval(found: Insight) -> list[Chart]:
-    """Return the uncertainty of tau at its knots by noise."""
-    tau, noise = found.actuator.transformer, found.intervals
-    if tau is None or noise is None or noise.drive is None:
-        return []
-    low, high = noise.drive - tau.drive
-    area = Series(f"{_level(found)} by noise", tau.voltage, low, "simulated", "area", opacity=0.6, top=high)
-    axes = Axis("voltage", "V"), Axis("tau, off the model's", "V")
-    return [Chart("Transformer", "", "uncertainty of", *axes, (area,), zero=True)]
-
-
-def _creep_intervals(found: Insight) -> list[Chart]:
-    """Return the stiffness of each creep branch with its interval by noise."""
-    creep, noise = found.actuator.creep, found.intervals
-    if creep is None or noise is None or noise.creep is None:
-        return []
-    low, high = noise.creep * 1e-6
-    bars = stems(f"{_level(found)} by noise", creep.time_constants, high, "simulated", base=low, width=2.4)
-    model = Series("model", creep.time_constants, creep.stiffness * 1e-6, "ink", "points", 5)
-    x, y = Axis("time constant", "s", log=True), Axis("stiffness", "V/µm", (0.0, 1.2 * float(high.max())))
-    return [Chart("Creep", "", "stiffness of each branch,", x, y, (*bars, model))]
+    series = [_area(colour, loop.voltage[at], off[:, at], colour, 0.5) for at, colour in branches]
+    return Chart("The major loop", Axis("voltage", "V"), Axis("displacement, off the model's", "nm"), series, zero=True)
 
 
 def _intervals(found: Insight) -> list[Part]:
     noise, free, precision = found.intervals, found.feasible_set, found.precision
     if noise is None or free is None or precision is None:
         return []
-    slip, level = found.actuator.slip, _level(found)
+    slip, level = found.actuator.slip, f"{100 * noise.level:.0f} %"
     movable, alone = found.identifiability.movable, found.identifiability.alone
     rows: list[Row] = []
     for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True)):
         known = "", "never slides", "part of the spring"
         if movable[i]:
             verdict = precision.parts[0].words(int(movable[:i].sum())).replace("um", "µm")
-            own = _pair(noise.stiffness[:, i] * 1e-6) if alone[i] else "open"
-            known = own, _pair(free.stiffness[:, i] * 1e-6), verdict
+            own, other = (" to ".join(number(float(end) * 1e-6) for end in of.stiffness[:, i]) for of in (noise, free))
+            known = own if alone[i] else "open", other, verdict
         rows.append((str(i + 1), number(rho * 1e6, 4), number(kappa * 1e-6, 4), *known))
     head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible", "verdict")
     caption = (
@@ -395,24 +344,18 @@ def _intervals(found: Insight) -> list[Part]:
         "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
         f"neighbours is accurate; what counts for a motion is the band along its trajectory. {precision.rule}"
     )
-    spring, (factor, unit) = found.actuator.spring, length_unit(float(np.ptp(found.actuator.spring.displacement)))
+    spring = found.actuator.spring
+    factor, unit = length_unit(float(np.ptp(spring.displacement)))
     centre, y = spring.voltage - spring.voltage[0], spring.displacement * factor
-    areas = tuple(
-        Series(name, y, ends[0] - centre, colour, "area", opacity=0.6, top=ends[1] - centre)
-        for name, ends, colour in (
-            ("compatible", free.spring, _FREE),
-            (f"{level} by noise", noise.spring, _NOISE),
-        )
+    areas = (
+        _area("compatible", y, free.spring - centre, _FREE),
+        _area(f"{level} by noise", y, noise.spring - centre, _NOISE),
     )
     axes = Axis("displacement", unit), Axis("spring voltage, off the model's", "V")
     return [
         "<h3>How accurate the numbers are</h3>",
-        Charts(
-            "",
-            caption,
-            (stiffness_chart(found), Chart("Parallel spring", "", "uncertainty of", *axes, areas, zero=True)),
-        ),
-        folded("The intervals' numbers", {"": table(head, rows, texts=0)}),
+        Charts("", caption, [stiffness_chart(found), Chart("Parallel spring", *axes, areas, zero=True)]),
+        html.folded("The intervals' numbers", {"": html.table(head, rows, texts=0)}),
     ]
 
 
@@ -427,11 +370,7 @@ def stiffness_chart(found: Insight) -> Chart:
         series += stems("compatible", rho, high, _FREE, base=low, width=6)
     if noise is not None and alone.any():
         low, high = noise.stiffness[:, alone] * 1e-6
-        series += stems(f"{_level(found)} by noise", rho[alone], high, _NOISE, base=low, width=2.4)
+        series += stems(f"{100 * noise.level:.0f} % by noise", rho[alone], high, _NOISE, base=low, width=2.4)
     series.append(Series("model", rho, slip.stiffness * 1e-6, "ink", "points", 5))
     axes = Axis("breakaway elongation", unit, (0.0, 1.05 * float(rho[-1]))), Axis("stiffness", "V/µm")
-    return Chart("Stiffnesses", "", "stiffness of each element,", *axes, tuple(series))
-
-
-def _pair(ends: Sequence[float] | Array) -> str:
-    return f"{number(float(ends[0]))} to {number(float(ends[1]))}"
+    return Chart("Stiffnesses", *axes, series)

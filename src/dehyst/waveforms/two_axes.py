@@ -350,25 +350,23 @@ class Spiral(Scan):
         share = np.arange(count) / count
         if self.constant == "angular":
             return 2 * self._half * share, np.full(count, 2 * self._half / self.period), np.zeros(count)
-        ends, lengths = self._lengths()
-        angle = _inverse(self._stride, ends, lengths, share * lengths[-1])
-        r, slope, bend = self._radius(angle)
-        stride, speed = np.hypot(r, slope), lengths[-1] / self.period
-        rate = speed / stride
-        return angle, rate, -(rate**2) * slope * (r + bend) / stride**2
 
-    def _stride(self, angle: Array) -> Array:
-        """Return the length of the track a radian [m]."""
-        r, slope, _ = self._radius(angle)
-        return np.hypot(r, slope)
+        def stride_of(angle: Array) -> Array:
+            """Return the length of the track a radian [m]."""
+            r, slope, _ = self._radius(angle)
+            return np.hypot(r, slope)
 
-    def _lengths(self) -> tuple[Array, Array]:
-        """Return the angles that cut the track into smooth panels, and its length up to each [m]."""
+        # The angles that cut the track into smooth panels, and its length up to each [m].
         half, blend = self._half, self._rim.blend
         corners = [0.0, half - blend, half, half + blend, 2 * half]
         parts = [np.linspace(a, b, ceil((b - a) / _PANEL) + 1)[:-1] for a, b in pairwise(corners)]
         ends = np.append(np.concatenate(parts), 2 * half)
-        return ends, np.concatenate([[0.0], np.cumsum(_integral(self._stride, ends[:-1], ends[1:]))])
+        lengths = np.concatenate([[0.0], np.cumsum(_integral(stride_of, ends[:-1], ends[1:]))])
+        angle = _inverse(stride_of, ends, lengths, share * lengths[-1])
+        r, slope, bend = self._radius(angle)
+        stride, speed = np.hypot(r, slope), lengths[-1] / self.period
+        rate = speed / stride
+        return angle, rate, -(rate**2) * slope * (r + bend) / stride**2
 
 
 def _integral(function: Callable[[Array], Array], start: Array, stop: Array) -> Array:

@@ -6,10 +6,8 @@ import { nearest, paintLines, thinPath, thinTime } from "./thinning.js";
 
 const MARGIN = { left: 48, right: 16, top: 10, bottom: 40 };
 const TITLE = 32; // pixels for the title of an upright axis, and the gap beside its numbers
-const REST = 150; // milliseconds after the last movement until all is drawn finely
 const REACH = 40; // pixels from the pointer to a sample that is read out
 const MANY = 3000; // vertices from which on a curve is inked pixel by pixel
-const MOST_MOVING = 500_000; // samples of a path that are looked at while the view moves
 
 const charts = new Set();
 
@@ -73,12 +71,6 @@ export class Chart {
     if (!wide(view.x) || !wide(view.y)) return;
     this.view = view;
     this.moved(view !== this.home);
-    this.moving = true;
-    clearTimeout(this.rest);
-    this.rest = setTimeout(() => {
-      this.moving = false;
-      this.request();
-    }, REST);
     this.request();
   }
 
@@ -158,49 +150,42 @@ export class Chart {
   }
 
   // Values to pixels of the canvas, and back.
-  px(value) {
-    const { x0, kx } = this.frame();
-    return this.area.left + (value - x0) * kx;
-  }
-
-  py(value) {
-    const { y0, ky } = this.frame();
-    return this.area.top + (value - y0) * ky;
-  }
-
-  vx(pixel) {
-    const { x0, kx } = this.frame();
-    return x0 + (pixel - this.area.left) / kx;
-  }
-
-  vy(pixel) {
-    const { y0, ky } = this.frame();
-    return y0 + (pixel - this.area.top) / ky;
-  }
+  px = (value) => this.area.left + (value - this.view.x[0]) * this.frame().kx;
+  py = (value) => this.area.top + (value - this.view.y[1]) * this.frame().ky;
+  vx = (pixel) => this.view.x[0] + (pixel - this.area.left) / this.frame().kx;
+  vy = (pixel) => this.view.y[1] + (pixel - this.area.top) / this.frame().ky;
 
   axes(pen) {
     const { left, top, width, height } = this.area;
     const { x, y, right } = this.spec;
+    const text = (words, at, up, align, line) => {
+      Object.assign(pen, { textAlign: align, textBaseline: line, fillStyle: this.colour("ink") });
+      pen.fillText(words, at, up);
+    };
+    const upright = (words, at) => {
+      pen.save();
+      pen.translate(at, top + height / 2);
+      pen.rotate(-Math.PI / 2);
+      text(words, 0, 0, "center", "middle");
+      pen.restore();
+    };
     pen.lineWidth = 1;
-    pen.textAlign = "center";
-    pen.textBaseline = "top";
-    for (const [value, text] of this.across) {
+    for (const [value, words] of this.across) {
       const at = Math.round(this.px(value)) + 0.5;
       this.rule(pen, at, top, at, top + height);
-      this.text(pen, text, at, top + height + 6);
+      text(words, at, top + height + 6, "center", "top");
     }
-    this.text(pen, x.label, left + width / 2, top + height + 23);
-    pen.textAlign = "right";
-    pen.textBaseline = "middle";
-    for (const [value, text] of this.up) {
+    for (const [value, words] of this.up) {
       const at = Math.round(this.py(value)) + 0.5;
       this.rule(pen, left, at, left + width, at);
-      this.text(pen, text, left - 6, at);
+      text(words, left - 6, at, "right", "middle");
     }
-    pen.textAlign = "left";
-    for (const [value, text] of this.upRight) this.text(pen, text, left + width + 6, this.py(value / right.factor));
-    this.upright(pen, y.label, 12);
-    if (right) this.upright(pen, right.label, this.holder.clientWidth - 8);
+    text(x.label, left + width / 2, top + height + 23, "center", "top");
+    upright(y.label, 12);
+    if (!right) return;
+    const beside = left + width + 6;
+    for (const [value, words] of this.upRight) text(words, beside, this.py(value / right.factor), "left", "middle");
+    upright(right.label, this.holder.clientWidth - 8);
   }
 
   rule(pen, x0, y0, x1, y1, colour = "grid") {
@@ -209,21 +194,6 @@ export class Chart {
     pen.moveTo(x0, y0);
     pen.lineTo(x1, y1);
     pen.stroke();
-  }
-
-  text(pen, words, x, y) {
-    pen.fillStyle = this.colour("ink");
-    pen.fillText(words, x, y);
-  }
-
-  upright(pen, words, x) {
-    pen.save();
-    pen.translate(x, this.area.top + this.area.height / 2);
-    pen.rotate(-Math.PI / 2);
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
-    this.text(pen, words, 0, 0);
-    pen.restore();
   }
 
   backdrop(pen) {
@@ -307,10 +277,7 @@ export class Chart {
 // How a series of each kind is drawn; the pen's origin is the corner of the area.
 const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawCells };
 
-function thin(chart, { x, y, rising }) {
-  if (rising) return thinTime(x, y, chart.frame());
-  return thinPath(x, y, chart.frame(), chart.moving ? Math.ceil(x.length / MOST_MOVING) : 1);
-}
+const thin = (chart, { x, y, rising }) => (rising ? thinTime : thinPath)(x, y, chart.frame());
 
 function drawLine(chart, pen, one) {
   const vertices = thin(chart, one);

@@ -1,7 +1,8 @@
 // A path in a report, whose points a reader drags: module and numbers lie inside the page.
 import { Compensator, load } from "./dehyst.js";
-import { fill, h } from "./dom.js";
-import { limitsFrom, numberFrom, parsed, plain } from "./numbers.js";
+import { fill } from "./dom.js";
+import { Form } from "./forms.js";
+import { limitsFrom, parsed, plain } from "./numbers.js";
 import { plan, sampled } from "./path.js";
 import { PathFigures, judged, verdict } from "./path_figures.js";
 
@@ -20,83 +21,58 @@ class PathTrial {
     this.reach = reach.map((one) => 1e6 * one);
     this.needsPeriod = needsPeriod;
     const [low, high] = limits.map((one) => plain(one, 6));
-    this.values = { shape: "shrinking loops", low, high, slew: "", duration: plain(duration) };
+    const shapes = Object.keys(SHAPES).map((one) => [one, one]);
+    const fields = {
+      shape: { label: "Path", choices: shapes, value: shapes[0][0] },
+      low: { label: "Lowest voltage", unit: "V", value: low },
+      high: { label: "Highest voltage", unit: "V", value: high },
+      slew: { label: "Slew rate", unit: "V/s", placeholder: "any", above: 0, optional: true },
+      duration: { label: "Duration", unit: "s", value: plain(duration), above: 0 },
+    };
+    this.form = new Form("trial", fields, (name) => (name === "shape" ? this.begin() : this.show(name)));
     this.figures = new PathFigures((points) => {
       this.points = points;
-      this.values.duration = plain(points.at(-1)[0]);
+      this.form.values.duration = plain(points.at(-1)[0]);
       this.show();
     });
-    this.take();
+    this.begin();
     root.classList.add("ready");
   }
 
-  // Begin with the points of the chosen shape.
-  take() {
+  // Take the points of the chosen shape.
+  begin() {
     const [bottom, top] = this.reach;
-    const shares = SHAPES[this.values.shape];
-    const seconds = parsed(this.values.duration) || 1;
+    const shares = SHAPES[this.form.values.shape];
+    const seconds = parsed(this.form.values.duration) || 1;
     this.points = shares.map((share, i) => [(i / (shares.length - 1)) * seconds, bottom + share * (top - bottom)]);
     this.show();
   }
 
-  // Points in proportion to a duration that was typed.
-  stretch() {
-    const times = parsed(this.values.duration) / this.points.at(-1)[0];
-    if (times > 0) this.points = this.points.map(([t, y]) => [t * times, y]);
-    this.show();
-  }
-
-  show() {
+  show(changed) {
     let said;
     try {
-      said = this.plan();
+      said = this.plan(changed === "duration");
     } catch (error) {
       said = { light: "amber", first: `This path has no voltage yet. ${error.message}`, facts: [] };
     }
-    fill(
-      this.root,
-      h("div", { class: "controls" }, this.controls()),
-      verdict(said),
-      this.figures.element,
-    );
+    fill(this.root, this.form.row(Object.keys(this.form.fields), "controls"), verdict(said), this.figures.element);
   }
 
-  controls() {
-    const { values } = this;
-    const input = (name, label, act, more) => {
-      const oninput = (event) => {
-        values[name] = event.target.value;
-        act.call(this);
-      };
-      return h("label", {}, label, h("input", { name, inputmode: "decimal", value: values[name], oninput, ...more }));
-    };
-    const onchange = (event) => {
-      values.shape = event.target.value;
-      this.take();
-    };
-    const shapes = Object.keys(SHAPES).map((one) => h("option", { value: one }, one));
-    return [
-      h("label", {}, "Path", h("select", { name: "shape", value: values.shape, onchange }, shapes)),
-      input("low", "Lowest voltage (V)", this.show),
-      input("high", "Highest voltage (V)", this.show),
-      input("slew", "Slew rate (V/s)", this.show, { placeholder: "any" }),
-      input("duration", "Duration (s)", this.stretch),
-    ];
-  }
-
-  // Compute the voltage and draw; return what to expect. An Error says which number cannot be.
-  plan() {
-    const { low, high, slew, duration } = this.values;
-    const limits = limitsFrom(low, high);
-    const slewRate = numberFrom(slew, "Slew rate", { above: 0, optional: true });
-    const seconds = numberFrom(duration, "Duration", { above: 0 });
+  // Compute the voltage and draw, the points in proportion to a typed duration; return what to expect. An Error says
+  // which number cannot be.
+  plan(stretched) {
+    const { form, band, reach, tested } = this;
+    const limits = limitsFrom(form.values.low, form.values.high);
+    const slewRate = form.number("slew");
+    const seconds = form.number("duration");
     const period = this.needsPeriod ? this.model.about.period : seconds / (this.samples - 1);
     if (seconds / period > MOST_PLANNED) throw new Error(`Duration: need ${plain(MOST_PLANNED * period)} s at most.`);
+    const times = stretched ? seconds / this.points.at(-1)[0] : 1;
+    this.points = this.points.map(([t, y]) => [t * times, y]);
     this.model = new Compensator(this.module, { limits, slewRate, period });
     const path = sampled(this.points, 1 / period);
     const planned = plan(this.model, path.wanted);
-    const { band, reach, tested, points } = this;
-    this.figures.draw({ path, planned, limits, reach, band, points, tested });
+    this.figures.draw({ path, planned, limits, reach, band, points: this.points, tested });
     return judged(planned, { stroke: reach[1] - reach[0], band, tested });
   }
 }

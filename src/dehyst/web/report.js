@@ -15,8 +15,6 @@ function column(stored) {
 // Draw the charts of a report in their places below `root`; return the figures.
 export function drawCharts(root, { columns, charts }) {
   const decoded = columns.map(column);
-  // A page without this script's own policy allows no style in its text.
-  for (const one of root.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
   return [...root.querySelectorAll("[data-chart]")].map((place) => {
     const { title, role, label, ...spec } = charts[place.dataset.chart];
     const figure = new Figure({ title, label, help: false, more: role && h("span", { class: "role" }, role) });
@@ -28,16 +26,20 @@ export function drawCharts(root, { columns, charts }) {
   });
 }
 
-// The parts of a report below its title, for a place on another page; and its figures.
+// The sections of a report for a place on another page, without its title and its own script; its figures; and where
+// the records turned.
 export function reportParts(text) {
-  // Its style is that of this page, whose policy may allow no other.
-  const page = new DOMParser().parseFromString(text.replace(/<style>.*?<\/style>/s, ""), "text/html");
-  const stored = page.getElementById("chart-data");
+  // The policy of this page may allow no style in a text: it is set afterwards.
+  const plain = text.replace(/<style>.*?<\/style>/s, "").replaceAll(' style="', ' data-style="');
+  const page = new DOMParser().parseFromString(plain, "text/html");
+  const data = (id) => JSON.parse(page.getElementById(id)?.textContent ?? "{}");
+  const charts = data("chart-data");
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
-  for (const one of element.querySelectorAll("h1, nav")) one.remove();
-  return { element, figures: stored ? drawCharts(element, JSON.parse(stored.textContent)) : [] };
+  for (const one of element.querySelectorAll("h1, nav, .applet")) one.remove();
+  for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
+  return { element, figures: charts.charts ? drawCharts(element, charts) : [], tested: data("path-data").tested };
 }
 
 const stored = document.getElementById("chart-data");

@@ -1,33 +1,24 @@
 // Thins a curve to what a raster of pixels can show, in the order of the path, and inks it.
 //
 // `frame` maps values to pixels, px = (x - x0) kx and py = (y - y0) ky, on an area of width x height pixels. The result
-// is a list of vertices (`px`, `py`, used up to `count`); a vertex whose `pen` is 0 begins a new stroke.
+// is a list of vertices; one whose `pen` is 0 begins a new stroke.
 const NEAR = 8; // cells: a step this short is left out where both of its ends are inked already
 const FULL = 2; // visits after which a cell counts as inked
 const TABLE = 1 << 17;
 
 class Vertices {
-  constructor(room) {
-    this.px = new Float32Array(room);
-    this.py = new Float32Array(room);
-    this.pen = new Uint8Array(room);
-    this.count = 0;
-  }
+  px = [];
+  py = [];
+  pen = [];
 
   add(x, y, pen) {
-    if (this.count === this.px.length) this.grow();
-    this.px[this.count] = x;
-    this.py[this.count] = y;
-    this.pen[this.count] = pen;
-    this.count += 1;
+    this.px.push(x);
+    this.py.push(y);
+    this.pen.push(pen);
   }
 
-  grow() {
-    for (const name of ["px", "py", "pen"]) {
-      const wider = new this[name].constructor(2 * this[name].length);
-      wider.set(this[name]);
-      this[name] = wider;
-    }
+  get count() {
+    return this.px.length;
   }
 }
 
@@ -38,23 +29,22 @@ const side = (x, y, width, height) =>
 let inked = new Uint8Array(0);
 const drawn = new Int32Array(TABLE);
 
-// A loop or any other path: one vertex a pixel cell that it enters; a step that is drawn already is left out. Only each
-// `stride`-th sample is looked at.
-export function thinPath(x, y, frame, stride = 1) {
+// A loop or any other path: one vertex a pixel cell that it enters; a step that is drawn already is left out.
+export function thinPath(x, y, frame) {
   const { x0, kx, y0, ky, width, height } = frame;
   const across = Math.ceil(width) + 1;
   const cells = across * (Math.ceil(height) + 1);
   if (inked.length < cells) inked = new Uint8Array(cells);
   else inked.fill(0, 0, cells);
   drawn.fill(-1);
-  const out = new Vertices(4096);
+  const out = new Vertices();
   let held = false; // is there a previous point?
   let px = 0;
   let py = 0;
   let cell = -1;
   let where = 0;
   let down = false; // is the previous point the last vertex?
-  for (let i = 0; i < x.length; i += stride) {
+  for (let i = 0; i < x.length; i += 1) {
     const nx = (x[i] - x0) * kx;
     const ny = (y[i] - y0) * ky;
     if (!(nx - nx === 0 && ny - ny === 0)) {
@@ -108,7 +98,7 @@ export function thinTime(x, y, frame) {
   const { x0, kx, y0, ky, width } = frame;
   const from = Math.max(0, before(x, x0) - 1);
   const to = Math.min(x.length, before(x, x0 + width / kx) + 1);
-  const out = new Vertices(4 * Math.ceil(width) + 16);
+  const out = new Vertices();
   let pen = 0;
   for (let i = from; i < to; ) {
     const column = Math.floor((x[i] - x0) * kx);

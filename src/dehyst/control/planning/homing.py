@@ -481,20 +481,9 @@ def played_homing(
 
     Raise `RecordError` if the present voltage lies outside of the limits, or there are too many samples.
 
-    Parameters
-    ----------
-    compensator : Compensator
-        Its actuator, limits and slew rate.
-    rate : float
-        Sample rate [Hz].
-    leg : float
-        Duration of a leg [s]; with creep it is as long as the default of `shortest_homing`.
-    present : float, optional
-        [V]; by default 0 V or the nearest limit.
-    drive : Sampling, optional
-        Instead of `leg`: speed and shape.
-    tolerance : float, optional
-        As in `shortest_homing`.
+    `compensator`: its actuator, limits and slew rate. `rate` [Hz]: of samples. `leg` [s]: duration of a leg; with creep
+    it is as long as the default of `shortest_homing`. `present` [V]: by default 0 V or the nearest limit. `drive`:
+    speed and shape, instead of `leg`. `tolerance`: as in `shortest_homing`.
     """
     actuator, limits, now = compensator.actuator, compensator.limits, present_voltage(compensator.bounds, present)
     if drive is None:

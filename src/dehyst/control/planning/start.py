@@ -75,17 +75,8 @@ class PossibleStart:
     ) -> StartError:
         """Return what the start leaves open of the motion by a voltage, see `StartError.along`.
 
-        Parameters
-        ----------
-        actuator : Actuator
-        voltage : (n,) array_like
-            [V].
-        limits : (2,) tuple, optional
-            An actuator of unknown history rests at the first voltage, after voltages within these [V].
-        time : (n,) array_like, optional
-            [s].
-        first : int, optional
-            Sample from which errors count.
+        An `actuator` of unknown history rests at the first `voltage`, after voltages within the `limits` [V]. `time`
+        and `first` as there.
         """
         v, states = vector(voltage, "voltage"), self.states
         if self.name == "unknown" and v.size:
@@ -94,11 +85,10 @@ class PossibleStart:
 
     @classmethod
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
-        """Return the state of a name.
+        """Return the state of an `actuator` by a name; raise `ModelError` if there is none, or no limits for a homing.
 
-        `actuator`: the model. `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or
-        "homed", as after the voltage that ``dehyst excite homing --model`` writes by default. Raise `ModelError` for
-        another name, or if the actuator cannot be homed, for it has no limits.
+        `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or "homed", as after the
+        voltage that ``dehyst excite homing --model`` writes by default.
         """
         choice(name, "start", NAMES, error=ModelError)
         if name == "relaxed":
@@ -144,24 +134,11 @@ class PossibleStart:
         limits: tuple[float, float] | None = None,
         name: str = "history",
     ) -> PossibleStart:
-        """Return the states after a voltage that was played from an unknown state.
+        """Return the states of an `actuator` after a `voltage` (n,) [V] that was played from an unknown state.
 
-        Parameters
-        ----------
-        actuator : Actuator
-        voltage : (n,) array_like
-            [V].
-        time : (n,) array_like, optional
-            [s], if the actuator needs it.
-        limits : (float, float), optional
-            Range of all voltages before these, as in `unknown`.
-        name : str, optional
-            Of the start.
-
-        Raises
-        ------
-        ModelError
-            If there is no voltage, it is not finite or far outside of the model's, or the time does not fit.
+        `time` (n,) [s]: if the actuator needs it. `limits`: range of all voltages before, as in `unknown`. `name`: of
+        the start. Raise `ModelError` if there is no voltage, it is not finite or far outside of the model's, or the
+        time does not fit.
         """
         v = vector(voltage, "voltage")
         outside = outside_identified(actuator, v, limits, name=name)
@@ -201,15 +178,10 @@ class StartError:
 
     def in_units(self, units: str) -> StartError:
         """Return the same with its lengths, now in metres, in `units`, such as "um"."""
-        counts = per_metre(units)
-        return replace(
-            self,
-            lowest=self.lowest * counts,
-            highest=self.highest * counts,
-            stroke=self.stroke * counts,
-            model_error=self.model_error * counts,
-            units=units,
-        )
+        lengths: dict[str, Any] = {
+            name: getattr(self, name) * per_metre(units) for name in ("lowest", "highest", "stroke", "model_error")
+        }
+        return replace(self, **lengths, units=units)
 
     @classmethod
     def along(
@@ -221,24 +193,10 @@ class StartError:
         time: ArrayLike | None = None,
         first: int = 0,
     ) -> StartError:
-        """Play a voltage from each of the possible states.
+        """Play a `voltage` (n,) [V] on an `actuator` from each of the `states` that bound its start.
 
-        Parameters
-        ----------
-        actuator : Actuator
-        states : sequence of State
-            That bound the start: `PossibleStart.states`.
-        voltage : (n,) array_like
-            [V].
-        time : (n,) array_like, optional
-            [s]; needed by an actuator with creep, dynamics or a lag.
-        first : int, optional
-            Leave out the samples before this one, such as those of a homing.
-
-        Raises
-        ------
-        ModelError
-            If the voltage is not finite, or the time or a state does not fit.
+        `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: samples before this one, such as those of a
+        homing, do not count. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
         """
         v = vector(voltage, "voltage")
         when = time if actuator.needs_time else None
@@ -281,10 +239,9 @@ class StartError:
     @property
     def settled_seconds(self) -> float | None:
         """Seconds from the first sample to `settled`; None without it, or without a time."""
-        settled = self.settled
-        if settled is None or self.time is None or not self.time.size:
+        if self.settled is None or self.time is None or not self.time.size:
             return None
-        return float(self.time[settled] - self.time[0])
+        return float(self.time[self.settled] - self.time[0])
 
     def percent(self, length: float) -> float:
         """Return a `length` [m, or `units`] in % of the stroke."""

@@ -274,23 +274,9 @@ def possible_states(
     """Return states at a voltage that bound all those in which an actuator of unknown history may stand there.
 
     Two states if they are proven to be the extremes, the lower one first; more for an actuator with smooth elements or
-    a mass that acts on the voltage.
-
-    Parameters
-    ----------
-    actuator : Actuator
-    voltage : float
-        [V].
-    limits : (float, float), optional
-        Range of all earlier voltages [V], for an actuator that moves in time; default the actuator's `voltage_range`.
-        It is widened to the voltage.
-    half : float, optional
-        Seconds of the legs of random histories, about.
-
-    Raises
-    ------
-    ModelError
-        If the voltage is not finite, or the limits are no interval.
+    a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to the `voltage` [V], for an
+    actuator that moves in time; default the actuator's `voltage_range`. `half` [s]: of the legs of random histories,
+    about. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
     """
     v = number(voltage, "voltage")
     if not time_dependence(actuator):

@@ -143,8 +143,11 @@ class SteadyCycle:
         expected = self._cycle(voltage, state)
         count, error = self._needed(voltage, expected, cycles)
         command = self._begun(count)
-        begun = self._leading_to(command.voltage[:-1], float(voltage[0]))
-        if begun is None:
+        begun = self._towards(command.voltage[:-1], float(voltage[0]))
+        held = self.compensator.held(self.start) if self.present is None else self.present
+        change = np.abs(np.diff(np.concatenate([[held], begun, voltage[:1]])))
+        if change.max() > self._step + _ROUNDING * float(np.ptp(self.compensator.limits)):
+            # The start-up is too short to lead to the cycle.
             return None
         warnings = [*command.warnings, *self._not_settled(count, error)]
         if repeats > _REPEATS * float(np.ptp(voltage)):
@@ -241,14 +244,6 @@ class SteadyCycle:
         far = self._step * np.arange(voltage.size, 0, -1)
         # What keeps the slew rate keeps it between these two lines too.
         return np.clip(voltage, end - far, end + far)
-
-    def _leading_to(self, begun: Array, first: float) -> Array | None:
-        """Return a start-up (n,) [V] that leads to the `first` voltage of the cycle; None if it is too short."""
-        led = self._towards(begun, first)
-        present = self.compensator.held(self.start) if self.present is None else self.present
-        change = np.abs(np.diff(np.concatenate([[present], led, [first]])))
-        low, high = self.compensator.limits
-        return led if change.max() <= self._step + _ROUNDING * (high - low) else None
 
     def _cycle(self, voltage: Array, state: State, sent: float | None = None) -> Array:
         """Return the displacement (n + 1,) [m] along a cycle, from its first sample or from a voltage sent before."""

@@ -232,19 +232,10 @@ def approach_to(
 ) -> ScanPath | None:
     """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
 
-    Raise `RecordError` if `seconds` is not positive, or too long.
-
-    Parameters
-    ----------
-    path : ScanPath
-    compensator : Compensator
-        Its slew rate limits the lead-in.
-    state : State
-    limits : MotionLimits
-        Of speed and acceleration; those that are not given are the path's own extremes.
-    seconds : float, optional
-        Duration, rounded up to a sample; by default as short as the limits allow, those of speed and acceleration
-        first, then the slew rate if any duration keeps it.
+    `compensator`: its slew rate limits the way. `limits`: of speed and acceleration; those that are not given are the
+    path's own extremes. `seconds`: duration, rounded up to a sample; by default as short as the limits allow, those of
+    speed and acceleration first, then the slew rate if any duration keeps it. Raise `RecordError` if it is not
+    positive, or too long.
     """
     now = PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
     first, rate, ends = path.first, path.sample_rate, _ends(path)

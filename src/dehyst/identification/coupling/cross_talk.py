@@ -57,9 +57,7 @@ def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Arr
     improve the prediction of the other spans by more than three standard errors of the improvement, and by more than
     0.04 % of the stroke (RMS).
     """
-    residual = np.concatenate(
-        [block_means(one.residual(coupling), every) for one, every in zip(traces, columns.samples, strict=True)]
-    )
+    residual = np.concatenate([block_means(one.residual(coupling), columns.every) for one in traces])
     spans = columns.groups(_SPANS)
     count = residual.shape[1]
     size, certainty = np.zeros((count, count)), np.zeros((count, count))
@@ -86,7 +84,11 @@ def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.int
     base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
     target = _without_levels(target[:, None], spans)[:, 0]
     both = np.hstack([base, more])
-    power = _power(target - both @ _fitted(both, target, np.ones(len(target))), spans)
+    missed = (target - both @ _fitted(both, target, np.ones(len(target)))) ** 2
+    # Of each span the mean square; of one without rows the mean of all.
+    count = np.bincount(spans, minlength=_SPANS)
+    sums = np.bincount(spans, missed, minlength=_SPANS)
+    power = np.where(count > 0, sums / np.maximum(count, 1), np.mean(missed))
     weights = (power.mean() / np.maximum(power, _LEAST_POWER * power.mean()))[spans]
     gains, shares, ratios = list[float](), list[float](), list[float]()
     least = _STILL * np.ptp(more, axis=0).max(initial=0.0)
@@ -116,13 +118,6 @@ def _without_levels(columns: Array, spans: NDArray[np.intp]) -> Array:
     count = np.maximum(np.bincount(spans, minlength=_SPANS), 1)
     means = np.column_stack([np.bincount(spans, one, minlength=_SPANS) / count for one in columns.T])
     return np.asarray(columns - means[spans])
-
-
-def _power(left: Array, spans: NDArray[np.intp]) -> Array:
-    """Return the mean square of each span; of one without rows the mean of all."""
-    count = np.bincount(spans, minlength=_SPANS)
-    sums = np.bincount(spans, left**2, minlength=_SPANS)
-    return np.asarray(np.where(count > 0, sums / np.maximum(count, 1), np.mean(left**2)))
 
 
 def _fitted(rows: Array, target: Array, weights: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,18 +14,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
+from dehyst.identification.coupling import matrix
 from dehyst.identification.coupling.cross_talk import CrossTalk, cross_talk
-from dehyst.identification.coupling.matrix import (
-    AxisTraces,
-    Coupling,
-    PlayColumns,
-    coupling_by_models,
-    coupling_by_plays,
-    refuse_inseparable,
-    refuse_still_or_equal,
-    refuse_unmoved,
-    separate_motion,
-)
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
@@ -35,7 +25,6 @@ from dehyst.records import Record
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
 _MOST_PASSES, _SETTLED = 3, 2e-4
-_SPANS = 24
 _KEYS = (
     "verdict good axes coupling uncertainty condition rank_one_share is_matrix own_motion passes errors remarks "
     "residual_coupling_certainty=cross_talk.certainty"
@@ -144,16 +133,14 @@ class StageFit:
 
         Small is at most 0.3 % of the stroke (RMS). What the voltage of another axis moves more is no axis of its own.
         """
-        if self.exchanged:
-            return False
         small = bool(np.all(self.cross_talk.size[self.cross_talk.beyond] <= _SMALL))
-        return self.stage is not None and all(fit.good for fit in self.fits) and small
+        return not self.exchanged and self.stage is not None and all(fit.good for fit in self.fits) and small
 
     @property
     def exchanged(self) -> tuple[str, ...]:
         """Axes whose displacement the voltage of another axis moves more than their own."""
-        beside = np.abs(self.coupling - np.eye(len(self.axes))).max(axis=1, initial=0.0)
-        return tuple(axis for axis, most in zip(self.axes, beside.tolist(), strict=True) if most > 1)
+        others = np.abs(self.coupling - np.eye(len(self.axes))).max(axis=1, initial=0.0)
+        return tuple(axis for axis, most in zip(self.axes, others.tolist(), strict=True) if most > 1)
 
     @property
     def verdict(self) -> str:
@@ -174,19 +161,17 @@ class StageFit:
             f"the {source} records are missed by {largest.largest_percent:.2g} % of the stroke at most "
             f"(axis {largest.axis}), {rms:.2g} % RMS"
         )
-        if not self.is_matrix:
-            return f"{'Usable, with care' if self.good else 'Not usable'}: coupling is more than a matrix; {missed}"
-        words = {Readiness.NOT_USABLE: "Not usable", Readiness.READY: "Ready for use"}
-        levels = [fit.expectation.readiness for fit in self.fits if fit.expectation is not None]
-        worst = Readiness.NOT_USABLE if Readiness.NOT_USABLE in levels or not self.good else None
-        if worst is None and levels and all(level is Readiness.READY for level in levels):
-            worst = Readiness.READY
-        head = "Usable, with care" if worst is None else words[worst]
-        return f"{head}: {missed}"
+        levels = {fit.expectation.readiness for fit in self.fits if fit.expectation is not None}
+        head = "Usable, with care"
+        if not self.good or (self.is_matrix and Readiness.NOT_USABLE in levels):
+            head = "Not usable"
+        elif self.is_matrix and levels == {Readiness.READY}:
+            head = "Ready for use"
+        return f"{head}: {missed}" if self.is_matrix else f"{head}: coupling is more than a matrix; {missed}"
 
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify --axes` prints, in lines; `full`: with `--verbose`."""
-        return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
+        return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
@@ -195,6 +180,51 @@ class StageFit:
             "residual_coupling_floor_percent": (100 * self.cross_talk.floor).tolist(),
             "fits": by_axis(self.axes, self.fits),
         }
+
+    def _brief(self) -> Iterator[str]:
+        """Yield the verdict, whether coupling is a matrix, what to expect of each axis, and at most three remarks."""
+        yield f"{self.verdict}."
+        yield from self._left()
+        for axis, one in zip(self.axes, self.fits, strict=True):
+            yield f"Axis {axis}: {one.summary().splitlines()[0]}"
+        yield from to_know(self.remarks)
+
+    def _lines(self) -> Iterator[str]:
+        """Yield verdict, coupling, errors, what is left of the coupling, the verdict of each axis, and remarks."""
+        yield from (self.verdict, "")
+        yield "Coupling: displacement of each axis (row) for each metre that an actuator (column) moves"
+        yield from matrix_lines(self.axes, self.coupling, self.uncertainty)
+        yield f"Condition {self.condition:.4g}; identified in turn with the axes, {self.passes} times."
+        shares = ", ".join(f"{axis} {share:.5f}" for axis, share in zip(self.axes, self.rank_one_share, strict=True))
+        yield f"Rank-one share of what each voltage moves: {shares}."
+        yield from self._left()
+        if self.errors:
+            names = [f"{error.record} ({error.axis})" for error in self.errors]
+            width = max(map(len, names))
+            yield ""
+            yield f"{'record (axis)':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}  {'largest':>9}  {'RMS':>9}"
+            for name, error in zip(names, self.errors, strict=True):
+                counts = f"{error.role:<10} {error.samples:>8} {error.left_out:>8}"
+                yield f"{name:<{width}}  {counts}  {error.largest_percent:>7.3f} %  {error.rms_percent:>7.3f} %"
+        for axis, one in zip(self.axes, self.fits, strict=True):
+            yield from ("", f"Axis {axis}: {one}")
+        if self.remarks:
+            yield from ("", "Remarks:", *(f"  - {remark}" for remark in self.remarks))
+
+    def _left(self) -> Iterator[str]:
+        """Yield what is left of the coupling, and whether it is a matrix."""
+        talk, axes = self.cross_talk, self.axes
+        if self.stage is None or len(axes) < 2:
+            return
+        i, j = np.unravel_index(int(np.argmax(talk.size)), talk.size.shape)
+        largest = f"at most {100 * talk.size[i, j]:.2g} % of the stroke (RMS, {axes[j]} into {axes[i]})"
+        floor, matrix = f"{100 * float(talk.floor.max()):.2g} %", "Coupling is a matrix: beside it"
+        if not talk.size.any():
+            yield f"{matrix} no voltage moves another axis; {floor} of the stroke (RMS) would count."
+        elif self.is_matrix:
+            yield f"{matrix} a voltage moves another axis by {largest}; {floor} would count."
+        else:
+            yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."
 
 
 def identify_stage(
@@ -230,78 +260,64 @@ def identify_stage(
     training, held_out, report = _listed(records), _listed(validate), progress or (lambda _: None)
     if not training:
         raise IdentifyError("got no records, need one of all axes at least")
-    _refuse_other_axes([*training, *held_out])
+    for other in (*training, *held_out):
+        if other.axes != training[0].axes:
+            raise RecordError(
+                f"record '{other.name}': has the axes {', '.join(other.axes)}, but '{training[0].name}' has "
+                f"{', '.join(training[0].axes)}; give records of the same axes in the same order"
+            )
     names, strokes = training[0].axes, np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
-    refuse_still_or_equal(training)
+    matrix.refuse_still_or_equal(training)
     report("coupling of the axes")
     with one_thread():
-        columns = PlayColumns.of(training)
-        own = separate_motion(columns)
-        remarks = refuse_inseparable(training, own)
-        refuse_unmoved(columns, names)
-        coupling = coupling_by_plays(columns)
-    found = _in_turn(training, held_out, coupling, strokes, options, report)
-    final, uncertainty, share = found.coupling.matrix, found.coupling.uncertainty, found.coupling.share
-    if not found.traces:
-        nothing = np.zeros_like(final)
-        talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
-        return StageFit(None, found.fits, final, uncertainty, share, talk, (), own, found.passes, tuple(remarks), names)
+        columns = matrix.PlayColumns.of(training)
+        own = matrix.separate_motion(columns)
+        remarks = matrix.refuse_inseparable(names, own)
+        matrix.refuse_unmoved(columns, names)
+        coupling = matrix.coupling_by_plays(columns)
+    # Axes and coupling are identified in turn until the matrix settles.
+    for passes in range(1, _MOST_PASSES + 1):
+        used = coupling.matrix
+        fits = _axis_fits(training, held_out, used, options, lambda words, turn=passes: report(f"pass {turn}, {words}"))  # type: ignore[misc]
+        if any(fit.actuator is None for fit in fits):
+            nothing = np.zeros_like(used)
+            talk = CrossTalk(nothing, nothing, nothing, nothing.astype(bool))
+            found = used, coupling.uncertainty, coupling.share, talk
+            return StageFit(None, fits, *found, (), own, passes, tuple(remarks), names)
+        traces = [matrix.AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
+        refined = matrix.coupling_by_models(traces, coupling.share)
+        change = np.abs(refined.matrix - used) * strokes[None, :] / strokes[:, None]
+        settled = change.max() <= _SETTLED
+        coupling = replace(refined, matrix=used) if settled else refined
+        if settled:
+            break
+    final = coupling.matrix
     report("what is left of the coupling")
-    talk = cross_talk(columns, found.traces, final, strokes)
-    beside = [AxisTraces.of(one, found.fits, k, found.used) for k, one in enumerate([*training, *held_out])]
+    talk = cross_talk(columns, traces, final, strokes)
+    traces += [matrix.AxisTraces.of(one, fits, k, used) for k, one in enumerate(held_out, len(training))]
     roles = ["training"] * len(training) + ["validation"] * len(held_out)
-    errors = tuple(e for one, role in zip(beside, roles, strict=True) for e in _errors(one, role, final, strokes))
+    errors = [e for one, role in zip(traces, roles, strict=True) for e in _errors(one, role, final, strokes)]
     stage = Stage(
-        tuple(fit.actuator for fit in found.fits),
+        tuple(fit.actuator for fit in fits),
         final,
         names,
         provenance={
             "dehyst": __version__,
             "records": [{"name": one.name, **one.meta} for one in training],
-            "passes": found.passes,
-            "coupling_uncertainty": uncertainty.tolist(),
+            "passes": passes,
+            "coupling_uncertainty": coupling.uncertainty.tolist(),
         },
         is_matrix=not bool(talk.beyond.any()),
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
-    remarks += _talk_remarks(talk, names)
-    return StageFit(
-        stage, found.fits, final, uncertainty, share, talk, errors, own, found.passes, tuple(remarks), names
-    )
-
-
-class _InTurn(NamedTuple):
-    """The fit of each axis; the final coupling, and the one `used` for these fits; traces only if all have a model."""
-
-    fits: tuple[Fit, ...]
-    coupling: Coupling
-    used: Array
-    traces: list[AxisTraces]
-    passes: int
-
-
-def _in_turn(
-    training: Sequence[Record],
-    held_out: Sequence[Record],
-    coupling: Coupling,
-    strokes: Array,
-    options: dict[str, Any],
-    report: Progress,
-) -> _InTurn:
-    """Identify the axes and refine the coupling in turn, until it settles."""
-    for passes in range(1, _MOST_PASSES + 1):
-        used = coupling.matrix
-        fits = _axis_fits(training, held_out, used, options, lambda words, turn=passes: report(f"pass {turn}, {words}"))  # type: ignore[misc]
-        if any(fit.actuator is None for fit in fits):
-            return _InTurn(fits, coupling, used, [], passes)
-        traces = [AxisTraces.of(record, fits, k, used) for k, record in enumerate(training)]
-        refined = _refined(traces, coupling.share)
-        change = np.abs(refined.matrix - used) * strokes[None, :] / strokes[:, None]
-        if change.max() <= _SETTLED:
-            coupling = replace(refined, matrix=used)
-            break
-        coupling = refined
-    return _InTurn(fits, coupling, used, traces, passes)
+    remarks += [
+        f"coupling of {names[j]} into {names[i]} is more than a number: beside it the voltage of {names[j]} moves axis "
+        f"{names[i]} by {100 * talk.size[i, j]:.2g} % of its stroke (RMS), {talk.certainty[i, j]:.2g} times the "
+        "scatter; it has hysteresis or a curve of its own, which no matrix describes"
+        for i, j in np.argwhere(talk.beyond).tolist()
+    ]
+    parts = final, coupling.uncertainty, coupling.share, talk, tuple(errors), own, passes
+    return StageFit(stage, fits, *parts, tuple(remarks), names)
 
 
 def _axis_fits(
@@ -329,25 +345,7 @@ def _axis_fits(
     return tuple(fits)
 
 
-def _refined(traces: Sequence[AxisTraces], share: Array) -> Coupling:
-    """Return the coupling by least squares on the outputs of the models."""
-    counted = [one.counted for one in traces]
-    displacement = np.concatenate([one.record.displacement[rows] for one, rows in zip(traces, counted, strict=True)])
-    outputs = np.concatenate([one.outputs[rows] for one, rows in zip(traces, counted, strict=True)])
-    own = [one.nuisances()[rows] for one, rows in zip(traces, counted, strict=True)]
-    nuisances = np.zeros((len(outputs), sum(part.shape[1] for part in own)))
-    groups, row, column = np.empty(len(outputs), dtype=np.intp), 0, 0
-    for part in own:
-        stop = row + len(part)
-        nuisances[row:stop, column : column + part.shape[1]] = part
-        groups[row:stop] = np.arange(len(part)) * _SPANS // max(len(part), 1)
-        row, column = stop, column + part.shape[1]
-    moving = np.ptp(nuisances, axis=0) > 0
-    moving |= (nuisances != 0).all(axis=0)
-    return coupling_by_models(displacement, outputs, nuisances[:, moving], groups, share)
-
-
-def _errors(traces: AxisTraces, role: str, coupling: Array, strokes: Array) -> list[AxisError]:
+def _errors(traces: matrix.AxisTraces, role: str, coupling: Array, strokes: Array) -> list[AxisError]:
     residual = traces.residual(coupling)
     rows = np.isfinite(residual).all(axis=1)
     left = residual[rows]
@@ -368,15 +366,6 @@ def _errors(traces: AxisTraces, role: str, coupling: Array, strokes: Array) -> l
     ]
 
 
-def _talk_remarks(talk: CrossTalk, names: Sequence[str]) -> list[str]:
-    return [
-        f"coupling of {names[j]} into {names[i]} is more than a number: beside it the voltage of {names[j]} moves axis "
-        f"{names[i]} by {100 * talk.size[i, j]:.2g} % of its stroke (RMS), {talk.certainty[i, j]:.2g} times the "
-        "scatter; it has hysteresis or a curve of its own, which no matrix describes"
-        for i, j in np.argwhere(talk.beyond).tolist()
-    ]
-
-
 def _listed(records: Record | Sequence[Record]) -> list[Record]:
     single = isinstance(records, Record) or not isinstance(records, Sequence)
     found: list[Any] = [records] if single else list(records)  # type: ignore[arg-type]
@@ -390,66 +379,3 @@ def _listed(records: Record | Sequence[Record]) -> list[Record]:
                 hint="dehyst.read(path, axes=...) reads one",
             )
     return found
-
-
-def _refuse_other_axes(records: Sequence[Record]) -> None:
-    first = records[0]
-    for other in records[1:]:
-        if other.axes != first.axes:
-            raise RecordError(
-                f"record '{other.name}': has the axes {', '.join(other.axes)}, but '{first.name}' has "
-                f"{', '.join(first.axes)}; give records of the same axes in the same order"
-            )
-
-
-def _brief(fit: StageFit) -> Iterator[str]:
-    """Yield the verdict, whether coupling is a matrix, what to expect of each axis, and at most three remarks."""
-    yield f"{fit.verdict}."
-    yield from talk_lines(fit)
-    for axis, one in zip(fit.axes, fit.fits, strict=True):
-        yield f"Axis {axis}: {one.summary().splitlines()[0]}"
-    yield from to_know(fit.remarks)
-
-
-def lines(fit: StageFit) -> Iterator[str]:
-    """Yield verdict, coupling, errors, what is left of the coupling, the verdict of each axis, and remarks."""
-    yield fit.verdict
-    yield ""
-    yield "Coupling: displacement of each axis (row) for each metre that an actuator (column) moves"
-    yield from matrix_lines(fit.axes, fit.coupling, fit.uncertainty)
-    yield f"Condition {fit.condition:.4g}; identified in turn with the axes, {fit.passes} times."
-    shares = ", ".join(f"{axis} {share:.5f}" for axis, share in zip(fit.axes, fit.rank_one_share, strict=True))
-    yield f"Rank-one share of what each voltage moves: {shares}."
-    yield from talk_lines(fit)
-    if fit.errors:
-        width = max(len(f"{error.record} ({error.axis})") for error in fit.errors)
-        yield ""
-        yield f"{'record (axis)':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}  {'largest':>9}  {'RMS':>9}"
-        for error in fit.errors:
-            yield (
-                f"{f'{error.record} ({error.axis})':<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
-                f"  {error.largest_percent:>7.3f} %  {error.rms_percent:>7.3f} %"
-            )
-    for axis, one in zip(fit.axes, fit.fits, strict=True):
-        yield ""
-        yield f"Axis {axis}: {one}"
-    if fit.remarks:
-        yield ""
-        yield "Remarks:"
-        yield from (f"  - {remark}" for remark in fit.remarks)
-
-
-def talk_lines(fit: StageFit) -> Iterator[str]:
-    """Yield what is left of the coupling, and whether it is a matrix."""
-    talk, axes = fit.cross_talk, fit.axes
-    if fit.stage is None or len(axes) < 2:
-        return
-    i, j = np.unravel_index(int(np.argmax(talk.size)), talk.size.shape)
-    largest = f"at most {100 * talk.size[i, j]:.2g} % of the stroke (RMS, {axes[j]} into {axes[i]})"
-    floor = f"{100 * float(talk.floor.max()):.2g} %"
-    if not talk.size.any():
-        yield f"Coupling is a matrix: beside it no voltage moves another axis; {floor} of the stroke (RMS) would count."
-    elif fit.is_matrix:
-        yield f"Coupling is a matrix: beside it a voltage moves another axis by {largest}; {floor} would count."
-    else:
-        yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."

@@ -6,7 +6,7 @@ the models.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -73,90 +73,56 @@ class Coupling:
 def coupling_by_plays(columns: PlayColumns) -> Coupling:
     """Return the coupling by one least squares of all displacements on the plays of all voltages."""
     blocks, measured = columns.whitened, columns.without_nuisances(columns.displacement)
-    rows = np.hstack(blocks)
     sizes = np.cumsum([0, *(block.shape[1] for block in blocks)])
-    groups = columns.groups(_SPANS)
-    grams = [_products(rows[groups == g], measured[groups == g]) for g in range(_SPANS)]
-    total = _summed(grams)
-    matrix, share = _factored(*total, sizes)
-    left_out = [_factored(total[0] - gram, total[1] - right, sizes)[0] for gram, right in grams]
+    grams, rights = _products(np.hstack(blocks), measured, columns.groups(_SPANS), range(_SPANS))
+    gram, right = grams.sum(axis=0), rights.sum(axis=0)
+    matrix, share = _factored(gram, right, sizes)
+    left_out = [_factored(gram - one, right - other, sizes)[0] for one, other in zip(grams, rights, strict=True)]
     return Coupling(matrix, _jackknife(left_out), share)
 
 
-def coupling_by_models(
-    displacement: Array, outputs: Array, nuisances: Array, groups: NDArray[np.intp], share: Array
-) -> Coupling:
-    """Return the coupling by least squares of displacements (m, axes) on the models' outputs (m, axes).
+def coupling_by_models(traces: Sequence[AxisTraces], share: Array) -> Coupling:
+    """Return the coupling by least squares of the displacements on the outputs of the models.
 
-    Spans of time, the `groups` (m,), differ in what the models miss: while an axis moves it misses most. Each span has
-    the weight of its mean square residual, for each displacement by itself.
+    Spans of time differ in what the models miss: while an axis moves it misses most. Each span has the weight of its
+    mean square residual, for each displacement by itself.
     """
+    counted = [one.counted for one in traces]
+    displacement = np.concatenate([one.record.displacement[rows] for one, rows in zip(traces, counted, strict=True)])
+    outputs = np.concatenate([one.outputs[rows] for one, rows in zip(traces, counted, strict=True)])
+    nuisances = _diagonal([one.nuisances()[rows] for one, rows in zip(traces, counted, strict=True)])
+    moving = (np.ptp(nuisances, axis=0) > 0) | (nuisances != 0).all(axis=0)
+    sizes = [int(rows.sum()) for rows in counted]
+    groups = np.concatenate([np.arange(size) * _SPANS // max(size, 1) for size in sizes])
     count = outputs.shape[1]
-    rows = np.hstack([outputs, nuisances])
+    rows = np.hstack([outputs, nuisances[:, moving]])
     scales = np.sqrt((rows**2).sum(axis=0))
     rows = rows / np.where(scales > 0, scales, 1.0)
     spans = np.unique(groups)
-    grams = [_products(rows[groups == g], displacement[groups == g]) for g in spans]
+    grams, rights = _products(rows, displacement, groups, spans)
     matrix, uncertainty = np.empty((count, count)), np.empty((count, count))
     for i in range(count):
-        weights = np.ones(len(spans))
+        weights = np.ones((len(spans), 1, 1))
         for _ in range(_REWEIGHTED):
-            solution = _solution(
-                *_summed([(w * gram, w * right) for w, (gram, right) in zip(weights, grams, strict=True)])
-            )
+            solution = _solution((weights * grams).sum(axis=0), (weights * rights).sum(axis=0))
             left = displacement[:, i] - rows @ solution[:, i]
             power = np.array([np.mean(left[groups == g] ** 2) for g in spans])
-            weights = power.mean() / np.maximum(power, _LEAST_POWER * power.mean())
-            weights /= weights.mean()
-        weighted = [(w * gram, w * right) for w, (gram, right) in zip(weights, grams, strict=True)]
-        total = _summed(weighted)
-
-        def row(gram: Array, right: Array, i: int = i) -> Array:
-            raw = _solution(gram, right)[:count, i] / scales[:count]
-            return np.asarray(raw / raw[i])
-
-        matrix[i] = row(*total)
-        uncertainty[i] = _jackknife([row(total[0] - gram, total[1] - right) for gram, right in weighted])
+            found = power.mean() / np.maximum(power, _LEAST_POWER * power.mean())
+            weights = (found / found.mean())[:, None, None]
+        weighted, right = weights * grams, weights * rights
+        # All spans, then without one in turn.
+        sums = [(weighted.sum(axis=0), right.sum(axis=0))]
+        sums += [(sums[0][0] - one, sums[0][1] - other) for one, other in zip(weighted, right, strict=True)]
+        raw = np.array([_solution(*one)[:count, i] / scales[:count] for one in sums])
+        entries = raw / raw[:, i : i + 1]
+        matrix[i], uncertainty[i] = entries[0], _jackknife(entries[1:])
     return Coupling(matrix, uncertainty, share)
 
 
-def separate_motion(columns: PlayColumns) -> Array:
-    """Return the share (axes,) of the motion of each voltage that no function of the other voltages explains."""
-    shares = []
-    for j, block in enumerate(columns.blocks):
-        own = columns.without_nuisances(block[:, 0])
-        others = np.hstack([other for k, other in enumerate(columns.whitened) if k != j] or [np.zeros((len(own), 1))])
-        left = own - others @ np.linalg.lstsq(others, own, rcond=1e-9)[0]
-        energy = float(own @ own)
-        shares.append(float(left @ left) / energy if energy > 0 else 0.0)
-    return np.array(shares)
-
-
-def refuse_inseparable(records: Sequence[Record], shares: Array) -> list[str]:
-    """Return remarks on axes that hardly move by themselves; raise `IdentifyError` if an axis never does."""
-    names, remarks = records[0].axes, []
-    for name, share in zip(names, shares, strict=True):
-        if share < INSEPARABLE:
-            others = ", ".join(other for other in names if other != name)
-            raise IdentifyError(
-                f"axis {name}: its voltage moves together with those of {others} at all times ({100 * share:.2g} % of "
-                "its motion is its own), so that their displacements cannot be distinguished; record the axes one "
-                "after the other, or together with different periods: dehyst excite stage"
-            )
-        if share < BARELY:
-            remarks.append(
-                f"axis {name}: only {100 * share:.2g} % of the motion of its voltage is its own; record it alone too: "
-                "dehyst excite stage"
-            )
-    return remarks
-
-
-def _products(rows: Array, right: Array) -> tuple[Array, Array]:
-    return rows.T @ rows, rows.T @ right
-
-
-def _summed(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    return np.sum([gram for gram, _ in parts], axis=0), np.sum([right for _, right in parts], axis=0)
+def _products(rows: Array, right: Array, groups: NDArray[np.intp], spans: Iterable[int]) -> tuple[Array, Array]:
+    """Return the products (S, p, p) and (S, p, axes) of each span of time."""
+    parts = [(rows[groups == g], right[groups == g]) for g in spans]
+    return np.array([own.T @ own for own, _ in parts]), np.array([own.T @ other for own, other in parts])
 
 
 def _solution(gram: Array, right: Array) -> Array:
@@ -180,11 +146,42 @@ def _factored(gram: Array, right: Array, sizes: Array) -> tuple[Array, Array]:
     return matrix, shares
 
 
-def _jackknife(left_out: Sequence[Array]) -> Array:
+def _jackknife(left_out: Sequence[Array] | Array) -> Array:
     """Return the standard error of each entry by leaving one span out in turn."""
     table = np.array(left_out)
     count = len(table)
     return np.asarray(np.sqrt((count - 1) / count * ((table - table.mean(axis=0)) ** 2).sum(axis=0)))
+
+
+def separate_motion(columns: PlayColumns) -> Array:
+    """Return the share (axes,) of the motion of each voltage that no function of the other voltages explains."""
+    shares = []
+    for j, block in enumerate(columns.blocks):
+        own = columns.without_nuisances(block[:, 0])
+        others = np.hstack([other for k, other in enumerate(columns.whitened) if k != j] or [np.zeros((len(own), 1))])
+        left = own - others @ np.linalg.lstsq(others, own, rcond=1e-9)[0]
+        energy = float(own @ own)
+        shares.append(float(left @ left) / energy if energy > 0 else 0.0)
+    return np.array(shares)
+
+
+def refuse_inseparable(names: Sequence[str], shares: Array) -> list[str]:
+    """Return remarks on axes that hardly move by themselves; raise `IdentifyError` if an axis never does."""
+    remarks = []
+    for name, share in zip(names, shares, strict=True):
+        if share < INSEPARABLE:
+            others = ", ".join(other for other in names if other != name)
+            raise IdentifyError(
+                f"axis {name}: its voltage moves together with those of {others} at all times ({100 * share:.2g} % of "
+                "its motion is its own), so that their displacements cannot be distinguished; record the axes one "
+                "after the other, or together with different periods: dehyst excite stage"
+            )
+        if share < BARELY:
+            remarks.append(
+                f"axis {name}: only {100 * share:.2g} % of the motion of its voltage is its own; record it alone too: "
+                "dehyst excite stage"
+            )
+    return remarks
 
 
 def refuse_still_or_equal(records: Sequence[Record]) -> None:
@@ -202,7 +199,8 @@ def refuse_still_or_equal(records: Sequence[Record]) -> None:
                 f"axis {name}: its displacement does not move; check its sensor, and the column that is read: --columns"
             )
     for i, j in combinations(range(len(names)), 2):
-        if all(_same(one, i, j) for one in records):
+        pairs = [one.displacement[:, [i, j]] for one in records]
+        if all(np.ptp(pair[:, 0] - pair[:, 1]) <= _SAME * np.ptp(pair, axis=0).max() for pair in pairs):
             raise RecordError(
                 f"axes {names[i]} and {names[j]}: their displacements are the same but for a constant; check which "
                 "column is read as which axis: --columns"
@@ -213,19 +211,13 @@ def refuse_unmoved(columns: PlayColumns, names: Sequence[str]) -> None:
     """Raise `RecordError` if the voltages together explain next to nothing of the motion of a displacement."""
     motion = columns.without_nuisances(columns.displacement)
     basis = np.linalg.qr(np.hstack(columns.whitened))[0]
-    energy = (motion**2).sum(axis=0)
-    explained = ((basis.T @ motion) ** 2).sum(axis=0)
-    for name, part, whole in zip(names, explained, energy, strict=True):
-        if part < _EXPLAINED * whole:
+    explained = ((basis.T @ motion) ** 2).sum(axis=0) / (motion**2).sum(axis=0)
+    for name, share in zip(names, explained, strict=True):
+        if share < _EXPLAINED:
             raise RecordError(
-                f"axis {name}: its displacement follows none of the voltages: they explain {100 * part / whole:.2g} % "
-                "of its motion; check its sensor, and the column that is read: --columns"
+                f"axis {name}: its displacement follows none of the voltages: they explain {100 * share:.2g} % of its "
+                "motion; check its sensor, and the column that is read: --columns"
             )
-
-
-def _same(record: Record, i: int, j: int) -> bool:
-    difference = record.displacement[:, i] - record.displacement[:, j]
-    return bool(np.ptp(difference) <= _SAME * np.ptp(record.displacement[:, [i, j]], axis=0).max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,20 +232,17 @@ class PlayColumns:
         Of each record: a constant, drifts, and the decaying effects of its unknown start.
     displacement : (m, axes) array
         [m].
-    record : (m,) array
-        Index of the record.
     place : (m,) array
         Share of the record's duration, 0 to 1.
-    samples : tuple of int
-        How many samples a mean is taken of, for each record.
+    every : int
+        How many samples a mean is taken of.
     """
 
     blocks: tuple[Array, ...]
     nuisances: Array
     displacement: Array
-    record: NDArray[np.intp]
     place: Array
-    samples: tuple[int, ...]
+    every: int
 
     @classmethod
     def of(cls, records: Sequence[Record], most: int = MOST_ROWS) -> PlayColumns:
@@ -261,15 +250,20 @@ class PlayColumns:
         every = max(1, sum(map(len, records)) // most)
         low = np.min([record.voltage.min(axis=0) for record in records], axis=0)
         high = np.max([record.voltage.max(axis=0) for record in records], axis=0)
-        parts = [_columns(record, low, np.maximum(high - low, 1e-12), every) for record in records]
-        axes = range(len(low))
-        blocks = tuple(np.concatenate([part[0][j] for part in parts]) for j in axes)
-        nuisances = _diagonal([part[1] for part in parts])
+        span = np.maximum(high - low, 1e-12)
+        blocks: list[list[Array]] = [[] for _ in low]
+        nuisances = []
+        for record in records:
+            own = []
+            for j, block in enumerate(blocks):
+                motion, starts = motion_of(record.voltage[:, j], low[j], span[j])
+                block.append(block_means(motion, every))
+                own += [column for column in block_means(starts, every).T if np.ptp(column) > _EMPTY]
+            slow = np.column_stack([*drifts(record), *span_levels(record)])
+            nuisances.append(np.column_stack([*own, *block_means(slow, every).T]))
+        place = np.concatenate([(np.arange(len(own)) + 0.5) / len(own) for own in nuisances])
         displacement = np.concatenate([block_means(record.displacement, every) for record in records])
-        sizes = [len(part[1]) for part in parts]
-        number = np.repeat(np.arange(len(records)), sizes)
-        place = np.concatenate([(np.arange(size) + 0.5) / size for size in sizes])
-        return cls(blocks, nuisances, displacement, number, place, tuple(every for _ in records))
+        return cls(tuple(map(np.concatenate, blocks)), _diagonal(nuisances), displacement, place, every)
 
     @cached_property
     def own(self) -> Array:
@@ -297,18 +291,10 @@ def block_means(values: Array, every: int) -> Array:
     return np.asarray(values[:whole].reshape(-1, every, *values.shape[1:]).mean(axis=1))
 
 
-def _columns(record: Record, low: Array, span: Array, every: int) -> tuple[list[Array], Array]:
-    """Return the block of each axis, and the nuisances."""
-    blocks, nuisances = [], []
+def drifts(record: Record) -> tuple[Array, Array]:
+    """Return slow nuisances (n,): linear and logarithmic in the time since the start of a record."""
     since = (record.time - record.time[0]) / (record.time[-1] - record.time[0])
-    for j in range(len(record.axes)):
-        block, starts = motion_of(record.voltage[:, j], low[j], span[j])
-        blocks.append(block_means(block, every))
-        nuisances += [column for column in block_means(starts, every).T if np.ptp(column) > _EMPTY]
-    logarithm = np.log1p(since / _LOGARITHM) / np.log1p(1 / _LOGARITHM)
-    slow = [since - 0.5, logarithm - 0.5, *span_levels(record)]
-    nuisances += list(block_means(np.column_stack(slow), every).T)
-    return blocks, np.column_stack(nuisances)
+    return since - 0.5, np.log1p(since / _LOGARITHM) / np.log1p(1 / _LOGARITHM) - 0.5
 
 
 def span_levels(record: Record) -> Array:
@@ -322,26 +308,22 @@ def span_levels(record: Record) -> Array:
 def motion_of(voltage: Array, low: float, span: float) -> tuple[Array, Array]:
     """Return bent plays (n, K) of a voltage (n,) [V], and the decaying effects (n, p) of their unknown start."""
     u = np.ascontiguousarray((voltage - low) / span)
-    relaxed, *others = (_plays(u, start) for start in (0.0, -1.0, 1.0))
-    # A play that began elsewhere differs until its voltage has moved far enough.
-    return _bent(relaxed), np.hstack([other - relaxed for other in others])
-
-
-def _plays(u: Array, start: float) -> Array:
-    """Return plays (n, K) of u (n,): begun relaxed, after a long fall (-1) or after a long rise (1)."""
     radius = 0.5 * _THRESHOLDS[1:]
-    elongations, _ = slip_elongations(radius, u[0] - start * radius, u)
-    return np.column_stack([u, u[:, None] - elongations])
 
+    def plays(start: float) -> Array:
+        elongations, _ = slip_elongations(radius, u[0] - start * radius, u)
+        return np.column_stack([u, u[:, None] - elongations])
 
-def _bent(plays: Array) -> Array:
-    """Return plays and their parts above each bend (n, K (1 + bends))."""
-    return np.hstack([plays, *(np.maximum(plays - bend, 0.0) for bend in _BENDS)])
+    # Begun relaxed, after a long fall and after a long rise: a play that began elsewhere differs until its voltage has
+    # moved far enough.
+    relaxed, *others = map(plays, (0.0, -1.0, 1.0))
+    bent = np.hstack([relaxed, *(np.maximum(relaxed - bend, 0.0) for bend in _BENDS)])
+    return bent, np.hstack([other - relaxed for other in others])
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:
-    rows, columns = sum(len(part) for part in parts), sum(part.shape[1] for part in parts)
-    result = np.zeros((rows, columns))
+    """Return the block-diagonal matrix of some."""
+    result = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
     row = column = 0
     for part in parts:
         result[row : row + len(part), column : column + part.shape[1]] = part
@@ -401,8 +383,5 @@ class AxisTraces:
 
     def nuisances(self) -> Array:
         """Return a constant, drifts, and the unknown level of each voltage that stands (n, p)."""
-        since = (self.record.time - self.record.time[0]) / np.ptp(self.record.time)
         levels = [column for column in self.standing.T.astype(np.float64) if 0 < column.sum() < len(column)]
-        return np.column_stack(
-            [since - 0.5, np.log1p(1e3 * since) / np.log(1e3) - 0.5, *levels, *span_levels(self.record)]
-        )
+        return np.column_stack([*drifts(self.record), *levels, *span_levels(self.record)])

@@ -16,6 +16,7 @@ displacement, and each extreme of the voltage leaves the actuator in one state, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 from typing import NamedTuple, TypeAlias
 
@@ -69,22 +70,25 @@ def families(record: Record) -> list[Family]:
     turns = [0, *record.reversals().tolist(), len(record) - 1]
     y, v = record.displacement, record.voltage
     same = _SAME * record.stroke
-    groups: list[tuple[float, float, list[Branch], list[Branch]]] = []
-
-    def family_of(low: float, high: float) -> tuple[list[Branch], list[Branch]]:
-        for bottom, top, down, up in groups:
-            if abs(bottom - low) < same and abs(top - high) < same:
-                return down, up
-        groups.append((low, high, [], []))
-        return groups[-1][2:]
-
+    # Turning points of the first branch of each group; descending and ascending branches.
+    groups: list[tuple[float, float, tuple[list[Branch], list[Branch]]]] = []
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
         if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
             continue
         low, high = sorted((float(y[start]), float(y[end])))
-        down, up = family_of(low, high)
+        group = next((one for one in groups if abs(one[0] - low) < same and abs(one[1] - high) < same), None)
+        if group is None:
+            group = low, high, ([], [])
+            groups.append(group)
+        down, up = group[2]
         (up if y[end] > y[start] else down).append((y[start : end + 1], v[start : end + 1]))
-    return [Family(record.name, *_mean_turns(down, up), down, up) for _, _, down, up in groups if down and up]
+    found = []
+    for _, _, (down, up) in groups:
+        if down and up:
+            bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
+            tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
+            found.append(Family(record.name, float(np.mean(bottoms)), float(np.mean(tops)), down, up))
+    return found
 
 
 def voltage_at(branch: Branch, places: Array) -> Array:
@@ -128,12 +132,6 @@ def averaged_at(branch: Branch, places: Array, half: float) -> tuple[Array, Arra
     return np.where(enough, voltage, voltage_at(branch, places)), np.where(enough, gain, 1.0)
 
 
-def _mean_turns(down: list[Branch], up: list[Branch]) -> tuple[float, float]:
-    bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
-    tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
-    return float(np.mean(bottoms)), float(np.mean(tops))
-
-
 _PLACES = 40
 
 
@@ -165,9 +163,7 @@ class Mirrored:
         place = np.linspace(half - 0.5 * family.range, 0.5 * family.range - half, _PLACES)
         # Symmetric to the last bit, so that a symmetric loop gives exactly 0.
         place = 0.5 * (place - place[::-1])
-        rising: list[Array] = []
-        falling: list[Array] = []
-        gains: list[Array] = []
+        rising, falling, gains = list[Array](), list[Array](), list[Array]()
         pairs = list(zip(family.descending, family.ascending, strict=False))
         for down, up in pairs:
             y, v = (float(0.25 * (down[k][0] + down[k][-1] + up[k][0] + up[k][-1])) for k in (0, 1))
@@ -175,7 +171,6 @@ class Mirrored:
                 voltage, kept = averaged_at((branch[0] - y, branch[1] - v), place, half)
                 read.append(voltage)
                 gains.append(kept)
-        gain = float(np.max(np.mean(gains, axis=0)))
         apart = np.mean([(down[0][0] - up[0][-1], down[0][-1] - up[0][0]) for down, up in pairs], axis=0)
         return cls(
             family.record,
@@ -185,7 +180,7 @@ class Mirrored:
             np.array(rising),
             np.array(falling),
             noise,
-            gain,
+            float(np.max(np.mean(gains, axis=0))),
             float(np.abs(apart).sum()),
         )
 
@@ -194,25 +189,29 @@ class Mirrored:
         """Number of cycles M."""
         return len(self.rising)
 
+    @cached_property
+    def _slopes(self) -> tuple[Array, Array, Array]:
+        """Slopes of the rising and of the falling branch, and the RMS of both at u and -u (K,) [V/m]."""
+        rising, falling = (np.gradient(branch.mean(axis=0), self.place) for branch in (self.rising, self.falling))
+        squares = rising**2 + falling**2
+        return np.asarray(rising), np.asarray(falling), np.asarray(np.sqrt(0.25 * (squares + squares[::-1])))
+
     def asymmetry(self) -> tuple[Array, float]:
         """Return the distance of the loop from its mirror image (K,) [m], and the floor of its largest value [m]."""
-        rising, falling = self._slopes()
+        rising, falling, _ = self._slopes
         slope = np.sqrt(0.5 * (rising**2 + falling[::-1] ** 2))
-        centre = (rising + falling[::-1]) / slope
-        return self._distance(self.rising + self.falling[:, ::-1], slope, 2, centre)
+        return self._distance(self.rising + self.falling[:, ::-1], slope, 2, (rising + falling[::-1]) / slope)
 
     def width_asymmetry(self) -> tuple[Array, float]:
         """Return the width at u minus the width at -u (K,) [m], and the floor of its largest value [m]."""
-        rising, falling = self._slopes()
-        slope = self._mean_slope()
-        narrowing = rising - falling
-        width = self.rising - self.falling
+        rising, falling, slope = self._slopes
+        narrowing, width = rising - falling, self.rising - self.falling
         return self._distance(width - width[:, ::-1], slope, 4, (narrowing - narrowing[::-1]) / slope)
 
     def middle_asymmetry(self) -> Array:
         """Return the distance of the middle line from its mirror image (K,) [m]."""
         middle = (self.rising + self.falling).mean(axis=0)
-        return np.asarray(0.5 * (middle + middle[::-1]) / self._mean_slope())
+        return np.asarray(0.5 * (middle + middle[::-1]) / self._slopes[2])
 
     def _distance(self, voltage: Array, slope: Array, readings: int, centre: Array) -> tuple[Array, float]:
         """Return the mean over cycles of voltages (M, K), in metres, and the floor of its largest absolute value.
@@ -229,17 +228,6 @@ class Mirrored:
             variance = max(variance, float(distance.var(axis=0, ddof=1).mean()))
         floor = float(ndtri(1 - RULES.check_risk / (2 * _PLACES))) * sqrt(variance / self.cycles) + self.opening
         return distance.mean(axis=0), floor
-
-    def _slopes(self) -> tuple[Array, Array]:
-        """Return the slopes of the rising and of the falling branch (K,) [V/m]."""
-        rising, falling = (np.gradient(branch.mean(axis=0), self.place) for branch in (self.rising, self.falling))
-        return np.asarray(rising), np.asarray(falling)
-
-    def _mean_slope(self) -> Array:
-        """Return the root mean square of the slopes of both branches at u and -u (K,) [V/m]."""
-        rising, falling = self._slopes()
-        squares = rising**2 + falling**2
-        return np.asarray(np.sqrt(0.25 * (squares + squares[::-1])))
 
 
 _MOST_AT_TURN = 16
@@ -283,7 +271,17 @@ def creep(pieces: list[tuple[Record, Array]], noise: float, risk: float) -> tupl
     """
     from scipy.special import stdtrit
 
-    groups = [group for piece, curve in pieces for group in _returns(piece, curve, noise)]
+    # Creep curve and level (n, 2) at the turning points of either extreme of each epoch's voltages.
+    groups = []
+    for piece, curve in pieces:
+        v, same = piece.voltage, _same(piece)
+        turns = np.append(piece.reversals(), len(piece) - 1)
+        for epoch in epochs(piece, noise):
+            inside = turns[(turns >= epoch.turn) & (turns < epoch.stop)]
+            for extreme in (v[: epoch.stop].min(), v[: epoch.stop].max()):
+                at = inside[np.abs(v[inside] - extreme) <= same]
+                if at.size > 1:
+                    groups.append(np.column_stack([curve[at], _levels(piece, at)[0]]))
     if not groups:
         return None
     x, y = np.vstack([group - group.mean(axis=0) for group in groups]).T
@@ -294,20 +292,6 @@ def creep(pieces: list[tuple[Record, Array]], noise: float, risk: float) -> tupl
     residual = y - slope * x
     spread = sqrt(float(residual @ residual) / free / float(x @ x))
     return slope, float(stdtrit(free, 1 - risk / 2)) * spread
-
-
-def _returns(record: Record, curve: Array, noise: float) -> list[Array]:
-    """Return creep curve and level [m] (n, 2) at the turning points of either extreme of each epoch's voltages."""
-    v, same = record.voltage, _same(record)
-    turns = np.append(record.reversals(), len(record) - 1)
-    groups = []
-    for epoch in epochs(record, noise):
-        inside = turns[(turns >= epoch.turn) & (turns < epoch.stop)]
-        for extreme in (v[: epoch.stop].min(), v[: epoch.stop].max()):
-            at = inside[np.abs(v[inside] - extreme) <= same]
-            if at.size > 1:
-                groups.append(np.column_stack([curve[at], _levels(record, at)[0]]))
-    return groups
 
 
 def _same(record: Record) -> float:
@@ -323,7 +307,11 @@ def _levels(record: Record, turns: NDArray[np.intp]) -> tuple[Array, float]:
     """
     v, y = record.voltage, record.displacement
     slope = float(np.ptp(v)) / record.stroke
-    count = min(_near(v, turn, 2 * _same(record)) for turn in turns.tolist())
+    count = _MOST_AT_TURN
+    for turn in turns.tolist():
+        # In a hold the actuator creeps: a few samples at most, of nearly the turn's voltage.
+        before = np.abs(v[max(0, turn - _MOST_AT_TURN + 1) : turn + 1] - v[turn]) > 2 * _same(record)
+        count = min(count, int(np.argmax(np.append(before[::-1], True))))
     rows = turns[:, None] + np.arange(1 - count, 1)
     x = v[rows] - v[turns][:, None]
     middle, spread = x.mean(axis=1), x.var(axis=1)
@@ -332,9 +320,3 @@ def _levels(record: Record, turns: NDArray[np.intp]) -> tuple[Array, float]:
         tilt = ((x - middle[:, None]) * y[rows]).mean(axis=1) / spread
         level, gain = level - tilt * middle, gain * (1 + middle**2 / spread)
     return np.asarray(level - v[turns] / slope), float(gain.max())
-
-
-def _near(v: Array, turn: int, width: float) -> int:
-    """Count the samples up to a turning point of nearly its voltage, a few at most: in a hold the actuator creeps."""
-    before = np.abs(v[max(0, turn - _MOST_AT_TURN + 1) : turn + 1] - v[turn]) > width
-    return int(np.argmax(np.append(before[::-1], True)))

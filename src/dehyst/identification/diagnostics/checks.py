@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from math import sqrt
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array
@@ -23,6 +22,7 @@ from dehyst.model.summary import Slopes
 from dehyst.records.signals import turning_points, white_noise
 
 _OF_RANGE = "% of range"
+_HELD_UP = " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."
 
 
 def model_checks(
@@ -50,27 +50,38 @@ def model_checks(
         Of Maxwell-slip: Assumption I, Assumption II, Anti-symmetry, Symmetry of the width, Loop closure, No drift.
         Otherwise: Rising branches, Sliding elements, Width, Middle line, No drift.
     """
-    stroke = errors[0].stroke
+    stroke, slip = errors[0].stroke, actuator.slip
     if actuator.wide:
         seen = [trace for trace, error in zip(traces, errors, strict=True) if error.role == "training"]
-        means = _Means.of(seen, stroke)
         return (
             _rising(actuator, stroke),
-            _sliding(actuator, seen),
-            _residual_width(means),
-            _middle(means),
+            _sliding(slip, seen),
+            *_patterns(seen, stroke),
             _residual_drift(seen, stroke),
         )
     training = [(item, error) for item, error in zip(records, errors, strict=True) if error.role == "training"]
-    loop = _widest(training, actuator.delay)
     return (
         _assumption_1(actuator.spring, floor, imposed),
-        _assumption_2(actuator.slip, [item for item, _ in training]),
-        _antisymmetry(loop),
-        _loop_width(loop),
+        _assumption_2(slip, [item for item, _ in training]),
+        *_symmetry(_widest(training, actuator.delay)),
         _closure([item for item, _ in training], actuator.delay, stroke),
         _creep_at_extremes(records, errors, actuator.delay),
     )
+
+
+def _tested(name: str, value: float, floor: float, holds: str, fails: str, unit: str = _OF_RANGE) -> Check:
+    """Return a check that holds up to its floor, or up to what does not matter."""
+    fine = value <= max(floor, RULES.smallest_pattern)
+    return Check(name, Verdict.HOLDS if fine else Verdict.FAILS, value, floor, unit, holds if fine else fails)
+
+
+def _unknown(name: str, sentence: str, unit: str = _OF_RANGE) -> Check:
+    return Check(name, Verdict.UNKNOWN, None, None, unit, sentence)
+
+
+def _calm(value: float) -> str:
+    """Return why a value [% of the range] below its floor is no pattern."""
+    return "which does not matter" if value <= RULES.smallest_pattern else "which scatter explains"
 
 
 def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
@@ -88,10 +99,7 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
             " The fit held it up: without that the spring would fall, and one voltage would have several displacements."
         )
     elif floor is not None and spring.slopes[least] <= floor * (1 + 1e-6):
-        verdict = Verdict.UNKNOWN
-        sentence += (
-            " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."
-        )
+        verdict, sentence = Verdict.UNKNOWN, sentence + _HELD_UP
     sentence += (
         f" Below {knots[0]:.4g} um and above {knots[-1]:.4g} um the spring continues at its end slopes, without "
         "data: the first rise after a rest may go there."
@@ -100,16 +108,28 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
     return Check("Assumption I", verdict, float(slopes[least]), least_allowed, "V/um", sentence)
 
 
+def _rising(actuator: Actuator, stroke: float) -> Check:
+    slopes, known = Slopes.of(actuator.slip, actuator.spring), actuator.identification
+    least = np.minimum(slopes.rising, slopes.falling)
+    k = int(np.argmin(least))
+    low, high = actuator.limits or (0.0, 0.0)
+    allowed = (0.0 if known is None else known.slope_floor) * (high - low) / stroke
+    value, floor = float(least[k]) * 1e-6, allowed * 1e-6 if allowed else None
+    sentence = f"The least slope of an outermost branch is {value:.3g} V/um, at {slopes.displacement[k] * 1e6:.4g} um."
+    if floor is not None and value <= floor * 1.01:
+        return Check("Rising branches", Verdict.UNKNOWN, value, floor, "V/um", sentence + _HELD_UP)
+    return Check("Rising branches", Verdict.HOLDS, value, floor, "V/um", sentence)
+
+
 def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) -> Check:
     """Count the elements that slide before the used samples; an element about to slide at an extreme counts."""
-    needed = 2 * slip.breakaway[slip.friction > 0]
-    counts = []
+    needed, counts = 2 * slip.breakaway[slip.friction > 0], []
     for item in training:
         reach = max((epoch.reach for piece in item.pieces for epoch in epochs(piece, item.noise)), default=0.0)
         counts.append((reach, int(np.count_nonzero(needed <= (reach + 8 * item.noise) * (1 + 1e-9))), item.name))
     reach, slid, record = max(counts)
     sentence = f"{record}: {slid} of the {needed.size} elements with stiffness slide before the samples that count."
-    still = [(count, name_) for _, count, name_ in counts if count < slid]
+    still = [(count, name) for _, count, name in counts if count < slid]
     rest = ""
     if still:
         fewest, fewest_name = min(still)
@@ -120,9 +140,9 @@ def _assumption_2(slip: MaxwellSlip | GradedSlip, training: Sequence[Prepared]) 
     return _slides("Assumption II", needed, slid, reach, sentence, rest)
 
 
-def _sliding(actuator: Actuator, training: Sequence[Trace]) -> Check:
+def _sliding(slip: MaxwellSlip | GradedSlip, training: Sequence[Trace]) -> Check:
     """Count the elements that slide both ways in the widest motion."""
-    needed = 2 * actuator.slip.breakaway[actuator.slip.friction > 0]
+    needed = 2 * slip.breakaway[slip.friction > 0]
     reach = max(float(np.ptp(trace.simulated)) for trace in training)
     slid = int(np.count_nonzero(needed <= reach * (1 + 1e-3)))
     sentence = f"{slid} of the {needed.size} elements with stiffness slide in both directions in the widest motion."
@@ -157,86 +177,56 @@ def _widest(training: Sequence[tuple[Prepared, RecordErrors]], delay: float) -> 
     if not loops:
         return None
     least = 0.95 * max(family.range for family, _ in loops)
-    wide = [(family.cycles, i) for i, (family, _) in enumerate(loops) if family.range >= least]
-    family, noise = loops[max(wide, key=lambda pair: pair[0])[1]]
-    return Mirrored.of(family, noise)
+    wide = [(family, noise) for family, noise in loops if family.range >= least]
+    return Mirrored.of(*max(wide, key=lambda one: one[0].cycles))
 
 
-def _antisymmetry(loop: Mirrored | None) -> Check:
-    """Test Lemma 2: with a linear spring the loop is its own mirror image about the middle of its turning points."""
-    name = "Anti-symmetry"
+def _symmetry(loop: Mirrored | None) -> tuple[Check, Check]:
+    """Test that a loop is its own mirror image about the middle of its turning points, and as wide at mirrored places.
+
+    The first is Lemma 2, with a linear spring; the second holds with any spring and any elements.
+    """
+    names = "Anti-symmetry", "Symmetry of the width"
     if loop is None:
-        return _no_loop(name)
-    distance, noise = loop.asymmetry()
-    at, value, floor = _largest(loop, distance, noise)
-    if value <= max(floor, RULES.smallest_pattern):
-        sentence = (
-            f"{_named(loop)} equals its mirror image {_to(value)}. This does not prove that the spring is linear: a "
-            "spring that is odd about the loop's centre gives the same."
-        )
-        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, sentence + _single(loop))
-    middle, width = (_percent(loop, part) for part in (loop.middle_asymmetry(), 0.5 * loop.width_asymmetry()[0]))
-    sentence = (
-        f"{_named(loop)} lies up to {value:.3g} % of the range from its mirror image, most at {at * 1e6:.4g} um: a "
-        f"linear spring (Lemma 2) cannot follow it. The bend of the middle line makes {middle:.3g} % of it, which the "
-        f"nonlinear spring follows; the width makes {width:.2g} %."
-    )
-    return Check(name, Verdict.FAILS, value, floor, _OF_RANGE, sentence + _single(loop))
-
-
-def _loop_width(loop: Mirrored | None) -> Check:
-    """Test that the width of the loop is symmetric about its centre, as with any spring and any elements."""
-    name = "Symmetry of the width"
-    if loop is None:
-        return _no_loop(name)
-    distance, noise = loop.width_asymmetry()
-    at, value, floor = _largest(loop, distance, noise)
-    if value <= max(floor, RULES.smallest_pattern):
-        sentence = f"{_named(loop)} is as wide at each place as at its mirror image {_to(value)}."
-        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, sentence + _single(loop))
-    low, high = sorted((at, 2 * loop.middle - at))
-    sentence = (
-        f"{_named(loop)} is not as wide at {low * 1e6:.4g} um as at {high * 1e6:.4g} um: its width differs by "
-        f"{value:.2g} % of the range. No plain Maxwell-slip model can follow that, with any number of elements and any "
-        f"spring: expect largest errors on it of {value / 4:.2g} % at least, of {value / 2:.2g} % as a rule."
-    )
-    return Check(name, Verdict.FAILS, value, floor, _OF_RANGE, sentence + _single(loop))
-
-
-def _largest(loop: Mirrored, distance: Array, floor: float) -> tuple[float, float, float]:
-    """Return where the largest distance lies [m] on the model's axis, its size and its floor [% of the range]."""
-    at = loop.middle + float(loop.place[np.argmax(np.abs(distance))])
-    return at, _percent(loop, distance), 100 * floor / loop.range
-
-
-def _percent(loop: Mirrored, distance: Array) -> float:
-    return 100 * float(np.abs(distance).max()) / loop.range
-
-
-def _named(loop: Mirrored) -> str:
+        sentence = "No closed loop was found: record at least two cycles between the same two turning points."
+        return _unknown(names[0], sentence), _unknown(names[1], sentence)
     cycles = f"{loop.cycles} cycle{'s' if loop.cycles > 1 else ''}"
-    return f"{loop.record}: the widest loop ({loop.range * 1e6:.4g} um, {cycles})"
-
-
-def _to(value: float) -> str:
-    return f"to {max(value, 0.01):.2g} % of the range"
-
-
-def _single(loop: Mirrored) -> str:
-    return "" if loop.cycles > 1 else " One cycle only: its floor contains the sensor's noise, but no slow drift."
-
-
-def _no_loop(name: str) -> Check:
-    sentence = "No closed loop was found: record at least two cycles between the same two turning points."
-    return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, sentence)
+    named = f"{loop.record}: the widest loop ({loop.range * 1e6:.4g} um, {cycles})"
+    single = "" if loop.cycles > 1 else " One cycle only: its floor contains the sensor's noise, but no slow drift."
+    (apart, apart_floor), (width, width_floor) = loop.asymmetry(), loop.width_asymmetry()
+    value, wider, middle, half = (
+        100 * float(np.abs(distance).max()) / loop.range
+        for distance in (apart, width, loop.middle_asymmetry(), 0.5 * width)
+    )
+    # Where they are largest, on the model's axis [um].
+    at, place = (1e6 * (loop.middle + float(loop.place[np.argmax(np.abs(one))])) for one in (apart, width))
+    low, high = sorted((place, 2e6 * loop.middle - place))
+    mirror = _tested(
+        names[0],
+        value,
+        100 * apart_floor / loop.range,
+        f"{named} equals its mirror image to {max(value, 0.01):.2g} % of the range. This does not prove that the "
+        f"spring is linear: a spring that is odd about the loop's centre gives the same.{single}",
+        f"{named} lies up to {value:.3g} % of the range from its mirror image, most at {at:.4g} um: a linear spring "
+        f"(Lemma 2) cannot follow it. The bend of the middle line makes {middle:.3g} % of it, which the nonlinear "
+        f"spring follows; the width makes {half:.2g} %.{single}",
+    )
+    return mirror, _tested(
+        names[1],
+        wider,
+        100 * width_floor / loop.range,
+        f"{named} is as wide at each place as at its mirror image to {max(wider, 0.01):.2g} % of the range.{single}",
+        f"{named} is not as wide at {low:.4g} um as at {high:.4g} um: its width differs by {wider:.2g} % of the range. "
+        "No plain Maxwell-slip model can follow that, with any number of elements and any spring: expect largest "
+        f"errors on it of {wider / 4:.2g} % at least, of {wider / 2:.2g} % as a rule.{single}",
+    )
 
 
 def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check:
     """Test that cycles from a known state that return to their voltage return to their displacement."""
     from scipy.special import ndtri
 
-    name = "Loop closure"
-    openings = []
+    name, openings = "Loop closure", []
     for item in training:
         open_by, noises = np.hstack([gaps(piece, item.noise) for _, piece, _ in item.delayed(0, delay)])
         if open_by.size:
@@ -244,71 +234,16 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
             floor = 100 * float(ndtri(1 - RULES.check_risk / (2 * open_by.size)) * noises.max()) / stroke
             openings.append((value / max(floor, RULES.smallest_pattern), value, floor, mean, open_by.size, item.name))
     if not openings:
-        sentence = "No cycle begins in a known state and returns to its voltage: record two equal cycles, or three."
-        return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, sentence)
-    ratio, value, floor, mean, cycles, record = max(openings)
+        return _unknown(
+            name, "No cycle begins in a known state and returns to its voltage: record two equal cycles, or three."
+        )
+    _, value, floor, mean, cycles, record = max(openings)
     sentence = (
         f"{record}: {counted(cycles, 'cycle')} back at the same voltage ended up to {value:.2g} % of the range "
         f"away, {mean:.2g} % in the mean."
     )
-    if ratio <= 1:
-        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, sentence)
-    sentence += (
-        " A loop that stays open creeps or drifts; the model does neither: wait before recording, or record slower."
-    )
-    return Check(name, Verdict.FAILS, value, floor, _OF_RANGE, sentence)
-
-
-def _creep_at_extremes(records: Sequence[Prepared], errors: Sequence[RecordErrors], delay: float) -> Check:
-    """Test how far the displacement creeps at an extreme of the voltage, which always leaves the same state."""
-    drifts = []
-    for item, error in zip(records, errors, strict=True):
-        if trend := _creep(item, delay):
-            value, floor = (100 * abs(number) / error.stroke for number in trend)
-            decades = max(float(np.ptp(curve)) for _, _, curve in item.delayed(0, delay))
-            aside = "it was set aside" if error.drift else "it was left in"
-            drifts.append(_Drift(value, floor, decades, item.name, aside))
-    if not drifts:
-        return _no_drift(
-            "No record returns three times to an extreme of its voltage: fewer cannot separate drift from hysteresis."
-        )
-    worst = max(drifts, key=_Drift.ratio)
-    if worst.ratio() <= 1 and not may_creep(worst.floor, worst.decades):
-        return _no_drift(
-            f"{worst.record}: its displacements at the ends of its voltages scatter too much to determine a drift."
-        )
-    return worst.check(
-        "at the ends of its voltages the displacement",
-        "creeps",
-        f"{worst.why}. The model does not depend on time: expect as much in use, or correct it by feedback",
-    )
-
-
-def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
-    """Test the slope of the legs' mean residuals over the logarithm of the time since the record's start."""
-    from scipy.special import stdtrit
-
-    drifts = []
-    for trace in training:
-        legs = _legs(trace)
-        if len(legs) <= _FEWEST:
-            continue
-        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - trace.time[0] for a, b in legs])
-        mean = np.array([float(trace.residual[a:b].mean()) for a, b in legs]) * 100 / stroke
-        decades = np.log10(np.maximum(middle, middle[middle > 0].min()))
-        off = decades - decades.mean()
-        slope = float(off @ mean / (off @ off))
-        rest = mean - mean.mean() - slope * off
-        scatter = float(np.sqrt(rest @ rest / (len(legs) - 2) / (off @ off)))
-        floor = float(stdtrit(len(legs) - 2, 1 - RULES.check_risk / (2 * len(training)))) * scatter
-        drifts.append(_Drift(abs(slope), floor, float(np.ptp(decades)), trace.record))
-    if not drifts:
-        return _no_drift("No record has enough legs to determine a drift.")
-    return max(drifts, key=_Drift.ratio).check(
-        "the residual",
-        "drifts",
-        "the actuator creeps longer than the model's branches, or its surroundings changed; expect as much in use",
-    )
+    why = " A loop that stays open creeps or drifts; the model does neither: wait before recording, or record slower."
+    return _tested(name, value, floor, sentence, sentence + why)
 
 
 class _Drift(NamedTuple):
@@ -333,86 +268,43 @@ class _Drift(NamedTuple):
         if not may_creep(value, self.decades):
             value, floor, unit = value * self.decades, floor * self.decades, _OF_RANGE
             sentence = f"{self.record}: {what} drifts by {value:.3g} % of the range in all"
-        if self.ratio() > 1:
-            return Check("No drift", Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")
-        return Check("No drift", Verdict.HOLDS, value, floor, unit, f"{sentence}, {_calm(value)}.")
+        verdict = Verdict.FAILS if self.ratio() > 1 else Verdict.HOLDS
+        rest = f": {why}." if verdict is Verdict.FAILS else f", {_calm(value)}."
+        return Check("No drift", verdict, value, floor, unit, sentence + rest)
 
 
-def _no_drift(sentence: str) -> Check:
-    return Check("No drift", Verdict.UNKNOWN, None, None, "% a decade", sentence)
-
-
-def _calm(value: float) -> str:
-    """Return why a value [% of the range] below its floor is no pattern."""
-    return "which does not matter" if value <= RULES.smallest_pattern else "which scatter explains"
+def _creep_at_extremes(records: Sequence[Prepared], errors: Sequence[RecordErrors], delay: float) -> Check:
+    """Test how far the displacement creeps at an extreme of the voltage, which always leaves the same state."""
+    drifts = []
+    for item, error in zip(records, errors, strict=True):
+        if trend := _creep(item, delay):
+            value, floor = (100 * abs(number) / error.stroke for number in trend)
+            decades = max(float(np.ptp(curve)) for _, _, curve in item.delayed(0, delay))
+            aside = "it was set aside" if error.drift else "it was left in"
+            drifts.append(_Drift(value, floor, decades, item.name, aside))
+    fewer = "No record returns three times to an extreme of its voltage: fewer cannot separate drift from hysteresis."
+    if not drifts:
+        return _unknown("No drift", fewer, "% a decade")
+    worst = max(drifts, key=_Drift.ratio)
+    if worst.ratio() <= 1 and not may_creep(worst.floor, worst.decades):
+        scatter = (
+            f"{worst.record}: its displacements at the ends of its voltages scatter too much to determine a drift."
+        )
+        return _unknown("No drift", scatter, "% a decade")
+    return worst.check(
+        "at the ends of its voltages the displacement",
+        "creeps",
+        f"{worst.why}. The model does not depend on time: expect as much in use, or correct it by feedback",
+    )
 
 
 def _creep(item: Prepared, delay: float) -> tuple[float, float] | None:
     return creep([(piece, curve) for _, piece, curve in item.delayed(0, delay)], item.noise, RULES.check_risk)
 
 
-# Places along the stroke; least legs at a place that have a scatter.
+# Places along the stroke; least legs at a place, or of a record, that have a scatter.
 _PLACES = 12
 _FEWEST = 3
-
-
-@dataclass(frozen=True, eq=False)
-class _Means:
-    """Mean residual of each leg at each place.
-
-    `place`, `residual` (m,): number of the place, and residual in % of the range. `up` (m,) bool: whether the leg
-    rises. `edges` (_PLACES + 1,): edges of the places [m]. `noise`: standard deviation of a residual [% of the range].
-    """
-
-    place: NDArray[np.intp]
-    residual: Array
-    up: NDArray[np.bool_]
-    edges: Array
-    noise: float
-
-    @classmethod
-    def of(cls, traces: Sequence[Trace], stroke: float) -> _Means:
-        low = min(float(trace.simulated.min()) for trace in traces)
-        high = max(float(trace.simulated.max()) for trace in traces)
-        edges = np.linspace(low, high, _PLACES + 1)
-        legs: list[tuple[int, float, bool]] = []
-        squares, count = 0.0, 0
-        for trace in traces:
-            percent = 100 * trace.residual / stroke
-            at = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
-            for start, stop in _legs(trace):
-                up = bool(trace.voltage[stop - 1] > trace.voltage[start])
-                total = np.bincount(at[start:stop], weights=percent[start:stop], minlength=_PLACES)
-                size = np.bincount(at[start:stop], minlength=_PLACES)
-                legs += [(k, float(total[k] / size[k]), up) for k in np.flatnonzero(size).tolist()]
-            squares, count = squares + float(np.sum(percent**2)), count + percent.size
-        place, residual, up_ = (np.array(column) for column in zip(*legs, strict=True))
-        return cls(place.astype(np.intp), residual, up_.astype(bool), edges, float(np.sqrt(squares / max(count, 1))))
-
-    def at(self, k: int, up: bool) -> tuple[float, float, int]:
-        """Return mean, standard deviation and number of the legs of one direction at a place; NaN without any."""
-        residuals = self.residual[(self.place == k) & (self.up == up)]
-        if not residuals.size:
-            return float("nan"), 0.0, 0
-        spread = float(residuals.std(ddof=1)) if residuals.size >= _FEWEST else self.noise
-        return float(residuals.mean()), spread / float(np.sqrt(residuals.size)), residuals.size
-
-    def largest(self, sign: int) -> tuple[float, float, float]:
-        """Return place [m], size and floor by scatter [%] of the largest half of rising plus sign times falling."""
-        from scipy.special import stdtrit
-
-        places = []
-        for k in range(_PLACES):
-            (up, rise_scatter, rises), (down, fall_scatter, falls) = self.at(k, True), self.at(k, False)
-            # The scatter of few legs is uncertain: Student's quantile, for the worst of all places.
-            factor = float(stdtrit(max(min(rises, falls) - 1, _FEWEST - 1), 1 - RULES.check_risk / (2 * _PLACES)))
-            value, scatter = 0.5 * (up + sign * down), 0.5 * factor * float(np.hypot(rise_scatter, fall_scatter))
-            if np.isfinite(value):
-                places.append((abs(value) / max(scatter, RULES.smallest_pattern), abs(value), scatter, k))
-        if not places:
-            return float("nan"), float("nan"), float("nan")
-        _, value, scatter, k = max(places)
-        return 0.5 * float(self.edges[k] + self.edges[k + 1]), value, scatter
 
 
 def _legs(trace: Trace) -> list[tuple[int, int]]:
@@ -421,52 +313,91 @@ def _legs(trace: Trace) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges) if b - a > 1]
 
 
-def _rising(actuator: Actuator, stroke: float) -> Check:
-    slopes = Slopes.of(actuator.slip, actuator.spring)
-    least = np.minimum(slopes.rising, slopes.falling)
-    k = int(np.argmin(least))
-    low, high = actuator.limits or (0.0, 0.0)
-    known = actuator.identification
-    allowed = (0.0 if known is None else known.slope_floor) * (high - low) / stroke
-    value, floor = float(least[k]) * 1e-6, allowed * 1e-6 if allowed else None
-    sentence = f"The least slope of an outermost branch is {value:.3g} V/um, at {slopes.displacement[k] * 1e6:.4g} um."
-    verdict = Verdict.HOLDS
-    if floor is not None and value <= floor * 1.01:
-        verdict = Verdict.UNKNOWN
-        sentence += (
-            " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."
-        )
-    return Check("Rising branches", verdict, value, floor, "V/um", sentence)
+def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
+    """Test the slope of the legs' mean residuals over the logarithm of the time since the record's start."""
+    from scipy.special import stdtrit
 
-
-def _residual_width(means: _Means) -> Check:
-    at, value, floor = means.largest(-1)
-    return _pattern(
-        "Width",
-        value,
-        floor,
-        f"Residuals of rising and of falling branches lie up to {2 * value:.2g} % of the range "
-        f"apart, most at {at * 1e6:.4g} um",
-        "the loops are wider or narrower there than those of the model: add elements, grades, or loops that turn there",
+    drifts = []
+    for trace in training:
+        legs = _legs(trace)
+        if len(legs) <= _FEWEST:
+            continue
+        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - trace.time[0] for a, b in legs])
+        mean = np.array([float(trace.residual[a:b].mean()) for a, b in legs]) * 100 / stroke
+        decades = np.log10(np.maximum(middle, middle[middle > 0].min()))
+        off = decades - decades.mean()
+        slope = float(off @ mean / (off @ off))
+        rest = mean - mean.mean() - slope * off
+        scatter = float(np.sqrt(rest @ rest / (len(legs) - 2) / (off @ off)))
+        floor = float(stdtrit(len(legs) - 2, 1 - RULES.check_risk / (2 * len(training)))) * scatter
+        drifts.append(_Drift(abs(slope), floor, float(np.ptp(decades)), trace.record))
+    if not drifts:
+        return _unknown("No drift", "No record has enough legs to determine a drift.", "% a decade")
+    return max(drifts, key=_Drift.ratio).check(
+        "the residual",
+        "drifts",
+        "the actuator creeps longer than the model's branches, or its surroundings changed; expect as much in use",
     )
 
 
-def _middle(means: _Means) -> Check:
-    at, value, floor = means.largest(1)
-    return _pattern(
-        "Middle line",
-        value,
-        floor,
-        f"The middle between rising and falling residuals lies up to {value:.2g} % of the "
-        f"range off, most at {at * 1e6:.4g} um",
-        "the spring or tau bends more sharply there than their knots allow",
-    )
+def _patterns(traces: Sequence[Trace], stroke: float) -> tuple[Check, Check]:
+    """Test that mean residuals of rising and falling legs lie neither apart nor off together at any place."""
+    from scipy.special import stdtrit
 
+    low = min(float(trace.simulated.min()) for trace in traces)
+    high = max(float(trace.simulated.max()) for trace in traces)
+    edges = np.linspace(low, high, _PLACES + 1)
+    # Mean residuals [% of the range] of rising and of falling legs at each place.
+    means: dict[tuple[int, bool], list[float]] = {}
+    squares, count = 0.0, 0
+    for trace in traces:
+        percent = 100 * trace.residual / stroke
+        at = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
+        for start, stop in _legs(trace):
+            up = bool(trace.voltage[stop - 1] > trace.voltage[start])
+            total = np.bincount(at[start:stop], weights=percent[start:stop], minlength=_PLACES)
+            size = np.bincount(at[start:stop], minlength=_PLACES)
+            for k in np.flatnonzero(size).tolist():
+                means.setdefault((k, up), []).append(float(total[k] / size[k]))
+        squares, count = squares + float(np.sum(percent**2)), count + percent.size
+    noise = sqrt(squares / max(count, 1))
 
-def _pattern(name: str, value: float, floor: float, sentence: str, why: str) -> Check:
-    if not np.isfinite(value):
+    def scatter(values: list[float]) -> float:
+        """Return the standard deviation of a mean."""
+        return (float(np.std(values, ddof=1)) if len(values) >= _FEWEST else noise) / sqrt(len(values))
+
+    def largest(sign: int) -> tuple[float, float, float]:
+        """Return place [um], size and floor by scatter of the largest half of rising plus sign times falling."""
+        places = []
+        for k in range(_PLACES):
+            up, down = means.get((k, True), []), means.get((k, False), [])
+            if not (up and down):
+                continue
+            # The scatter of few legs is uncertain: Student's quantile, for the worst of all places.
+            free = max(min(len(up), len(down)) - 1, _FEWEST - 1)
+            factor = float(stdtrit(free, 1 - RULES.check_risk / (2 * _PLACES)))
+            value = abs(0.5 * (float(np.mean(up)) + sign * float(np.mean(down))))
+            floor = 0.5 * factor * hypot(scatter(up), scatter(down))
+            places.append((value / max(floor, RULES.smallest_pattern), value, floor, k))
+        _, value, floor, k = max(places)
+        return 0.5e6 * float(edges[k] + edges[k + 1]), value, floor
+
+    if not any((k, True) in means and (k, False) in means for k in range(_PLACES)):
         unpassed = "No place is passed in both directions."
-        return Check(name, Verdict.UNKNOWN, None, None, _OF_RANGE, unpassed)
-    if value <= max(floor, RULES.smallest_pattern):
-        return Check(name, Verdict.HOLDS, value, floor, _OF_RANGE, f"{sentence}, {_calm(value)}.")
-    return Check(name, Verdict.FAILS, value, floor, _OF_RANGE, f"{sentence}: {why}.")
+        return _unknown("Width", unpassed), _unknown("Middle line", unpassed)
+    place, value, floor = largest(-1)
+    sentence = (
+        f"Residuals of rising and of falling branches lie up to {2 * value:.2g} % of the range apart, most at "
+        f"{place:.4g} um"
+    )
+    why = (
+        "the loops are wider or narrower there than those of the model: add elements, grades, or loops that turn there"
+    )
+    width = _tested("Width", value, floor, f"{sentence}, {_calm(value)}.", f"{sentence}: {why}.")
+    place, value, floor = largest(1)
+    sentence = (
+        f"The middle between rising and falling residuals lies up to {value:.2g} % of the range off, most at "
+        f"{place:.4g} um"
+    )
+    why = "the spring or tau bends more sharply there than their knots allow"
+    return width, _tested("Middle line", value, floor, f"{sentence}, {_calm(value)}.", f"{sentence}: {why}.")

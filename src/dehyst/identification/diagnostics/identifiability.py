@@ -121,10 +121,15 @@ def identifiability(records: list[Record], grid: Grid, *, relaxed: Collection[in
     spacing = float(np.diff(breakaway, prepend=0.0).min())
     turns = [_turns(record, spacing, grid.knots[[0, -1]]) for record in records]
     points = int(np.clip(_MOST_ROWS // max(1, sum(map(len, turns))), 20, 4 * breakaway.size + 20))
-    kept = [(q, places) for q, places in enumerate(turns) if len(places) > 2 or (q in relaxed and len(places) > 1)]
-    outlines = [(q, _outline(places, points)) for q, places in kept]
-    numbered = [(q, outline, np.zeros(len(outline))) for q, outline in outlines]
-    rows, _ = collect(numbered, breakaway, [0.0] * len(outlines), relaxed=relaxed)
+    numbered = []
+    for q, places in enumerate(turns):
+        if len(places) > 2 or (q in relaxed and len(places) > 1):
+            # Straight legs between turning points, the voltage equal to the displacement.
+            legs = [np.linspace(a, b, points + 1)[1:] for a, b in pairwise(places)]
+            path = np.concatenate([places[:1], *legs])
+            outline = Record(np.arange(path.size, dtype=float), path, path, "outline")
+            numbered.append((q, outline, np.zeros(path.size)))
+    rows, _ = collect(numbered, breakaway, [0.0] * len(numbered), relaxed=relaxed)
     count = int(np.count_nonzero(movable))
     if not len(rows) or not count:
         return Identifiability(breakaway, movable, np.zeros(count), np.eye(count))
@@ -177,13 +182,6 @@ def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
         if len(kept) >= 6 and kept[-6:-4] == kept[-4:-2] == kept[-2:]:
             del kept[-2:]
     return kept
-
-
-def _outline(turns: list[float], points: int) -> Record:
-    """Return straight legs between turning points, the voltage equal to the displacement."""
-    legs = [np.linspace(a, b, points + 1)[1:] for a, b in pairwise(turns)]
-    path = np.concatenate([[turns[0]], *legs])
-    return Record(np.arange(path.size, dtype=float), path, path, "outline")
 
 
 def _sparsest(space: Array) -> list[Array]:

@@ -152,15 +152,11 @@ def monotone(piece: Record) -> Record:
 
     y = piece.displacement.copy()
     for start, stop, rising in _counted_legs(piece):
-        upward = _drifts_up(y[start:stop]) if rising is None else rising
-        y[start:stop] = isotonic_regression(y[start:stop], increasing=upward).x
+        part, quarter = y[start:stop], max((stop - start) // 4, 1)
+        upward = bool(part[-quarter:].mean() >= part[:quarter].mean()) if rising is None else rising
+        y[start:stop] = isotonic_regression(part, increasing=upward).x
     y.flags.writeable = False
     return replace(piece, displacement=y)
-
-
-def _drifts_up(y: Array) -> bool:
-    quarter = max(y.size // 4, 1)
-    return bool(y[-quarter:].mean() >= y[:quarter].mean())
 
 
 def _legs(piece: Record) -> list[tuple[int, int, bool | None]]:

@@ -13,7 +13,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
-from dehyst.identification.preprocessing.regressors import Epoch, epochs
+from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import Creep
 from dehyst.records import Record
@@ -33,16 +33,12 @@ def block_of(record: Record, most: float) -> int:
     if not cycles:
         return 1
     fastest = min(cycle.stop - cycle.start for cycle in cycles) / _A_CYCLE
-    of_motion = 1 / (_TIMES * bandwidth(_without_jumps(record), record.sample_time, _SHARE) * record.sample_time)
+    voltage = record.voltage
+    if record.counted is not None:
+        # Changes in what is set aside do not count.
+        voltage = np.cumsum(np.where(record.counted, np.diff(voltage, prepend=voltage[0]), 0.0))
+    of_motion = 1 / (_TIMES * bandwidth(voltage, record.sample_time, _SHARE) * record.sample_time)
     return max(int(min(fastest, of_motion, most)), 1)
-
-
-def _without_jumps(record: Record) -> Array:
-    """Return the voltage (n,) [V] without its changes in what is set aside, where no sample counts."""
-    if record.counted is None:
-        return record.voltage
-    moves = np.diff(record.voltage, prepend=record.voltage[0])
-    return np.asarray(np.cumsum(np.where(record.counted, moves, 0.0)))
 
 
 def block_means(record: Record, block: int) -> Record:
@@ -182,9 +178,9 @@ class Prepared:
                 late = replace(late, voltage=late.voltage - strain)
             yield late
 
-    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[tuple[int, Record, Array]]:
-        """Return (record number, piece with acting voltage, drift curve) of each piece, for `collect`."""
-        return [(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
+    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[Piece]:
+        """Return each piece with acting voltages and its drift curve, as one of the record of this number."""
+        return [Piece(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
 
     def drift_curve(self, piece: Record) -> Array:
         """Return the curve of a drift at the samples of a piece: a logarithm of the time since the record began.

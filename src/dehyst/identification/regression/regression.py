@@ -367,8 +367,17 @@ class Regression:
 
     def fit_nuisances(self, found: Coefficients) -> Coefficients:
         """Fit only the constants, drifts and starts of all rows, for a model that is given; no starts in blocks."""
-        if self.source is not None and not self.whole:
-            return self._fit_nuisances_in_blocks(self.source, found)
+        if (source := self.source) is not None and not self.whole:
+            every = replace(self, epochs=np.arange(source.count))
+
+            def columns(one: Regression) -> tuple[Array, Array, Array]:
+                return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
+
+            def tables() -> Iterator[Table]:
+                for one in every._blocks(source):
+                    yield *columns(one), one._relative_weights(found)
+
+            return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
         fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))
@@ -382,18 +391,6 @@ class Regression:
             constraints=limits if stiffness.size else None,
         )
         return self._with_nuisances(found, answer)
-
-    def _fit_nuisances_in_blocks(self, source: RowSource, found: Coefficients) -> Coefficients:
-        every = replace(self, epochs=np.arange(source.count))
-
-        def columns(one: Regression) -> tuple[Array, Array, Array]:
-            return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
-
-        def tables() -> Iterator[Table]:
-            for one in every._blocks(source):
-                yield *columns(one), one._relative_weights(found)
-
-        return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
 
     def at(self, x: Array) -> Coefficients:
         """Return the coefficients of the unknowns (q,) that are not negative, without constants and starts."""

@@ -198,18 +198,28 @@ def _exchanged(program: Problem, first: _Minimum) -> _Minimum:
     moving, active = first.moving.copy(), first.active.copy()
     for _ in range(_ROUNDS):
         x, multipliers = _on_face(program, moving, active)
-        size, steep = np.abs(x).max(initial=1.0), np.abs(image).max(initial=0.0)
-        reduced = triangle.T @ (triangle @ x - image) - program.matrix.T @ multipliers
-        below = moving & (x < -1e-13 * size)
-        below[:p] = False
-        missed = ~active & (program.matrix @ x < program.lower - 1e-13 * size)
-        pulled = ~moving & (reduced < -1e-12 * steep)
-        loose = active & (multipliers < -1e-12 * steep)
-        if not (below.any() or missed.any() or pulled.any() or loose.any()):
+        zero, flat = 1e-13 * np.abs(x).max(initial=1.0), 1e-12 * np.abs(image).max(initial=0.0)
+        gradient = triangle.T @ (triangle @ x - image)
+        wrong = _violated(program, (x, multipliers, gradient), moving, active, zero, flat)
+        if not wrong.any():
             x[p:] = np.maximum(x[p:], 0.0)
             return _Minimum(x, np.maximum(multipliers, 0.0), moving, active, "interior point and active set")
-        moving, active = (moving & ~below) | pulled, (active & ~loose) | missed
+        moving, active = moving ^ wrong[: moving.size], active ^ wrong[moving.size :]
     return first
+
+
+def _violated(
+    program: Problem, at: tuple[Array, Array, Array], moving: Mask, active: Mask, zero: float, flat: float
+) -> Mask:
+    """Return which coefficients, then inequalities (q + m,), are on the wrong side of their limits.
+
+    `at`: x, multipliers and gradient. `zero`, `flat`: how far below zero they may be.
+    """
+    x, multipliers, gradient = at
+    wrong = np.where(moving, x < -zero, gradient - program.matrix.T @ multipliers < -flat)
+    wrong[: program.free] = False
+    left = program.matrix @ x - program.lower
+    return np.append(wrong, np.where(active, multipliers < -flat, left < -zero))
 
 
 def _on_face(program: Problem, moving: Mask, active: Mask) -> tuple[Array, Array]:
@@ -392,12 +402,8 @@ def _exchanged_by_sums(program: Problem, moving: Mask, active: Mask) -> tuple[Ar
         if solution is None:
             return None
         x, multipliers = solution
-        pull = gram @ x - image - program.matrix.T @ multipliers
-        size, steep = np.abs(x).max(initial=TINY), np.abs(image).max(initial=TINY)
-        wrong = np.where(moving, x < -_ZERO * size, pull < -_FLAT * steep)
-        wrong[:free] = False
-        left = program.matrix @ x - program.lower
-        wrong = np.append(wrong, np.where(active, multipliers < -_FLAT * steep, left < -_ZERO * size))
+        zero, flat = _ZERO * np.abs(x).max(initial=TINY), _FLAT * np.abs(image).max(initial=TINY)
+        wrong = _violated(program, (x, multipliers, gram @ x - image), moving, active, zero, flat)
         count = int(np.count_nonzero(wrong))
         if not count:
             # Limits that contradict one another, or have no column that moves, cannot all be met.

@@ -12,7 +12,6 @@ async function request(path, options) {
   throw new Error(body.error ?? `The server answered with status ${response.status} ${response.statusText}.`);
 }
 
-const getJson = async (path) => (await request(path)).json();
 const getBuffer = async (path) => (await request(path)).arrayBuffer();
 
 async function post(path, body = {}) {
@@ -35,7 +34,7 @@ export const rig = (what, body) => post(`/api/rig/${what}`, body);
 
 export const wasmAddress = (model, period) => `/api/models/${model.id}/wasm?period=${period}`;
 export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComponent).join("/")}`;
-export const reportText = async (path) => (await request(fileAddress(path))).text();
+export const textOfFile = async (path) => (await request(fileAddress(path))).text();
 export const example = async () => new File([await getBuffer("/page/example.csv")], "example.csv");
 
 // News of the server; both ends of a WebSocket.
@@ -89,14 +88,6 @@ export async function scanColumns(scan) {
   return { time, wanted };
 }
 
-// The traces of a model: `records` with name, role, and which times were set aside; and `turns`, where they turned.
-const traces = new Map();
-export const tracesOf = ({ id }) => remembered(traces, id, () => getJson(`/api/models/${id}/traces`));
-
-export async function traceColumns(model, number) {
-  const [time, voltage, measured, simulated] = await getColumns(`/api/models/${model.id}/traces/${number}`, 4);
-  return { time, voltage, measured, simulated };
-}
 
 // Request a stop of the server and of the process that drives the rig; the answers to come, of either.
 export function stopRequests(emergency, patience) {

@@ -1,7 +1,7 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
+import { announce, button, problem } from "./acts.js";
 import { exportModel } from "./api.js";
 import { h } from "./dom.js";
-import { announce, button, problem } from "./forms.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
 import { chosenModel, openJobs, session } from "./state.js";

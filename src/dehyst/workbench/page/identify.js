@@ -1,7 +1,8 @@
 // The form that starts an identification.
+import { announce, button, problem } from "./acts.js";
 import { identify } from "./api.js";
 import { byId, h } from "./dom.js";
-import { Form, announce, button, fold, problem } from "./forms.js";
+import { Form, fold } from "./forms.js";
 import { LABELS } from "./labels.js";
 import { roleOf } from "./records.js";
 import { chooseModel, readyRecords } from "./state.js";

@@ -1,15 +1,12 @@
 // The second step: the identification as it runs, its verdict, its pictures, and all models side by side.
 import { cancelJob, endIdentification, remove } from "./api.js";
 import { h, table } from "./dom.js";
-import { announce, button, fold, list, problem } from "./forms.js";
-import { FitFigure, comparison } from "./fit_figure.js";
-import { inPage } from "./labels.js";
-import { duration, percent, range } from "./numbers.js";
+import { announce, button, problem } from "./acts.js";
+import { duration, length, percent, range } from "./numbers.js";
 import { chooseModel, chosenModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
 import { isOpen } from "./steps.js";
-import { fileLink, goTo, modelChoice, needsModel, verdictBlock } from "./verdict.js";
+import { fileLink, goTo, lightOf, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
 
-const fit = new FitFigure();
 const began = new Map(); // when the server said how long an identification has run
 const lately = new Map(); // status of each model as last seen
 
@@ -38,7 +35,9 @@ export function modelView({ models }) {
 }
 
 function body(model) {
-  const report = { class: "button", download: null, target: "_blank" };
+  const look = { class: "button", download: null, target: "_blank" };
+  const origin = model.rig ? `Calibrated on ${model.rig}.` : `Identified in ${duration(model.seconds)}.`;
+  const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
     h("div", { id: "verdict" }, verdictBlock(model)),
@@ -47,11 +46,13 @@ function body(model) {
       { class: "row next" },
       goTo("path", "Make a voltage"),
       goTo("trust", "How far to trust it"),
-      model.report && fileLink(model.report, "Read the report", report),
+      fileLink(model.report, "Read the report", look),
     ),
-    fit.show(model),
-    details(model),
+    h("p", { class: "muted" }, `${ranges} ${origin} `, removeButton(model)),
+    problem(`model ${model.id}`),
     comparison(readyModels(), model),
+    problem(model.report),
+    mounted(model.report)?.element,
   ];
 }
 
@@ -107,26 +108,42 @@ function runningCard(model) {
   );
 }
 
-function details(model) {
-  const heads = ["Record", "Role", "Largest error", "RMS error", "Samples", "Set aside"];
-  const rows = model.table.map((one) => [
-    one.record,
-    one.role,
-    percent(one.largest_percent),
-    percent(one.rms_percent),
-    String(one.samples ?? "\u2013"),
-    String(one.left_out ?? "\u2013"),
+// Models of the record on which the chosen one is judged, held out if there is one; nothing if there is none but it.
+function comparison(all, chosen) {
+  const uses = (model) => [...model.train, ...model.validate];
+  const record = chosen.validate[0] ?? chosen.train[0];
+  const models = all.filter((one) => uses(one).includes(record));
+  if (models.length < 2) return null;
+  // A smaller error is a better one only on the same records.
+  const records = models.map((one) => `${[...one.train].sort()} ${[...one.validate].sort()}`);
+  const same = new Set(records).size === 1;
+  const error = (name) => {
+    const best = same ? Math.min(...models.map((one) => one.verdict[name])) : NaN;
+    const mark = h("span", { class: "unseen" }, " (best)");
+    return ({ verdict }) =>
+      verdict[name] === best ? h("td", { class: "best" }, percent(best), mark) : h("td", {}, percent(verdict[name]));
+  };
+  const [largest, rms] = [error("largest_percent"), error("rms_percent")];
+  const light = ({ verdict }) => {
+    const [colour, words] = lightOf(verdict);
+    return h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
+  };
+  const text = { text: "Verdict", class: "text" };
+  const heads = ["Model", text, "Largest error", "Largest error", "RMS error", "Structure", "Time taken", "From"];
+  const rows = models.map((one) => [
+    one.name,
+    light(one),
+    largest(one),
+    length(one.verdict.largest_um),
+    rms(one),
+    one.options?.structure ?? "auto",
+    duration(one.seconds),
+    one.verdict.basis ?? "",
   ]);
-  const origin = model.rig ? `Calibrated on ${model.rig}.` : `Identified in ${duration(model.seconds)}.`;
-  const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return h(
-    "div",
-    { class: "more" },
-    h("h3", {}, "Error on each record, in % of the stroke"),
-    table("Error on each record", heads, rows),
-    h("p", { class: "muted" }, `${ranges} ${origin}`),
-    model.summary?.length > 0 && fold("Notes of the identification", list(model.summary.map(inPage))),
-    h("p", { class: "row" }, removeButton(model)),
-    problem(`model ${model.id}`),
+    "section",
+    { class: "comparison", "aria-labelledby": "comparison", key: "comparison" },
+    h("h2", { id: "comparison" }, "Models side by side"),
+    table("Error, verdict and time of each model", heads, rows),
   );
 }

@@ -1,16 +1,17 @@
 // The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
-import { remembered, scanColumns, tracesOf, wasmAddress, writeVoltage } from "./api.js";
+import { announce, button, complain, problem } from "./acts.js";
+import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
-import { Form, announce, button, complain, fold, list, problem } from "./forms.js";
+import { Form, fold, list } from "./forms.js";
 import { inPage } from "./labels.js";
-import { duration, limitsFrom, parsed, plain, range, roundDown, short, whole } from "./numbers.js";
-import { inserted, moved, plan, removed, sampled } from "./path.js";
+import { duration, limitsFrom, plain, range, roundDown, short, whole } from "./numbers.js";
+import { plan, sampled } from "./path.js";
 import { PathFigures, judged, verdict } from "./path_figures.js";
 import { parsedPath } from "./path_file.js";
 import { ScanForm } from "./scans.js";
 import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
-import { bandOf, fileLink, jobCards, lightOf, modelChoice, needsModel, remarksOf } from "./verdict.js";
+import { bandOf, fileLink, jobCards, lightOf, modelChoice, needsModel, remarksOf, reportOf } from "./verdict.js";
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
@@ -47,7 +48,7 @@ export function pathView(state) {
           "div",
           { class: "card" },
           sourceChoice(),
-          { scan: scanFields, points: pointsTable, file: fileField }[view.source](),
+          { scan: scanFields, points: pointsField, file: fileField }[view.source](),
           form.row(["low", "high", "slew", "rate"]),
           button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
           problem("path"),
@@ -97,47 +98,23 @@ function fileField() {
   );
 }
 
-// The points of a drawn path as a table.
-function pointsTable() {
-  const { points } = view;
-  const row = (point, k) => {
-    const change = (column) => (event) => {
-      const typed = point.map((one, i) => (i === column ? parsed(event.target.value) : one));
-      if (typed.every(Number.isFinite)) usePoints(moved(points, k, typed, 1e-6));
-    };
-    const input = (column, label) => {
-      const disabled = column === 0 && k === 0;
-      const about = { type: "text", inputmode: "decimal", value: plain(point[column], 5), onchange: change(column) };
-      return h("td", {}, h("input", { ...about, disabled, "aria-label": `${label} of point ${k + 1}` }));
-    };
-    const drop = { type: "button", class: "quiet", disabled: k === 0 || points.length <= 2 };
-    const onclick = () => usePoints(removed(points, k));
-    return h(
-      "tr",
-      {},
-      h("th", { scope: "row" }, String(k + 1)),
-      input(0, "Time in s"),
-      input(1, "Displacement in \u00b5m"),
-      h("td", {}, h("button", { ...drop, "aria-label": `Delete point ${k + 1}`, onclick }, "\u00d7")),
-    );
+// The points of a drawn path as text, a row a point.
+function pointsField() {
+  const typed = (event) => {
+    try {
+      usePoints(parsedPath(event.target.value));
+    } catch (error) {
+      cannotPlan(error.message);
+    }
   };
-  const add = () => {
-    const [time, displacement] = points.at(-1);
-    usePoints(inserted(points, [time + (time - points[0][0]) / (points.length - 1), displacement], 0).points);
-  };
-  const heads = ["No.", "Time (s)", "Displacement (\u00b5m)"].map((one) => h("th", { scope: "col" }, one));
+  const value = view.points.map((point) => point.map((one) => plain(one, 5)).join("  ")).join("\n");
+  const about = { id: "points", rows: String(Math.min(view.points.length + 1, 12)), spellcheck: "false" };
   return h(
     "div",
-    { class: "points", key: "points" },
-    h("p", { class: "muted" }, "Drag the points in the picture, or type here."),
-    h(
-      "table",
-      {},
-      h("caption", { class: "unseen" }, "Points of the path"),
-      h("thead", {}, h("tr", {}, heads, h("td", {}))),
-      h("tbody", {}, points.map(row)),
-    ),
-    h("button", { type: "button", onclick: add }, "Add a point"),
+    { class: "field", key: "points" },
+    h("label", { for: "points" }, "Points: time (s) and displacement (\u00b5m)"),
+    h("textarea", { ...about, value, onchange: typed }),
+    h("small", { class: "hint" }, "Drag the points in the picture, or type or paste here."),
   );
 }
 
@@ -194,7 +171,7 @@ async function planNow(model) {
     const { limits, slew, rate } = choices();
     const period = 1 / rate;
     const compiled = remembered(modules, `${model.id} ${period}`, () => load(wasmAddress(model, period)));
-    const [module, path, { turns: tested }] = await Promise.all([compiled, wantedPath(rate), tracesOf(model)]);
+    const [module, path, { tested }] = await Promise.all([compiled, wantedPath(rate), reportOf(model.report)]);
     if (asked !== view.asked) return;
     const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);

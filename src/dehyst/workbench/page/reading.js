@@ -1,7 +1,8 @@
 // The form that reads a file again with other options: columns, units, scales, sample rate.
+import { button, problem } from "./acts.js";
 import { readRecord } from "./api.js";
 import { h } from "./dom.js";
-import { Form, button, problem } from "./forms.js";
+import { Form } from "./forms.js";
 import { LABELS } from "./labels.js";
 import { numberFrom } from "./numbers.js";
 

@@ -1,8 +1,9 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
+import { announce, button, problem } from "./acts.js";
 import { example, readRecord, recordColumns, remove, upload } from "./api.js";
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
-import { announce, button, facts, fold, list, problem } from "./forms.js";
+import { facts, fold, list } from "./forms.js";
 import { identifyCard } from "./identify.js";
 import { inPage } from "./labels.js";
 import { bytes, duration, percent, range, short, whole } from "./numbers.js";

@@ -1,8 +1,9 @@
 // The sixth step: connect, look at the plan, confirm the limits, arm, calibrate or play, watch.
+import { button, problem } from "./acts.js";
 import { rig as request } from "./api.js";
 import { h, table } from "./dom.js";
 import { Figure } from "./figure.js";
-import { Form, button, facts, fold, list, options, problem } from "./forms.js";
+import { Form, facts, fold, list, options } from "./forms.js";
 import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
 import { MICROMETRES, SECONDS_AXIS, VOLTS, journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";

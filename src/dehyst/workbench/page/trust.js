@@ -1,19 +1,18 @@
 // The third step: how far to trust a model. The assessment with the path of the next step in it: what is promised along
 // it, and where it turns.
-import { assess, reportText } from "./api.js";
+import { announce, button, problem } from "./acts.js";
+import { assess } from "./api.js";
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
-import { announce, button, complain, problem } from "./forms.js";
 import { length } from "./numbers.js";
 import { turnsPicture } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { MICROMETRES, SECONDS_AXIS } from "./records.js";
-import { reportParts } from "./report.js";
-import { chosenModel, openJobs, redraw } from "./state.js";
-import { goTo, jobCards, modelChoice, needsModel, verdictBlock } from "./verdict.js";
+import { chosenModel, openJobs } from "./state.js";
+import { goTo, jobCards, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
-const assessed = { address: "", turns: null, parts: null }; // the assessment that is shown
+let drawn = null; // the plan in the pictures
 
 export function trustView() {
   const heading = h("h2", { class: "unseen" }, "Trust");
@@ -50,32 +49,25 @@ async function start(id) {
   announce("The assessment has begun.");
 }
 
-function assessment(model) {
-  if (assessed.address !== model.insight.report) loadReport(model.insight.report);
+function assessment({ insight }) {
+  const parts = mounted(insight.report);
   const plan = currentPlan();
-  if (plan && assessed.drawn !== plan) drawPath(plan);
   promise.element.hidden = !plan;
-  return [!plan && h("p", {}, "There is no path yet. ", goTo("path", "To the path")), assessed.parts];
-}
-
-async function loadReport(address) {
-  Object.assign(assessed, { address, parts: null });
-  try {
-    const { element, figures } = reportParts(await reportText(address));
-    const turns = figures.find((one) => one.title === "Turning points");
-    Object.assign(assessed, { parts: element, turns, drawn: null });
-    element.querySelector(".outcome").after(promise.element);
-    redraw();
-  } catch (error) {
-    complain("trust", error.message);
+  if (parts && promise.element.parentElement !== parts.element) {
+    parts.element.querySelector(".outcome").after(promise.element);
+    drawn = null;
   }
+  if (parts && plan && drawn !== plan) drawPath(plan, parts);
+  const none = h("p", {}, "There is no path yet. ", goTo("path", "To the path"));
+  return [problem(insight.report), !plan && none, parts?.element];
 }
 
 // Draw the path with its band, and where its voltage turns.
-function drawPath(plan) {
+function drawPath(plan, { figures }) {
   const { path, planned, band, tested } = plan;
-  assessed.drawn = plan;
-  if (tested) assessed.turns?.set(...turnsPicture(tested, planned.voltage));
+  drawn = plan;
+  const turns = figures.find((one) => one.title === "Turning points");
+  if (tested) turns?.set(...turnsPicture(tested, planned.voltage));
   const curve = (name, colour, y, more) => ({ name, colour, x: path.time, y, rising: true, width: 1.8, ...more });
   const series = [curve("wanted", "measured", path.wanted, { around: band })];
   if (planned.clamps.limited + planned.clamps.slewed) series.push(curve("reached", "simulated", planned.reached));

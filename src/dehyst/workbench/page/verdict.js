@@ -1,10 +1,12 @@
 // What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
+import { button, complain, problem } from "./acts.js";
+import { cancelJob, fileAddress, remembered, textOfFile } from "./api.js";
 import { h } from "./dom.js";
-import { button, fold, list, options, problem } from "./forms.js";
-import { cancelJob, fileAddress } from "./api.js";
+import { fold, list, options } from "./forms.js";
 import { inPage } from "./labels.js";
 import { length, percent } from "./numbers.js";
-import { chooseModel, chosenModel, readyModels } from "./state.js";
+import { reportParts } from "./report.js";
+import { chooseModel, chosenModel, readyModels, redraw } from "./state.js";
 import { openStep } from "./steps.js";
 
 const LIGHTS = {
@@ -51,6 +53,21 @@ export function modelChoice() {
   const about = { "aria-label": "Model", class: "model-choice", value: chosenModel().id, onchange };
   const select = h("select", about, options(models.map((one) => [one.id, one.name])));
   return h("p", { class: "row model-row" }, h("span", {}, "Model "), select);
+}
+
+// The parts of a report that is a file of the folder.
+const reports = new Map();
+export const reportOf = (path) => remembered(reports, path, async () => reportParts(await textOfFile(path)));
+
+// The same as soon as they are there; an error is shown in the place that is called like the file.
+const parts = new Map();
+export function mounted(path) {
+  if (!parts.has(path)) {
+    parts.set(path, null);
+    const arrived = (report) => parts.set(path, report) && redraw();
+    reportOf(path).then(arrived, (error) => complain(path, error.message));
+  }
+  return parts.get(path);
 }
 
 export const fileLink = (path, text, attributes = {}) =>

@@ -1,12 +1,11 @@
-// Fields that a person fills in, and buttons that act. What is typed is kept here, however often a page is drawn.
-import { byId, h } from "./dom.js";
+// Fields that a person fills in: what is typed is kept here, however often they are drawn. And lists of words.
+import { h } from "./dom.js";
 import { numberFrom } from "./numbers.js";
-import { redraw } from "./state.js";
 
 export class Form {
   // Fields by name: { label, value, unit, hint, placeholder, choices: [[value, text], ...], above, least, optional }.
-  // `changed` is called after each change by the person.
-  constructor(id, fields, changed = redraw) {
+  // `changed` is called with the name of a field after each change by the person.
+  constructor(id, fields, changed = () => {}) {
     Object.assign(this, { id, fields, changed });
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
   }
@@ -41,42 +40,6 @@ export class Form {
 }
 
 export const options = (choices) => choices.map(([value, text]) => h("option", { value, key: value }, text));
-
-// What went wrong, by the place where it is shown; and the buttons whose work goes on.
-const problems = new Map();
-const busy = new Set();
-
-export const problem = (place) =>
-  problems.get(place) && h("p", { class: "error", role: "alert", key: `problem ${place}` }, problems.get(place));
-
-export function complain(place, sentence) {
-  if ((problems.get(place) ?? "") === sentence) return;
-  problems.set(place, sentence);
-  redraw();
-}
-
-// A button that works: it is disabled meanwhile, and an error is shown in full in its place.
-export function button(text, place, work, properties = {}) {
-  const key = `${place} ${text}`;
-  const onclick = async () => {
-    busy.add(key);
-    complain(place, "");
-    redraw();
-    try {
-      await work();
-    } catch (error) {
-      complain(place, error.message);
-    }
-    busy.delete(key);
-    redraw();
-  };
-  return h("button", { type: "button", disabled: busy.has(key), onclick, ...properties }, text);
-}
-
-// Text for the screen reader alone.
-export function announce(text) {
-  byId("announcer").textContent = text;
-}
 
 export const facts = (pairs) =>
   h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));

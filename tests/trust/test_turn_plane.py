@@ -1,0 +1,88 @@
+"""The plane of turning points: which branches of loops the records test, how fast they went and how long they held."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from dehyst.trust.turn_plane import turn_plane
+
+RATE = 100.0
+
+
+def played(*ends, speed=10.0, hold=0.0):
+    """Ramps between voltages, each end held for some seconds."""
+    parts = []
+    for begin, end in itertools.pairwise(ends):
+        samples = round(abs(end - begin) / speed * RATE)
+        parts += [np.linspace(begin, end, samples, endpoint=False), np.full(round(hold * RATE), float(end))]
+    voltage = np.concatenate([*parts, [float(ends[-1])]])
+    return np.arange(voltage.size) / RATE, voltage
+
+
+def plane(*ends, **options):
+    return turn_plane([("loops", *played(*ends, **options))], (0.0, 100.0))
+
+
+def branch(found, begin, end):
+    """Whether a rise or fall between two voltages is tested."""
+    voltage = np.array([0.0, 100.0, begin, end] if end > begin else [100.0, 0.0, begin, end])
+    alone = found.untested(voltage)[0] - found.untested(voltage[:3])[0]
+    return alone == 0
+
+
+def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
+    found = plane(0, 100, 0, 80, 0, 60, 0, 40, 0, 20, 0)
+    for upper in (100, 80, 60, 40):
+        assert branch(found, 0, upper)
+        assert branch(found, upper, 0) and branch(found, upper, upper / 2)
+    assert not branch(found, 30, 70)
+    assert not branch(found, 50, 90)
+    assert found.sentence(played(0, 100, 0, 60, 0)[1]) == "This path turns where records turned."
+    assert found.untested(played(0, 100, 40, 80, 40, 100)[1]) == (2, 5)
+
+
+def test_a_branch_is_tested_as_far_as_a_record_went():
+    found = plane(0, 100, 50, 70, 0)
+    assert branch(found, 50, 70) and not branch(found, 50, 95)
+    # Within 5 % of the range.
+    assert branch(found, 52, 71)
+
+
+def test_the_rise_from_an_unknown_start_is_no_turn():
+    found = plane(50, 100, 0)
+    assert [(turn.begin, turn.end) for turn in found.turns] == [(100.0, 0.0)]
+    assert not branch(found, 50, 90)
+
+
+def test_speed_hold_and_number_of_turns_are_counted():
+    found = plane(*[0, 100] * 5, 0, speed=20.0, hold=3.0)
+    assert sorted(turn.times for turn in found.turns) == [5, 5]
+    assert found.longest_hold == pytest.approx(3.0, abs=0.2)
+    assert found.speeds == pytest.approx((12.5, 20.0), rel=0.4)
+    assert all("5 times" in turn.words for turn in found.turns)
+    assert plane(0, 100, 0, 100).longest_hold == 0
+
+
+def test_the_values_can_be_stored():
+    found = plane(0, 100, 0, 50, 0)
+    stored = json.loads(json.dumps(found.as_dict()))
+    cells = np.array([int(one) for one in stored["cells"]]).reshape(found.rising.shape)
+    assert np.array_equal(cells & 1, found.rising) and np.array_equal(cells >> 1, found.falling)
+    assert len(stored["names"]) == len(stored["lower_V"]) == len(found.turns)
+    assert (stored["edges_V"][0], stored["edges_V"][-1]) == (0, 100)
+
+
+def test_a_voltage_that_rests_has_no_plane():
+    rest = np.zeros(10)
+    assert turn_plane([("rest", np.arange(10.0), rest)]) is None
+    assert turn_plane([]) is None
+    assert turn_plane([("rest", np.arange(10.0), rest)], (0.0, 100.0)) is None
+
+
+def test_a_long_record_is_looked_at_in_steps():
+    time = np.linspace(0, 10, 1_000_000)
+    found = turn_plane([("long", time, 50 - 50 * np.cos(2 * np.pi * time))])
+    assert {round(turn.end, 1) for turn in found.turns} == {0.0, 100.0}
+    assert found.longest_hold == 0
