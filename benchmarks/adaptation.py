@@ -19,12 +19,14 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 import dehyst
 from dehyst.model.states import looped
+from dehyst.virtual import PlayActuator
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.protocols import PROTOCOLS, through
@@ -61,9 +63,7 @@ class Ageing:
         self.age, wider, one = age, 1 + WIDTH * age, self.mechanism
         kind = type(one)
         if kind.__name__ == "Relays":
-            centre, half = (
-                0.5 * (self.new["up_at"] + sign * self.new["down_at"]) for sign in (1, -1)
-            )
+            centre, half = (0.5 * (self.new["up_at"] + sign * self.new["down_at"]) for sign in (1, -1))
             one.up_at, one.down_at = centre + wider * half, centre - wider * half
         elif kind.__name__ == "Domains":
             one.pinning = tuple(wider * pinning for pinning in kind.pinning)
@@ -121,7 +121,7 @@ def cycle_of(rng: np.random.Generator, before: float, *, small: bool) -> np.ndar
     spread = np.array([1, 1, 1, 1]) if small else np.array([1, 6, 4, 1])
     order = [1, 0, 3, 2] if small else [0, 1, 2, 3]
     turns = [before, *(np.array(low)[order] + high * spread[order] * rng.random(4))]
-    legs = [max(8, round(LEG * abs(b - a))) for a, b in zip(turns[:-1], turns[1:], strict=True)]
+    legs = [max(8, round(LEG * abs(b - a))) for a, b in pairwise(turns)]
     return through(turns, legs)[1:]
 
 
@@ -189,8 +189,15 @@ def life(name: str, scenario: str, cycles: int, *, adaptive: bool, late: int = 0
         errors.append((np.abs(error).max(), np.sqrt(np.mean(error**2))))
     found = {"largest": [row[0] for row in errors], "rms": [row[1] for row in errors]}
     if adaptive:
-        found |= {"exchanges": sum(one.used for one in loop.log), "cycles": len(loop.log), "datum": 100 * loop.datum / (high - low)}
-        found["reasons"] = {reason: [one.reason.split(":")[0] for one in loop.log].count(reason) for reason in {one.reason.split(":")[0] for one in loop.log}}
+        found |= {
+            "exchanges": sum(one.used for one in loop.log),
+            "cycles": len(loop.log),
+            "datum": 100 * loop.datum / (high - low),
+        }
+        found["reasons"] = {
+            reason: [one.reason.split(":")[0] for one in loop.log].count(reason)
+            for reason in {one.reason.split(":")[0] for one in loop.log}
+        }
     return found
 
 
@@ -220,8 +227,6 @@ def compared(case: tuple[str, str, int]) -> dict:
 
 def lives(seeds: range, samples: int = 400) -> dict:
     """Count voltages outside limits or slew rate in random lives with sensors that lie."""
-    from dehyst.virtual import PlayActuator
-
     warnings.simplefilter("ignore")
     model = identified_play()
     outside = steep = steps = used = 0
@@ -233,8 +238,14 @@ def lives(seeds: range, samples: int = 400) -> dict:
         low, high = float(ends[0]), float(ends[1] + 0.05 * width)
         slew = None if rng.random() < 0.3 else float(width * 10 ** rng.uniform(0, 3))
         loop = dehyst.AdaptiveCompensator(
-            model, (low, high), slew, period=1e-3, warns=False, memory=float(1.5 + 10 * rng.random()),
-            zero_drifts=bool(rng.random() < 0.5), integral_time=None if rng.random() < 0.5 else float(10 ** rng.uniform(-3, 0)),
+            model,
+            (low, high),
+            slew,
+            period=1e-3,
+            warns=False,
+            memory=float(1.5 + 10 * rng.random()),
+            zero_drifts=bool(rng.random() < 0.5),
+            integral_time=None if rng.random() < 0.5 else float(10 ** rng.uniform(-3, 0)),
         )
         bottom, top = model.reach
         turns = rng.uniform(-0.2, 1.2, samples // 20)
@@ -269,8 +280,6 @@ def lives(seeds: range, samples: int = 400) -> dict:
 @cache
 def identified_play() -> dehyst.Actuator:
     """Return the Maxwell-slip model of a virtual actuator of plays."""
-    from dehyst.virtual import PlayActuator
-
     u = training("relays")[0]
     at = 1e-3 * np.arange(u.size)
     plant = PlayActuator(seed=0)
@@ -287,7 +296,8 @@ def cost(steps: int = 100_000) -> dict:
         plain = dehyst.Compensator(model, period=1e-3, warns=False)
         loop = dehyst.AdaptiveCompensator(model, period=1e-3, warns=False)
         aged = 0.97
-        for kind, step in (("plain", lambda w, _: plain.step(w)), ("adaptive", loop.step)):
+        steps_of = {"plain": lambda wanted, _, step=plain.step: step(wanted), "adaptive": loop.step}
+        for kind, step in steps_of.items():
             spent, last = np.empty(steps), low
             for i, wanted in enumerate(path):
                 begin = time.perf_counter()
@@ -316,7 +326,16 @@ def updated(name: str) -> dict:
     full, now = recorded(bench, training(name), now, seed=3)
     anew = dehyst.identify(full).actuator
     rng = np.random.default_rng(7)
-    test = through([0.0, *np.concatenate([[hi, lo] for hi, lo in zip(rng.uniform(0.5, 0.95, 15), rng.uniform(0.05, 0.45, 15), strict=True)]), 0.0], [60] * 31)
+    test = through(
+        [
+            0.0,
+            *np.concatenate(
+                [[hi, lo] for hi, lo in zip(rng.uniform(0.5, 0.95, 15), rng.uniform(0.05, 0.45, 15), strict=True)]
+            ),
+            0.0,
+        ],
+        [60] * 31,
+    )
     test, _ = recorded(bench, [test], now, seed=4)
     found = {"truth": name}
     candidates = {"old": old, "anew": anew}
@@ -327,7 +346,10 @@ def updated(name: str) -> dict:
     for kind, model in candidates.items():
         checked = dehyst.check(model, test[0])
         found[kind] = [100 * checked.largest / TRUTHS[name].stroke, 100 * checked.rms / TRUTHS[name].stroke]
-    found["ratio"] = {kind: [a / b for a, b in zip(found[kind], found["anew"], strict=True)] for kind in ("old", "one loop", "loop and minor loop")}
+    found["ratio"] = {
+        kind: [a / b for a, b in zip(found[kind], found["anew"], strict=True)]
+        for kind in ("old", "one loop", "loop and minor loop")
+    }
     return found
 
 
@@ -351,8 +373,8 @@ def main() -> None:
             for one in pool.map(compared, cases):
                 data["life"].append(one)
                 print(
-                    f"{one['truth']:9s} {one['scenario']:30s} end {one['adaptive_end'][0]:.2f} of {one['frozen_end'][0]:.2f}"
-                    f" = {one['end_ratio']:.3f}, life {one['life_ratio']:.2f}, mean {one['mean_ratio']:.2f}, cycle "
+                    f"{one['truth']:9s} {one['scenario']:30s} end {one['adaptive_end'][0]:.2f} of "
+                    f"{one['frozen_end'][0]:.2f} = {one['end_ratio']:.3f}, life {one['life_ratio']:.2f}, mean {one['mean_ratio']:.2f}, cycle "
                     f"{one['worst_cycle_ratio']:.2f} ({one['worst_cycle_ratio_raw']:.2f}), {one['exchanges']} of "
                     f"{one['cycles']}, datum {one['datum']:.2f} {one['reasons']}",
                     flush=True,
@@ -362,7 +384,9 @@ def main() -> None:
             print(*data["update"], sep="\n")
         if "lives" in parts:
             size = 250
-            runs = pool.map(lives, [range(first, min(first + size, options.lives)) for first in range(0, options.lives, size)])
+            runs = pool.map(
+                lives, [range(first, min(first + size, options.lives)) for first in range(0, options.lives, size)]
+            )
             total: dict[str, int] = {}
             for one in runs:
                 total = {key: total.get(key, 0) + value for key, value in one.items()}

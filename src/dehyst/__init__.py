@@ -91,13 +91,13 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError", "Dynamics"]
-__all__ += ["FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip", "MissingExtraError", "ModelError"]
-__all__ += ["Motion", "Outcome", "Physical", "Record", "RecordError", "RecordErrors", "RigError", "SmoothSlip"]
-__all__ += ["Snapshot", "Spring", "Stage", "StageCompensator", "StageFit", "State", "Structure", "Trace"]
-__all__ += ["Transformer", "VoltageLimits", "__version__", "calibrate", "check", "compare", "export", "export_fmu"]
-__all__ += ["export_wasm", "identify", "identify_stage", "insight", "read", "shortest_homing", "wave_table"]
-__all__ += ["write_record"]
+__all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
+__all__ += ["DehystError", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip"]
+__all__ += ["MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record", "RecordError"]
+__all__ += ["RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage", "StageCompensator", "StageFit"]
+__all__ += ["State", "Structure", "Trace", "Transformer", "Update", "VoltageLimits", "__version__", "calibrate"]
+__all__ += ["check", "compare", "export", "export_fmu", "export_wasm", "identify", "identify_stage", "insight"]
+__all__ += ["read", "shortest_homing", "update", "wave_table", "write_record"]
 
 
 def __getattr__(name: str) -> object:

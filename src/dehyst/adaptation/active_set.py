@@ -6,8 +6,8 @@ import numpy as np
 
 from dehyst._types import Array, Mask
 
-# Parts of the largest term: a step, and a multiplier, that are rounding.
-_STILL, _FLAT = 1e-10, 1e-9
+# Parts of the largest term: a step, and a multiplier, that are rounding; and a ridge, for rows may be dependent.
+_STILL, _FLAT, _DEPENDENT = 1e-10, 1e-9, 1e-14
 
 
 class StepwiseProgram:
@@ -40,8 +40,8 @@ class StepwiseProgram:
         system[:size, :size] = self._gram[np.ix_(free, free)]
         system[size:, :size] = rows[:, free]
         system[:size, size:] = -rows[:, free].T
-        # Rows that depend on one another on this face.
-        system[np.arange(size, len(system)), np.arange(size, len(system))] = _STILL * np.trace(self._gram) / len(pull)
+        places = np.arange(size, len(system))
+        system[places, places] = _DEPENDENT * np.trace(self._gram) / pull.size
         answer = np.linalg.solve(system, np.concatenate([-pull[free], np.zeros(len(rows))]))
         direction, forces = np.zeros(pull.size), answer[size:]
         direction[free] = answer[:size]

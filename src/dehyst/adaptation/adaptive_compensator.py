@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import exp, nan
+from math import exp, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -73,8 +73,9 @@ class AdaptiveCompensator:
     time_constant : float, optional
         The same in seconds, instead of cycles; needs a period.
     zero_drifts : bool, optional
-        Whether the sensor's zero may drift (default). No loop can tell that from an actuator that moves as a whole: the
-        offset is then learnt only as far as a change of gain and loop width explains it, and `datum` holds the rest.
+        Whether the sensor's zero may differ from that of the model's records, and drift (default). No loop can tell
+        that from an actuator that moves as a whole: an offset at the beginning is then not learnt, a later one only as
+        far as a change of gain and loop width explains it, and `datum` holds the rest.
     integral_time : float, optional
         Time [s] in which an integral action removes what is measured as error; it trusts the sensor's zero, and needs a
         period. It stands still while a voltage is clamped or nothing is measured. Default: none.
@@ -176,7 +177,7 @@ class AdaptiveCompensator:
         """Return what the integral action adds to the path; it waits while a voltage is clamped."""
         wanted, voltage = last
         low, high = self._compensator.limits
-        if measured == measured and low < voltage < high and not self._contradicted:
+        if not isnan(measured) and low < voltage < high and not self._contradicted:
             # The path that was wanted is that without the correction before.
             error = wanted - self._correction - measured
             limit = self._most_correction
@@ -187,7 +188,7 @@ class AdaptiveCompensator:
     def _contradicted(self) -> bool:
         """Whether the last cycle was refused because of its sensor."""
         log = self._estimator.log
-        return bool(log) and log[-1].error != log[-1].error
+        return bool(log) and isnan(log[-1].error)
 
     def _advance(self) -> None:
         """Do a bounded amount of the work that there is."""
@@ -217,6 +218,7 @@ class AdaptiveCompensator:
             change = loop.bounds.largest_step(seconds) * (1 - 1e-9)
             clamped |= np.abs(np.diff(sent, prepend=sent[:1])) >= change
         wanted, measured = table[:, 0] / self._per_metre, table[:, 2] / self._per_metre
+        measured[~np.isfinite(measured)] = nan
         keep = exp(-1 / self._memory)
         if self._time_constant is not None and seconds is not None:
             keep = exp(-end * seconds / self._time_constant)
@@ -296,7 +298,7 @@ class _Turns:
         for place in range(self.seen, len(rows)):
             wanted = rows[place][0]
             moved = wanted - self._extreme
-            if moved != moved or moved * self._direction > 0:
+            if isnan(moved) or moved * self._direction > 0:
                 self._extreme, self._at = wanted, place
             elif abs(moved) > self.least:
                 end, self._extreme, self._at = self._at, wanted, place

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ _CHUNK, _STEPS = 32, 60
 # Strength of the model as it was given beside all cycles in memory, and of the likeness of neighbours' changes.
 _RIDGE, _ALIKE = 1e-2, 1e-1
 # Cycles before the first exchange; other weights must predict a cycle better than the present ones by this part.
-_FIRST, _BETTER = 3, 0.95
+_FIRST, _BETTER = 5, 0.95
 # Largest change of the displacement that one exchange makes, as a part of the reach.
 _TRUST = 0.02
 # Allowed mean slope of the spring and friction of all elements, of those of the model as it was given.
@@ -73,7 +74,8 @@ class Exchange:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {name: None if value != value else value for name, value in asdict(self).items()}
+        values = asdict(self)
+        return values | {name: None for name in ("error", "offered") if isnan(values[name])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class Estimator:
     """Factors of the weights of an actuator, as the cycles of a path show them.
 
     `state`: of the actuator before the first cycle. `zero_drifts`: whether the sensor's zero may drift, so that an
-    offset is learnt only as far as a change of gain and loop explains it.
+    offset is learnt only as far as a change of gain and loop explains it; else it is that of the model's axis.
     """
 
     def __init__(self, actuator: Actuator, state: State, zero_drifts: bool) -> None:
@@ -108,7 +110,7 @@ class Estimator:
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
         self._tracker = Tracker(self.weights, state)
         self._usual, self._odd, self._learnt = deque[float](maxlen=9), 0, 0
-        self._lagging = np.zeros(1)
+        self._lagging: Array = np.zeros(1)
         low, high = actuator.reach
         self.reach = high - low
         self._slope = float(np.ptp(actuator.voltage_range)) / self.reach
@@ -191,9 +193,10 @@ class Estimator:
         self._usual.append(error)
         left = float(mean[-2] - mean[:-2] @ self.factors) - self.constant
         self.datum -= left / self._slope
+        if self._zero_drifts and self.factors is self.weights.initial:
+            # The sensor's zero while the model is believed.
+            self._zero += (self.datum - self._zero) / min(self._learnt + 1, _FIRST)
         if self._learnt < _FIRST:
-            # The sensor's zero as it was while the model was believed.
-            self._zero += (self.datum - self._zero) / (self._learnt + 1)
             self._note(cycle, "too few cycles yet", error)
             return
         offered = self._error(centred, self._program.x)
@@ -245,7 +248,7 @@ class Estimator:
         return float(np.sqrt(max(vector @ centred @ vector, 0.0))) / self._slope
 
     def _trusted(self, centred: Array, offered: Array) -> tuple[str, Array]:
-        """Return why an offer is not of that actuator any more, else "", and the factors as far as one exchange goes."""
+        """Return why an offer is of another actuator, else "", and the factors as far as one exchange goes."""
         change = np.append(offered - self.factors, 0.0)
         moved = float(np.sqrt(max(change @ centred @ change, 0.0))) / self._slope
         share = min(1.0, _TRUST * self.reach / moved) if moved else 1.0

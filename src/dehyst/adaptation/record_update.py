@@ -23,8 +23,9 @@ from dehyst.trust import Change, Recheck, check
 
 # Groups of weights: more than in a loop, for time does not matter here.
 _ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
-# Strengths of the prior that are tried, as parts of what the record says; likeness of neighbours beside it.
-_STRENGTHS, _ALIKE = np.geomspace(1e-5, 10, 13), 10.0
+# Likeness of neighbours that is tried, as a part of what the record says, and smallness of all changes beside it: a
+# strong likeness leaves a common change of all elements, and one of the spring.
+_STRENGTHS, _SMALL = np.geomspace(1e-5, 1e2, 15), 1e-4
 # Contiguous parts of the record: held out by equations for the choice of a strength, and by simulation for the promise.
 _FOLDS, _PROMISED = 8, 3
 # The updated model must predict held-out samples better than the old one by this part.
@@ -142,40 +143,45 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     recheck = check(actuator, record, goal=goal)
     if recheck.mismatch:
         raise IdentifyError(f"{recheck.mismatch}. The model is not updated")
+    trace = recheck.trace
+    datum = float(np.mean(trace.measured - np.interp(trace.time, record.time, record.displacement)))
     with one_thread():
-        return _Rows(actuator, record, recheck).update()
+        rows = _Rows(actuator, record, recheck, datum)
+        strength = rows.strength()
+        if not rows.constant(rows.factors(rows.sums.sum(axis=0), strength))[1]:
+            # The sensor kept its zero: the record lies on the model's axis as it is.
+            rows = _Rows(actuator, record, recheck, 0.0)
+            strength = rows.strength()
+        return rows.update(strength)
 
 
 class _Rows:
     """The rows of a record in the weights of a model, less its constants, drift and creep before it, and their sums."""
 
-    def __init__(self, actuator: Actuator, record: Record, recheck: Recheck) -> None:
+    def __init__(self, actuator: Actuator, record: Record, recheck: Recheck, datum: float) -> None:
         self.weights, self.recheck, self.record = Weights.of(actuator, _ELEMENTS, _GRADES, _SEGMENTS), recheck, record
-        self.prepared, shift = prepare_for(actuator, record), float(np.mean(recheck.trace.measured))
-        self.datum = shift - float(np.mean(np.interp(recheck.trace.time, record.time, record.displacement)))
+        self.prepared, self.datum = prepare_for(actuator, record), datum
         drifts = self.prepared.can_drift and actuator.creep is None
         self.compared = compare(actuator, self.prepared, recheck.stroke, datum=self.datum, drifting=drifts)
         regression = self.compared.regression
         weight = 1 / regression.slope(self.compared.found)
         internal = regression.rows.moved[:, : regression.grid.moved]
-        self.columns = self.weights.columns(regression.axis, regression.carts, internal) * weight[:, None]
+        columns = self.weights.columns(regression.axis, regression.carts, internal) * weight[:, None]
         voltage = regression.rows.voltage
-        self.target = (voltage if actuator.transformer is None else actuator.transformer(voltage)) * weight
+        target = (voltage if actuator.transformer is None else actuator.transformer(voltage)) * weight
         free = np.hstack([regression.nuisances(), regression.start_columns]) * weight[:, None]
         basis = np.linalg.qr(free[:, np.any(free != 0, axis=0)])[0]
-        self.constant = float(np.mean(self.target - self.columns @ self.weights.initial) / np.mean(weight))
-        whole = np.column_stack([self.columns, self.target])
+        whole = np.column_stack([columns, target])
         self.rows = whole - basis @ (basis.T @ whole)
         self.slope = float(1 / np.mean(weight))
         self.folds: NDArray[np.intp] = np.arange(len(whole)) * _FOLDS // len(whole)
         self.sums = np.array([own.T @ own for own in (self.rows[self.folds == k] for k in range(_FOLDS))])
         self.mean = np.average(whole / weight[:, None], axis=0, weights=weight)
 
-    def update(self) -> Update:
-        """Choose the strength of the prior, update, and judge."""
-        strength = self._strength()
-        factors = self._factors(self.sums.sum(axis=0), strength)
-        constant, left = self._constant(factors)
+    def update(self, strength: float) -> Update:
+        """Update with a strength of the prior, and judge."""
+        factors = self.factors(self.sums.sum(axis=0), strength)
+        constant, datum = self.constant(factors)
         made = self.weights.model(factors, constant)
         before = self._errors(self.recheck.trace)
         after = self._errors(self._trace(made))
@@ -197,16 +203,16 @@ class _Rows:
             after if used else before,
             held_out if used else before,
             tuple(self._missing()),
-            left,
+            -datum,
         )
 
-    def _factors(self, sums: Array, strength: float) -> Array:
+    def factors(self, sums: Array, strength: float) -> Array:
         """Return the factors (m,) that sums over rows ask for, with a prior of a strength."""
         weights = self.weights
         if not strength < np.inf:
             return weights.initial
         gram, image = sums[:-1, :-1], sums[:-1, -1]
-        prior = weights.prior(np.diag(self.sums.sum(axis=0))[:-1], strength, _ALIKE * strength)
+        prior = weights.prior(np.diag(self.sums.sum(axis=0))[:-1], _SMALL * strength, strength)
         program = StepwiseProgram(weights.least, *weights.limits, weights.initial)
         program.begin(gram + prior, image + prior @ weights.initial)
         for _ in range(_STEPS):
@@ -214,27 +220,30 @@ class _Rows:
                 break
         return program.x
 
-    def _strength(self) -> float:
+    def strength(self) -> float:
         """Return the strength with the least error on folds left out in turn; infinite if none helps."""
         whole, errors = self.sums.sum(axis=0), []
         for strength in (*_STRENGTHS, np.inf):
             left = 0.0
             for fold in self.sums:
-                vector = np.append(self._factors(whole - fold, strength), -1.0)
+                vector = np.append(self.factors(whole - fold, strength), -1.0)
                 left += float(vector @ fold @ vector)
             errors.append(left)
         # The strongest prior that does nearly as well.
         good = np.flatnonzero(np.array(errors) <= 1.05 * min(errors))
         return float([*_STRENGTHS, np.inf][good[-1]])
 
-    def _constant(self, factors: Array) -> tuple[float, float]:
-        """Return the spring's constant [V] on the sensor's axis, and the datum [m] that no change of weights explains."""
+    def constant(self, factors: Array) -> tuple[float, float]:
+        """Return the spring's constant [V], and the shift [m] from the sensor's axis to the model's that belongs to it.
+
+        The shift is none if a change of the weights explains the offset.
+        """
         fitted = float(self.mean[-1] - self.mean[:-1] @ factors)
         wanted = fitted + self.slope * self.datum
         slack = self.slope * self.recheck.rms
         low, high = self.weights.constants(factors)
         constant = min(max(wanted, low - slack), high + slack)
-        return constant, (constant - wanted) / self.slope
+        return constant, (wanted - constant) / self.slope
 
     def _trace(self, made: Actuator) -> Trace:
         """Return a model played along the record, from a start and with a sensor's zero that are fitted to it."""
@@ -257,8 +266,8 @@ class _Rows:
         for k in range(_PROMISED):
             own = rows == k
             others = self.rows[~own]
-            factors = self._factors(others.T @ others, strength)
-            trace = self._trace(self.weights.model(factors, self._constant(factors)[0]))
+            factors = self.factors(others.T @ others, strength)
+            trace = self._trace(self.weights.model(factors, self.constant(factors)[0]))
             error = trace.residual - trace.residual.mean()
             first, last = time[own].min() if k else -np.inf, time[own].max() if k < _PROMISED - 1 else np.inf
             parts.append(error[(trace.time >= first) & (trace.time <= last)])
@@ -269,7 +278,7 @@ class _Rows:
         """Return the RMS of what changed beside gain and width [m], and its standard error by the jackknife."""
 
         def size(sums: Array, count: int) -> float:
-            fine = np.append(self._factors(sums, strength), -1.0)
+            fine = np.append(self.factors(sums, strength), -1.0)
             spring, initial = self.weights.springs, self.weights.initial
             common = np.zeros((initial.size + 1, 3))
             common[: spring.start, 0], common[spring, 1], common[-1, 2] = initial[: spring.start], 1.0, 1.0
@@ -279,9 +288,7 @@ class _Rows:
             return float(np.sqrt(max(coarse @ sums @ coarse - fine @ sums @ fine, 0.0) / count))
 
         whole, count = self.sums.sum(axis=0), len(self.rows)
-        without = np.array(
-            [size(whole - one, count - int(np.sum(self.folds == k))) for k, one in enumerate(self.sums)]
-        )
+        without = np.array([size(whole - one, count - int(np.sum(self.folds == k))) for k, one in enumerate(self.sums)])
         spread = float(np.sqrt((_FOLDS - 1) * np.mean((without - without.mean()) ** 2)))
         return size(whole, count), spread
 
@@ -291,7 +298,9 @@ class _Rows:
         low, high = actuator.voltage_range
         least, most = record.voltage_range
         unseen = [
-            f"{a:.4g} to {b:.4g} V" for a, b in ((low, min(least, high)), (max(most, low), high)) if b - a > _NOT_VISITED * (high - low)
+            f"{a:.4g} to {b:.4g} V"
+            for a, b in ((low, min(least, high)), (max(most, low), high))
+            if b - a > _NOT_VISITED * (high - low)
         ]
         if unseen:
             missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")

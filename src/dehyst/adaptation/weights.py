@@ -128,7 +128,7 @@ class Weights:
         """Return the columns (m,) in a state of the actuator."""
         whole = self.actuator.model.complete_state(state)
         internal = np.concatenate([whole.creep, whole.smooth])
-        return self.columns(np.array([whole.displacement]), whole.carts[None], internal[None])[0]
+        return np.asarray(self.columns(np.array([whole.displacement]), whole.carts[None], internal[None])[0])
 
     @cached_property
     def anchors(self) -> Array:
@@ -147,11 +147,18 @@ class Weights:
 
     def ratios(self, factors: Array) -> tuple[float, float]:
         """Return the mean slope of the spring and the friction of all elements, of those of the model as given."""
-        (kappa, slopes, _), (units, _, _), (elements, springs, _) = self.parts, self._units, self.places
-        rho, lengths = self.actuator.slip.breakaway, np.diff(self.actuator.spring.displacement)
-        before, now = float(kappa.sum(axis=1) @ rho), float((units * factors[elements]).sum(axis=1) @ rho)
-        slope = float((slopes * factors[springs]) @ lengths / (slopes @ lengths))
-        return slope, now / before if before else 1.0
+        given, lengths = self.actuator, np.diff(self.actuator.spring.displacement)
+        branches = 0 if given.creep is None else len(given.creep)
+        smooth = np.zeros(0) if given.smooth is None else given.smooth.length
+        sums = []
+        for values in (self.initial, factors):
+            kappa, slopes, internal = (
+                unit * values[place] for unit, place in zip(self._units, self.places, strict=True)
+            )
+            held = float(kappa.mean(axis=1) @ given.slip.breakaway + internal[branches:] @ smooth)
+            sums.append((float(slopes @ lengths), held))
+        (slope, friction), (slope_now, friction_now) = sums
+        return slope_now / slope, friction_now / friction if friction else 1.0
 
     def prior(self, sizes: Array, ridge: float, alike: float) -> Array:
         """Return the quadratic form (m, m) of the prior: a change is small, and like that of neighbouring groups.
@@ -203,7 +210,10 @@ class Weights:
         if not isinstance(self.actuator.slip, GradedSlip):
             return np.zeros((0, self.initial.size)), EMPTY
         kappa, slopes, _ = self._units
-        units, places = np.concatenate([kappa.ravel(), slopes]), np.concatenate([one.ravel() for one in self.places[:2]])
+        units, places = (
+            np.concatenate([kappa.ravel(), slopes]),
+            np.concatenate([one.ravel() for one in self.places[:2]]),
+        )
         rows = np.zeros((len(self._outermost), self.initial.size))
         for weight, (unit, place) in enumerate(zip(units.tolist(), places.tolist(), strict=True)):
             rows[:, place] += self._outermost[:, weight] * unit
@@ -212,9 +222,7 @@ class Weights:
 
     def model(self, factors: Array, constant: float) -> Actuator:
         """Return the actuator of factors (m,) and the constant c [V]."""
-        kappa, slopes, internal = (
-            unit * factors[place] for unit, place in zip(self._units, self.places, strict=True)
-        )
+        kappa, slopes, internal = (unit * factors[place] for unit, place in zip(self._units, self.places, strict=True))
         given, branches = self.actuator, 0 if self.actuator.creep is None else len(self.actuator.creep)
         slip, creep, smooth = given.slip, given.creep, given.smooth
         return replace(
