@@ -374,7 +374,8 @@ def main() -> None:
                 data["life"].append(one)
                 print(
                     f"{one['truth']:9s} {one['scenario']:30s} end {one['adaptive_end'][0]:.2f} of "
-                    f"{one['frozen_end'][0]:.2f} = {one['end_ratio']:.3f}, life {one['life_ratio']:.2f}, mean {one['mean_ratio']:.2f}, cycle "
+                    f"{one['frozen_end'][0]:.2f} = {one['end_ratio']:.3f}, life {one['life_ratio']:.2f}, "
+                    f"mean {one['mean_ratio']:.2f}, cycle "
                     f"{one['worst_cycle_ratio']:.2f} ({one['worst_cycle_ratio_raw']:.2f}), {one['exchanges']} of "
                     f"{one['cycles']}, datum {one['datum']:.2f} {one['reasons']}",
                     flush=True,

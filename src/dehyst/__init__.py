@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
-    from dehyst.adaptation import AdaptiveCompensator, Update, update
+    from dehyst.adaptation import AdaptiveCompensator, update
     from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
@@ -74,7 +74,7 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
-        "adaptation": "AdaptiveCompensator Update update",
+        "adaptation": "AdaptiveCompensator update",
         "baselines": "compare",
         "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
         "wave_table",
@@ -95,7 +95,7 @@ __all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command",
 __all__ += ["DehystError", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip"]
 __all__ += ["MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record", "RecordError"]
 __all__ += ["RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage", "StageCompensator", "StageFit"]
-__all__ += ["State", "Structure", "Trace", "Transformer", "Update", "VoltageLimits", "__version__", "calibrate"]
+__all__ += ["State", "Structure", "Trace", "Transformer", "VoltageLimits", "__version__", "calibrate"]
 __all__ += ["check", "compare", "export", "export_fmu", "export_wasm", "identify", "identify_stage", "insight"]
 __all__ += ["read", "shortest_homing", "update", "wave_table", "write_record"]
 

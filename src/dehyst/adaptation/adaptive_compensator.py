@@ -14,7 +14,7 @@ from dehyst import _validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._units import per_metre
-from dehyst.adaptation.estimator import Cycle, Estimator, Exchange
+from dehyst.adaptation.estimator import Estimator, Exchange, PathCycle
 from dehyst.control import Compensator, Snapshot, VoltageLimits
 from dehyst.model import Actuator, State
 from dehyst.model import serialization as files
@@ -28,7 +28,10 @@ _INTEGRAL = 0.1
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveSnapshot(files.JsonFile):
-    """The memory of an adaptive loop: that of its `loop`, and what it learnt, as arrays by name."""
+    """The memory of an adaptive loop.
+
+    `loop`: that of the compensator. `learnt`: what was learnt, as arrays by name.
+    """
 
     loop: Snapshot
     learnt: Mapping[str, Array]
@@ -207,7 +210,7 @@ class AdaptiveCompensator:
         elif isinstance(actuator, Actuator) and self.learning:
             self._compensator.exchange(actuator)
 
-    def _cut(self, end: int) -> tuple[Cycle, float]:
+    def _cut(self, end: int) -> tuple[PathCycle, float]:
         """Take the first samples as a cycle; return it, and the part that those before it keep of their weight."""
         table = np.array(self._rows[:end])
         del self._rows[:end]
@@ -222,7 +225,7 @@ class AdaptiveCompensator:
         keep = exp(-1 / self._memory)
         if self._time_constant is not None and seconds is not None:
             keep = exp(-end * seconds / self._time_constant)
-        return Cycle(wanted, measured, sent, clamped, self._steps, seconds), keep
+        return PathCycle(wanted, measured, sent, clamped, self._steps, seconds), keep
 
     @property
     def actuator(self) -> Actuator:

@@ -79,7 +79,7 @@ class Exchange:
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
+class PathCycle:
     """Samples of a cycle (n,): displacement wanted and measured [m], voltage sent [V], and whether it was clamped.
 
     `step`: of the loop at its end. `seconds`: between samples; None if unknown.
@@ -147,7 +147,7 @@ class Estimator:
         self._tracker = Tracker(self.weights, State(float(place[0]), carts, creep, (), smooth))
         return self.weights.model(self.factors, self.constant)
 
-    def learn(self, cycle: Cycle, keep: float) -> Iterator[Actuator | None]:
+    def learn(self, cycle: PathCycle, keep: float) -> Iterator[Actuator | None]:
         """Learn from a cycle in slices of bounded work; yield the actuator to use from then on, at most once.
 
         `keep`: part that the cycles before it keep of their weight.
@@ -181,7 +181,7 @@ class Estimator:
             yield None
             yield from self._learnt_from(centred, keep)
 
-    def _judged(self, cycle: Cycle, centred: Array, mean: Array) -> Iterator[Actuator | None]:
+    def _judged(self, cycle: PathCycle, centred: Array, mean: Array) -> Iterator[Actuator | None]:
         """Predict a cycle, and exchange the weights if those on offer predict it better."""
         error = self._error(centred, self.factors)
         usual = float(np.median(self._usual)) if self._usual else error
@@ -234,13 +234,12 @@ class Estimator:
         common[spring.stop : size, 0] = self.factors[spring.stop :]
         common[size, 2], common[:-2, 3], common[-1, 3] = 1.0, -self.factors, 1.0
         small = common.T @ centred @ common
-        target, errors, found = small[:3, 3], [], np.zeros(3)
-        for count in (2, 3):
-            found = np.linalg.lstsq(small[:count, :count], target[:count], rcond=1e-12)[0]
-            errors.append(np.sqrt(max(small[3, 3] - found @ target[:count], 0.0)) / self._slope)
+        target = small[:3, 3]
+        without, found = (np.linalg.lstsq(small[:n, :n], target[:n], rcond=1e-12)[0] for n in (2, 3))
+        squares = float(small[3, 3] - without @ target[:2]), float(small[3, 3] - found @ target)
         late = float(found[2])
         effect = abs(late) * float(np.sqrt(small[2, 2])) / self._slope
-        return late if errors[1] < _LATE * errors[0] and effect > _ODD_PART * self.reach else 0.0
+        return late if squares[1] < _LATE**2 * squares[0] and effect > _ODD_PART * self.reach else 0.0
 
     def _error(self, centred: Array, factors: Array) -> float:
         """Return the RMS error [m] of factors on a cycle, by its centred sums."""
@@ -273,11 +272,11 @@ class Estimator:
             constant = min(max(constant, low - slack), high + slack)
         return constant, self.datum - (fitted - constant) / self._slope
 
-    def _note(self, cycle: Cycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
+    def _note(self, cycle: PathCycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
         ratios = self.weights.ratios(self.factors)
         self.log.append(Exchange(cycle.step, not reason, reason, error, offered, self.datum, *ratios))
 
-    def _drive(self, cycle: Cycle) -> Array:
+    def _drive(self, cycle: PathCycle) -> Array:
         """Return tau (n,) [V] of the voltages that acted, less what drives the mass."""
         actuator, acting, seconds = self.weights.actuator, cycle.sent, cycle.seconds
         if actuator.lag and seconds:
@@ -288,7 +287,7 @@ class Estimator:
         drive = acting if actuator.transformer is None else actuator.transformer(acting)
         return drive - actuator.dynamics.series * self._lead(cycle) if actuator.dynamics else drive
 
-    def _lead(self, cycle: Cycle) -> Array:
+    def _lead(self, cycle: PathCycle) -> Array:
         """Return w - y (n,) [m], what the inertia needs along the path that was wanted."""
         dynamics, seconds = self.weights.actuator.dynamics, cycle.seconds
         if dynamics is None or seconds is None:
@@ -296,7 +295,7 @@ class Estimator:
         velocity = np.gradient(cycle.wanted, seconds)
         return dynamics.lead(velocity, np.gradient(velocity, seconds))
 
-    def _signal(self, cycle: Cycle) -> tuple[Array, Mask, str]:
+    def _signal(self, cycle: PathCycle) -> tuple[Array, Mask, str]:
         """Return the displacement that drives the elements (n,), the samples that count, and why the cycle does not.
 
         Noise would move every cart: the path is the one wanted, plus what was measured beyond it, smoothed.
@@ -310,7 +309,7 @@ class Estimator:
         smooth = self._smoothed(np.interp(places, places[counted], rest[counted]))
         return cycle.wanted + smooth + self._lead(cycle), counted, ""
 
-    def _contradiction(self, cycle: Cycle, counted: Mask) -> str:
+    def _contradiction(self, cycle: PathCycle, counted: Mask) -> str:
         """Return why a cycle shows nothing of the actuator; empty if it does."""
         if np.count_nonzero(counted) < max(_COUNTED * counted.size, 16):
             return "most samples are missing, stuck or clamped"
