@@ -48,15 +48,14 @@ class ObservedController:
         self._rehearsal = Rehearsal(map(Fault.parse, faults), report=lambda _: self._struck())
         self._server = Server(self._controller, port=0, lock=self._lock, rehearsal=self._rehearsal)
         self.struck_at: float | None = None
-        amplifier = self._bench.axis._amplifier
-        put_out = amplifier.play
+        axis = self._bench.axis
+        put_out = axis._put_out
 
-        def logged(voltage: np.ndarray, at: np.ndarray) -> np.ndarray:
-            displacement = put_out(voltage, at)
+        def logged(voltage: np.ndarray, at: np.ndarray) -> None:
+            put_out(voltage, at)
             self._log.append((np.array(at), np.array(voltage)))
-            return displacement
 
-        amplifier.play = logged
+        axis._put_out = logged
         self._late: list[tuple[float, float]] = []
         self._probing = True
         threading.Thread(target=self._probe, daemon=True).start()
@@ -92,12 +91,12 @@ class ObservedController:
     @property
     def identity(self) -> str:
         """Its answer to the question who it is."""
-        return self._controller._identity
+        return self._controller.identity
 
     @property
     def told(self) -> int:
         """Number of samples that it has delivered."""
-        return self._controller.recorder.rows_sent
+        return self._controller.rows_sent
 
     @property
     def voltage(self) -> float:

@@ -10,13 +10,15 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.baselines import BASELINES, Linear, ModelComparison, compare
+from dehyst.baselines import BASELINES, ModelComparison, compare
 from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
+from dehyst.baselines.linear import Linear
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import AbstractModel
-from dehyst.report import render, write_comparison
+from dehyst.report import write_comparison
 from dehyst.report.comparison_section import comparison_sections
+from dehyst.report.report import render
 
 PLANT = plain_records.plant()
 

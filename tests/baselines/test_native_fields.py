@@ -12,9 +12,8 @@ from scipy.integrate import solve_ivp
 from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, State
-from dehyst.baselines import BoucWen, Duhem
-from dehyst.baselines.bouc_wen import BoucWenState
-from dehyst.baselines.duhem import DuhemState
+from dehyst.baselines.bouc_wen import BoucWen, BoucWenState
+from dehyst.baselines.duhem import Duhem, DuhemState
 from dehyst.records.signals import largest, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator
 from dehyst.waveforms import Sampling, standard

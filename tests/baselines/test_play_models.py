@@ -7,20 +7,22 @@ import numpy as np
 import pytest
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.baselines import (
-    BoucWen,
-    Duhem,
+from dehyst.baselines import GoldfarbCelanovic
+from dehyst.baselines.base import AbstractBaseline, PlayRows, prepare_training, ramps
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.play_models import (
     GeneralizedPrandtlIshlinskii,
-    GoldfarbCelanovic,
     KrasnoselskiiPokrovskii,
-    Linear,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
-    Preisach,
+    differences,
+    low_pass,
+    with_unknown_start,
 )
-from dehyst.baselines.base import AbstractBaseline, PlayRows, prepare_training, ramps
-from dehyst.baselines.play_models import differences, low_pass, with_unknown_start
 from dehyst.baselines.plays import PlayBank
+from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.tracking_trials import TRIALS
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling, standard

@@ -11,8 +11,7 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import IdentifyError, ModelError, Record
-from dehyst.baselines import Preisach
-from dehyst.baselines.preisach import PreisachState
+from dehyst.baselines.preisach import Preisach, PreisachState
 from dehyst.records.signals import largest, rms
 from dehyst.virtual import PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling, standard

@@ -8,9 +8,10 @@ from click.testing import CliRunner
 from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 
 from dehyst import FileFormatError, Stage
-from dehyst.calibration import PathPlanner, Plan, calibrate
+from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.plan import entries as planned_entries
 from dehyst.calibration.plan import steps as planned_steps
+from dehyst.calibration.tracking import PathPlanner
 from dehyst.cli import main
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError

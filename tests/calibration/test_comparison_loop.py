@@ -15,8 +15,7 @@ from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io import unwritten
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.comparison_loop import agreement, cycles, replay
-from dehyst.calibration.plan import steps
-from dehyst.calibration.protocol import ExcitationPlan
+from dehyst.calibration.plan import ExcitationPlan, steps
 from dehyst.calibration.session import NullProgress, Session
 from dehyst.cli.output.instrument_errors import _left
 from dehyst.instruments import open_rig

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dehyst import DehystError, FileFormatError, RecordError, read
-from dehyst.calibration.protocol import ExcitationPlan
+from dehyst.calibration.plan import ExcitationPlan
 from dehyst.calibration.session import NullProgress, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files

@@ -9,8 +9,7 @@ from calibration_listener import Heard
 
 from dehyst import Actuator, DehystError, FileFormatError, RecordError, read
 from dehyst.calibration import Plan, calibrate
-from dehyst.calibration.plan import steps
-from dehyst.calibration.protocol import ExcitationPlan, creep_of
+from dehyst.calibration.plan import ExcitationPlan, creep_of, steps
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.report import write_calibration

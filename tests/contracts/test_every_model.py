@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
-from dehyst.baselines import (
-    BoucWen,
-    Duhem,
+from dehyst.baselines import GoldfarbCelanovic
+from dehyst.baselines.bouc_wen import BoucWen
+from dehyst.baselines.duhem import Duhem
+from dehyst.baselines.linear import Linear
+from dehyst.baselines.play_models import (
     GeneralizedPrandtlIshlinskii,
-    GoldfarbCelanovic,
     KrasnoselskiiPokrovskii,
-    Linear,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
-    Preisach,
 )
+from dehyst.baselines.preisach import Preisach
 from dehyst.model import AbstractModel, Motion
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard

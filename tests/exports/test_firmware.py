@@ -43,7 +43,7 @@ def make(folder, *arguments):
 @pytest.fixture
 def unmeasured(monkeypatch):
     """An export that does not take the time to measure bytes."""
-    monkeypatch.setattr("dehyst.exports.firmware._PROCESSORS", {})
+    monkeypatch.setattr("dehyst.exports.footprint.PROCESSORS", {})
 
 
 @cache
@@ -303,8 +303,8 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
     def fail(*_):
         raise AssertionError("compiled")
 
-    monkeypatch.setattr("dehyst.exports.firmware.run", fail)
-    monkeypatch.setattr("dehyst.exports.firmware.sizes", fail)
+    monkeypatch.setattr("dehyst.exports.footprint.run", fail)
+    monkeypatch.setattr("dehyst.exports.footprint.sizes", fail)
     for number in ("double", "float"):
         made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
         assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")

@@ -85,6 +85,7 @@ def test_no_memory_is_lost_or_overrun(fmus, version, tmp_path):
     _, folder = fmus("preview", version, "compensator")
     life = places.SUPPORT.joinpath(f"fmu_life{version[0]}.c")
     command = ["cc", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{folder / 'sources'}"]
+    command += [f"-DMODEL_PERIOD={PERIOD!r}"]
     built = subprocess.run(
         [*command, str(life), "-o", str(tmp_path / "life")], capture_output=True, text=True, check=False
     )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dehyst import FileFormatError
-from dehyst.fleet import Task, open_dataset
-from dehyst.fleet.dataset import Reader, sha256_of, stamp_of
+from dehyst.fleet import open_dataset
+from dehyst.fleet.dataset import Reader, Task, sha256_of, stamp_of
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("zarr")

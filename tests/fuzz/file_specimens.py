@@ -14,7 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
 
-from dehyst.records import Record, write_hdf5
+from dehyst.records import Record
+from dehyst.records.files import write_hdf5
 
 N = 240
 T = np.arange(N) * 1e-3

@@ -285,7 +285,7 @@ def test_limits_narrower_than_told(actuator, engine, tmp_path):
     with IocProcess(model=str(tmp_path / "model.json")) as doomed:
         axis = made(doomed, actuator)
         engine(homing(axis))
-        doomed.do("instrument.axis._amplifier.limits = VoltageLimits(0, 80)")
+        doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
         with pytest.raises(FailedStatus) as caught:
             engine(bps.mv(axis, 15.0))
         assert isinstance(caught.value.__cause__, DeviceError)

@@ -231,7 +231,7 @@ def test_without_aioca(monkeypatch):
 def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
-    doomed.do("instrument.axis._amplifier.limits = VoltageLimits(0, 80)")
+    doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
     with pytest.raises(
         DeviceError, match=r"reports: VOLTAGE: got 82 V, which is outside the amplifier's range"
     ) as caught:

@@ -53,7 +53,7 @@ def public_things():
     seen = set()
     for room in FACES:
         face = importlib.import_module("dehyst" if room == "dehyst" else f"dehyst.{room}")
-        for name in face.__all__:
+        for name in FACES[room]:
             thing = getattr(face, name)
             if not callable(thing) or thing in seen:
                 continue

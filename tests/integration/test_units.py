@@ -18,7 +18,7 @@ from dehyst._validation import vector
 from dehyst.cli import main
 from dehyst.control import wave_table
 from dehyst.instruments import Samples
-from dehyst.instruments.samples import Inspection
+from dehyst.instruments.samples import admitted
 from dehyst.waveforms import Sampling, Triangle, standard
 
 U = pint.UnitRegistry()
@@ -371,12 +371,10 @@ def test_where_no_unit_is_known_quantities_are_refused(what, value):
 
 
 def test_samples_of_a_driver_are_converted():
-    inspection = Inspection("rig", 10.0)
-    inspection.begin(np.zeros(2))
-    got = inspection.admit(Samples([0, 1] * U.ms, [0, 1] * U.mV, [0, 1] * U.um))
+    got = admitted("rig", Samples([0, 1] * U.ms, [0, 1] * U.mV, [0, 1] * U.um), np.zeros(2), 0, -np.inf)
     np.testing.assert_allclose(np.array(got), [[0, 1e-3], [0, 1e-3], [0, 1e-6]])
     with pytest.raises(dehyst.DehystError, match="rig: displacement: got a quantity in volt"):
-        inspection.admit(Samples([2.0, 3.0], [0.0, 1.0], [0, 1] * U.V))
+        admitted("rig", Samples([2.0, 3.0], [0.0, 1.0], [0, 1] * U.V), np.zeros(2), 0, -np.inf)
 
 
 def test_plain_arrays_pass_as_they_are():

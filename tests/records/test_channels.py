@@ -13,7 +13,8 @@ import xarray
 from dehyst import FileFormatError, RecordError
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.preprocessing.preparation import block_means
-from dehyst.records import Record, Recording, read, write_columns, write_hdf5, write_record
+from dehyst.records import Record, Recording, read, write_columns, write_record
+from dehyst.records.files import write_hdf5
 from dehyst.records.record import Channel
 from dehyst.records.recording import Journal, salvage
 

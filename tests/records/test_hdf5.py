@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dehyst._errors import FileFormatError, MissingExtraError
-from dehyst.records import Record, read, write_hdf5
+from dehyst.records import Record, read
+from dehyst.records.files import write_hdf5
 
 words = st.text(st.sampled_from('ab"\\/\n\0é\u2028\ud800\U0001f600 '), max_size=6)
 values = st.recursive(

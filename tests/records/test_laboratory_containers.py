@@ -11,7 +11,8 @@ from laboratory_files import N, T, V, Y, assert_measured, options_of
 
 from dehyst import Record, identify
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.records import read, read_table, write_columns, write_hdf5, write_record
+from dehyst.records import read, read_table, write_columns, write_record
+from dehyst.records.files import write_hdf5
 from dehyst.records.tables import ColumnsError
 
 # Of traps that can be read right: the clock and the displacement, if they are others.

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dehyst._errors import FileFormatError
-from dehyst.identification import Check, Expectation, Fit, Outcome, Readiness, RecordErrors, Trace, Verdict
+from dehyst.identification import Check, Fit, Outcome, Readiness, RecordErrors, Trace, Verdict
+from dehyst.identification.expectation import Expectation
 from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import fit_section, report
 from dehyst.report.charts import thinned

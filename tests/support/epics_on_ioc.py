@@ -7,7 +7,7 @@ import pytest
 from ioc_process import IocProcess
 
 from dehyst.instruments.epics import EpicsRig
-from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.bench import Extremes
 
 LOW, HIGH = -20.0, 100.0
 _IOCS = {}

@@ -5,8 +5,8 @@ FACES = {
     for name, text in {
         "dehyst": """
             Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError Dynamics
-            FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical
-            Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit State
+            FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome
+            Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit State
             Structure Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm
             identify identify_stage insight read shortest_homing update wave_table write_record
         """,
@@ -14,11 +14,10 @@ FACES = {
             AdaptiveCompensator AdaptiveSnapshot Exchange Update update
         """,
         "baselines": """
-            BASELINES BoucWen Duhem GeneralizedPrandtlIshlinskii GoldfarbCelanovic KrasnoselskiiPokrovskii Linear
-            ModelComparison ModifiedPrandtlIshlinskii PrandtlIshlinskii Preisach compare
+            BASELINES ModelComparison compare
         """,
         "calibration": """
-            Calibration PathPlanner Plan ProgressListener TrackedPath calibrate
+            Calibration Plan TrackedPath calibrate
         """,
         "cli": """
             main
@@ -29,18 +28,18 @@ FACES = {
             plan_voltage shortest_homing wave_table
         """,
         "exports": """
-            Exported Footprint SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
+            Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Ageing Dataset Drifts Findings Fleet FleetOptions Outlier Task drifts_of findings_of identify_fleet
+            Dataset Drifts Findings Fleet drifts_of findings_of identify_fleet
             load open_dataset
         """,
         "identification": """
-            Check Deadline Expectation Fit Method Norm Outcome Readiness RecordErrors RemainingError
-            StageFit Structure Trace Verdict identify identify_stage initial_state state_after
+            Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify
+            identify_stage initial_state state_after
         """,
         "instruments": """
-            HIGHEST_RATE AbstractRig DeviceError LinkError Listener Reading RigError Samples SensorError host_timed
+            HIGHEST_RATE AbstractRig DeviceError LinkError Reading RigError Samples SensorError host_timed
             open_rig
         """,
         "model": """
@@ -48,31 +47,33 @@ FACES = {
             SmoothSlip Spring Stage State Transformer simulated
         """,
         "records": """
-            Record Recording read read_table write_columns write_hdf5 write_record
+            Record read read_table write_columns write_record
         """,
         "report": """
-            render write_calibration write_check_history write_comparison write_insight write_record_page write_report
+            write_calibration write_check_history write_comparison write_insight write_record_page write_report
             write_stage_report
         """,
+        "studies": "",
         "studies.paper": """
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Judgement Recheck StageInsight StageRecheck Standing check
-            check_stage insight judge stage_insight start_of
+            Change CheckHistory Insight Recheck StageInsight StageRecheck check
+            check_stage insight judge stage_insight
         """,
         "virtual": """
-            BoucWenActuator ModelledActuator PlayActuator PreisachActuator VirtualActuator VirtualBench
+            BoucWenActuator PlayActuator PreisachActuator VirtualBench
             VirtualStage
         """,
         "virtual.emulator": """
-            Controller Fault Ioc Rehearsal Server serve_ioc
+            Controller Fault Rehearsal Server
         """,
         "waveforms": """
-            Excitation Leg Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps
+            Excitation Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps
             Triangle descending_tops homing minor_loop raised_cosine reversal_curves
             stage_excitation staircase
         """,
+        "web": "",
         "workbench": """
             serve
         """,

@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 
-from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.bench import Extremes
 
 TIMEBASE = 1e8
 # Of the amplifier [V/V], and of the sensor [m/V].

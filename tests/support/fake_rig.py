@@ -4,7 +4,7 @@ import numpy as np
 
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, Reading, Samples
-from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.bench import Extremes
 
 
 class FakeInstrument:

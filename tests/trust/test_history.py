@@ -11,8 +11,9 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, IdentifyError
-from dehyst.trust import CheckHistory, Standing
+from dehyst.trust import CheckHistory
 from dehyst.trust.history import ALLOWANCE, DECISION, LIMIT, WEIGHT, ControlChart
+from dehyst.trust.recheck import Standing
 
 DAY = datetime(2024, 5, 1, 8, tzinfo=UTC)
 

@@ -11,8 +11,9 @@ import structured_records
 
 from dehyst import ModelError, Record, identify
 from dehyst.identification import Structure
-from dehyst.report import render, write_insight
+from dehyst.report import write_insight
 from dehyst.report.html import document
+from dehyst.report.report import render
 from dehyst.report.trust_section import sections
 from dehyst.trust import insight
 from dehyst.trust.bootstrap import resample

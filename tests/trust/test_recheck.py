@@ -10,7 +10,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import IdentifyError, Record, RecordError
-from dehyst.trust import Standing
+from dehyst.trust.recheck import Standing
 
 STROKE = 16.152e-6
 SECONDS = 1200.0

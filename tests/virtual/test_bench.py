@@ -15,7 +15,7 @@ from dehyst import Actuator, DehystError, ModelError
 from dehyst.instruments import DeviceError
 from dehyst.model import Creep, Dynamics
 from dehyst.virtual import BoucWenActuator, ModelledActuator, PlayActuator, PreisachActuator, VirtualBench
-from dehyst.virtual.amplifier import Extremes
+from dehyst.virtual.bench import Extremes
 from dehyst.virtual.modelled import virtual_actuator
 
 PERIOD = 5e-5

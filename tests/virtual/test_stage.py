@@ -68,7 +68,6 @@ def test_hysteretic_coupling_is_no_matrix():
         ({"coupling": np.eye(3)}, "coupling: got 3 x 3 numbers for 2 axes"),
         ({"coupling": 2 * np.eye(2)}, "need 1 for each axis"),
         ({"coupling": np.eye(2), "hysteretic": np.eye(3)}, "hysteretic: got 3 x 3"),
-        ({"coupling": np.eye(2), "seconds": [PlayActuator()]}, "seconds: got 1, need 2"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, words):

@@ -16,15 +16,19 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._validation import demand_result, vector
-from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import collect
-from dehyst.identification.regression.nuisances import searched_delay, worthwhile
-from dehyst.identification.regression.regression import Regression
-from dehyst.identification.structure import Grid
+from dehyst.identification import (
+    Grid,
+    Prepared,
+    Regression,
+    as_list,
+    collect,
+    cycle_time,
+    prepare,
+    searched_delay,
+    worthwhile,
+)
 from dehyst.model import AbstractModel, Motion
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.records import Record, rms
 
 Model = TypeVar("Model")
 # Samples that count in a fit of plays, and in the search for a delay.

@@ -21,9 +21,8 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number, vector
 from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
-from dehyst.identification.solvers.program import Solution, solve
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.identification import Solution, solve
+from dehyst.records import Record, rms
 
 _SEARCH_ROWS = 2000
 # Bounds of alpha, of the part of v that a reversal hides at first, and of log((beta + gamma) times the range of v).

@@ -29,14 +29,9 @@ from dehyst.baselines.play_models import (
 )
 from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.tracking_trials import TRIALS, TrackingErrors, TrackingTrial
-from dehyst.identification import identify, state_after
-from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import epochs
-from dehyst.identification.validation import without_offset
-from dehyst.model import AbstractModel, Actuator, Motion, simulated
-from dehyst.model.states import timed
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent, rms
+from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
+from dehyst.model import AbstractModel, Actuator, Motion, simulated, timed
+from dehyst.records import Record, largest, percent, rms
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 

@@ -17,8 +17,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, keep, vector
 from dehyst.baselines.base import AbstractBaseline
-from dehyst.identification.diagnostics.branches import Branch, voltage_at
-from dehyst.identification.preprocessing.cleaning import remove_glitches
+from dehyst.identification import Branch, remove_glitches, voltage_at
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
 from dehyst.records import Record
 

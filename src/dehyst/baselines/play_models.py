@@ -14,9 +14,8 @@ from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, vector
 from dehyst.baselines.base import AbstractBaseline, PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
 from dehyst.baselines.plays import EMPTY, PlayBank, PlayState
-from dehyst.model.elements import on_curve
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.model import on_curve
+from dehyst.records import Record, rms
 
 _QUARTERS = 4
 # Least share of a decay that constants and the other decays do not explain already.

@@ -14,9 +14,8 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number
 from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
-from dehyst.identification.solvers.program import solve
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.identification import solve
+from dehyst.records import Record, rms
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80

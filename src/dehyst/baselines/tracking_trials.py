@@ -11,10 +11,8 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.model import AbstractModel, simulated
-from dehyst.model.states import beginning, timed
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent, rms
+from dehyst.model import AbstractModel, beginning, simulated, timed
+from dehyst.records import Record, largest, percent, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
 from dehyst.waveforms import Excitation, Sampling, descending_tops, raised_cosine, staircase
 

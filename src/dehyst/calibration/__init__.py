@@ -1,8 +1,8 @@
 """Calibration: the complete experiment on an instrument, from its first voltage to a verified model."""
 
-from dehyst.calibration.experiment import Calibration, calibrate
-from dehyst.calibration.plan import Plan
-from dehyst.calibration.session import ProgressListener
-from dehyst.calibration.tracking import PathPlanner, TrackedPath
+from dehyst.calibration.experiment import RESULTS, STAGE_RESULTS, Calibration, calibrate
+from dehyst.calibration.plan import Plan, WantedVoltage, entries, read_voltage, steps
+from dehyst.calibration.session import FORMAT
+from dehyst.calibration.tracking import TrackedPath
 
-__all__ = ["Calibration", "PathPlanner", "Plan", "ProgressListener", "TrackedPath", "calibrate"]
+__all__ = ["Calibration", "Plan", "TrackedPath", "calibrate"]

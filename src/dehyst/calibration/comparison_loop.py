@@ -46,11 +46,10 @@ class Cycle(NamedTuple):
 
 @dataclass(frozen=True)
 class Agreement:
-    """The agreement of a loop that was played again with the record on disk.
+    """The agreement of a loop that was played again with the `record` on disk, by name.
 
-    `record`: name of the record on disk. `difference`: peak to peak, as a share of the stroke of the loop on disk.
-    `allowed`: most that noise, spread from cycle to cycle, creep and temperature may add up to, as a share of the
-    stroke.
+    `difference`: peak to peak, as a share of the stroke. `allowed`: most that noise, spread from cycle to cycle, creep
+    and temperature may add up to.
     """
 
     record: str
@@ -109,13 +108,7 @@ def cycles(voltage: Array) -> list[Cycle]:
 
 
 def replay(excitation: Excitation) -> Excitation | None:
-    """Play the last whole cycle of an excitation twice; the first rise depends on what was played before.
-
-    Returns
-    -------
-    Excitation or None
-        None if it has no such cycle.
-    """
+    """Return the last whole cycle of an excitation twice, or None: the first rise depends on what was played before."""
     whole = cycles(excitation.voltage)
     if not whole:
         return None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,13 +14,10 @@ from dehyst._io import PathLike, finite, write_json
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.calibration.comparison_loop import Agreement
-from dehyst.calibration.plan import Plan, steps
-from dehyst.calibration.protocol import CreepCheck, creep_of
+from dehyst.calibration.plan import CreepCheck, ExcitationPlan, Plan, creep_of, steps
 from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification import Fit, StageFit, identify, identify_stage
-from dehyst.identification.preprocessing.cleaning import remove_glitches
-from dehyst.identification.results import write_traces
+from dehyst.identification import Fit, StageFit, identify, identify_stage, remove_glitches, write_traces
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record
@@ -36,27 +33,11 @@ STAGE_RESULTS = ("stage.json", "calibration.json")
 class Calibration:
     """The result of a calibration.
 
-    Attributes
-    ----------
-    fit : Fit or StageFit
-        A StageFit of several axes.
-    training, held_out : tuple of Record
-    nominal, compensated : TrackedPath
-        The measured path, by a constant ratio and by the model.
-    goal : float
-        [% of the stroke].
-    unreached : tuple of str
-        Where the voltage could not follow, in sentences.
-    instrument : mapping
-        Rig, axis, limits.
-    insight : Insight or None
-        None of several axes.
-    creep : CreepCheck or None
-        Of the first look; None of several axes.
-    kept, played : tuple of str
-        Records that were on disk already, and those that were played.
-    agreement : Agreement or None
-        Of a loop on disk with the same loop played now; None if no record was on disk.
+    `fit` is a StageFit of several axes, which have no `insight` and no `creep` of a first look. `nominal` and
+    `compensated` are the measured path, by a constant ratio and by the model; `goal` is the error allowed on it [% of
+    the stroke], `unreached` where the voltage could not follow, in sentences. `training` and `held_out` are the
+    records: those in `kept` were on disk already, those in `played` were played, and `agreement` is that of a loop on
+    disk with the same loop played now. `instrument` is the rig with its axes and limits.
     """
 
     fit: Fit | StageFit
@@ -118,11 +99,7 @@ class Calibration:
 
 
 def calibrate(
-    rig: AbstractRig,
-    folder: PathLike,
-    *,
-    plan: Plan | None = None,
-    watcher: ProgressListener | None = None,
+    rig: AbstractRig, folder: PathLike, *, plan: Plan | None = None, watcher: ProgressListener | None = None
 ) -> Calibration:
     """Run the complete experiment; records, model and numbers go to a folder, the voltage ends at a safe value.
 
@@ -135,24 +112,20 @@ def calibrate(
         several axes are moved aside.
     plan : Plan, optional
     watcher : ProgressListener, optional
-        Receives the progress, like the result of `dehyst.cli.output.live.display`.
+        Receives the progress.
 
     Raises
     ------
     RigError
         If the instrument fails; the samples that arrived are on disk.
-    RecordError, IdentifyError
-        If the records cannot be used, or those in the folder look like those of another actuator.
-    FileFormatError
-        If the folder cannot be written.
+    RecordError, IdentifyError, FileFormatError
+        If the records cannot be used, those in the folder look like those of another actuator, or it cannot be written.
     """
     listener = watcher or NullProgress()
     plan = plan or Plan()
     # All that is known before is checked before anything is sent.
     steps(rig, plan)
-    session = Session(folder, rig, listener)
-    kind = _OneAxisRun if len(rig.axes) == 1 else _SeveralAxesRun
-    run: _AbstractRun = kind(rig, session, plan, listener)
+    run = _Run(rig, Session(folder, rig, listener), plan, listener)
     with rig.safely():
         calibration = run.calibration()
         if calibration.played or calibration.agreement is not None:
@@ -161,15 +134,66 @@ def calibrate(
     return calibration
 
 
-class _AbstractRun(ABC):
-    """What calibrations of one and of several axes share: the path, the instrument and the files."""
+class _Measured(NamedTuple):
+    """What was identified from which records, and how the path begins: after a `homing`, in legs of `leg` samples.
+
+    `ends`: of one axis, displacements [m] at the ends of its range.
+    """
+
+    fit: Fit | StageFit
+    model: Actuator | Stage
+    training: tuple[Record, ...]
+    held_out: Record
+    homing: Excitation
+    leg: int
+    ends: tuple[float, float] | None = None
+    insight: Insight | None = None
+    creep: CreepCheck | None = None
+
+
+class _Run:
+    """One calibration under way."""
 
     def __init__(self, rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> None:
         self.rig, self.session, self.plan, self.listener = rig, session, plan, listener
 
-    @abstractmethod
     def calibration(self) -> Calibration:
-        """Play, identify, and play the path."""
+        """Play and identify, then play a path by a constant ratio and by the model."""
+        session, rigs, several = self.session, self.rig.rigs, len(self.rig.axes) > 1
+        known = self._measure_axes() if several else self._measure_axis()
+        planner = PathPlanner(known.homing, [one.limits for one in rigs], known.leg, known.ends)
+        linear = planner.nominal(known.model, session.sequence)
+        before = self._play(linear)
+        modelled = planner.compensated(known.model, session.sequence)
+        if "nominal" in session.kept and not session.is_complete(modelled.excitation, "compensated"):
+            # Only a record just before shows what crept meanwhile.
+            before = self._play(linear, again=True)
+            modelled = planner.compensated(known.model, session.sequence)
+        nominal, compensated = (
+            TrackedPath.of(planned, record, self.rig.rows(len(planned.excitation)))
+            for planned, record in ((linear, before), (modelled, self._play(modelled)))
+        )
+        limits, rates = [[one.limits.low, one.limits.high] for one in rigs], [one.slew_rate for one in rigs]
+        return Calibration(
+            known.fit,
+            training=known.training,
+            held_out=(known.held_out,),
+            nominal=nominal,
+            compensated=compensated,
+            goal=self.plan.goal,
+            unreached=modelled.warnings,
+            instrument={
+                "rig": self.rig.identity,
+                **({"axes": list(self.rig.axes)} if several else {"axis": self.rig.axis}),
+                "limits_V": limits if several else limits[0],
+                "slew_rate_V_per_s": rates if several else rates[0],
+            },
+            insight=known.insight,
+            creep=known.creep,
+            kept=tuple(session.kept),
+            played=tuple(session.played),
+            agreement=session.agreement,
+        )
 
     def write(self, calibration: Calibration) -> None:
         """Write model, traces and numbers."""
@@ -182,120 +206,64 @@ class _AbstractRun(ABC):
             write_traces(folder / RESULTS[1], fit.traces)
         write_json(folder / RESULTS[-1], {"format": "dehyst-calibration-results", "version": 1, **numbers})
 
-    def _play(self, planned: PlannedRun, *, afresh: bool = False) -> Record:
+    def _play(self, planned: PlannedRun, *, again: bool = False) -> Record:
         excitation = planned.excitation
         return self.session.record(
-            excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, afresh=afresh
+            excitation, excitation.name, wanted=planned.wanted, stroke=planned.stroke, again=again
         )
 
-    def _result(self, fit: Fit | StageFit, runs: Sequence[tuple[PlannedRun, Record]], **known: Any) -> Calibration:
-        """Return the result, with the paths that were played: nominal, then compensated."""
-        nominal, compensated = (
-            TrackedPath.of(planned, record, self.rig.rows(len(planned.excitation))) for planned, record in runs
-        )
-        return Calibration(
-            fit,
-            nominal=nominal,
-            compensated=compensated,
-            goal=self.plan.goal,
-            unreached=runs[-1][0].warnings,
-            instrument=self._instrument(),
-            kept=tuple(self.session.kept),
-            played=tuple(self.session.played),
-            agreement=self.session.agreement,
-            **known,
-        )
-
-    def _instrument(self) -> dict[str, Any]:
-        limits = [[one.limits.low, one.limits.high] for one in self.rig.rigs]
-        rates = [one.slew_rate for one in self.rig.rigs]
-        if len(limits) == 1:
-            axis = {"axis": self.rig.axis, "limits_V": limits[0], "slew_rate_V_per_s": rates[0]}
-        else:
-            axis = {"axes": list(self.rig.axes), "limits_V": limits, "slew_rate_V_per_s": rates}
-        return {"rig": self.rig.identity, **axis}
-
-
-class _SeveralAxesRun(_AbstractRun):
-    """One calibration of several axes."""
-
-    def calibration(self) -> Calibration:
-        """Play, identify, and play the path."""
+    def _measure_axes(self) -> _Measured:
+        """Record several axes, and identify them together."""
         excitations, record = self.plan.axes_excitations(self.rig), self.session.record
         training, held_out = record(excitations.training(), "axes"), record(excitations.others(), "others")
         self.listener.step("identify")
         fit = identify_stage(training, validate=held_out, progress=self.listener.message)
         if fit.stage is None:
             raise IdentifyError(f"{fit.verdict}; look at the records in {self.session.records}")
-        stage = replace(fit.stage, name=f"{self.rig.identity}, axes {', '.join(self.rig.axes)}")
-        planner = PathPlanner(excitations.homing(), [one.limits for one in self.rig.rigs], excitations.leg)
-        linear = planner.nominal(stage, self.session.sequence)
-        before = self._play(linear)
-        modelled = planner.compensated(stage, self.session.sequence)
-        runs = [(linear, before), (modelled, self._play(modelled))]
-        return self._result(replace(fit, stage=stage), runs, training=(training,), held_out=(held_out,))
+        name = f"{self.rig.identity}, axes {', '.join(self.rig.axes)}"
+        stage = replace(fit.stage, name=name)
+        homing, leg = excitations.homing(), excitations.leg
+        return _Measured(replace(fit, stage=stage), stage, (training,), held_out, homing, leg)
 
-
-class _OneAxisRun(_AbstractRun):
-    """One calibration of one axis."""
-
-    def __init__(self, rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> None:
-        super().__init__(rig, session, plan, listener)
-        self.excitations = plan.excitations(rig)
-
-    def calibration(self) -> Calibration:
-        """Play, identify, and play the path."""
-        record = self.session.record
-        look = record(self.excitations.look(), "look")
-        loops, creep = self.excitations.loops(look), creep_of(look)
-        training = [look, *(record(excitation, name) for name, excitation in self._training(loops, creep))]
-        held_out = record(self.excitations.others(), "others")
+    def _measure_axis(self) -> _Measured:
+        """Record one axis, and more of it as long as insight asks for more."""
+        plan, record, excitations = self.plan, self.session.record, self.plan.excitations(self.rig)
+        look = record(excitations.look(), "look")
+        loops, creep = excitations.loops(look), creep_of(look)
+        played = [(f"given-{i}", excitation) for i, excitation in enumerate(plan.protocol, 1)]
+        if not played:
+            played = [("loops", self._most_informative(excitations, loops))]
+            if creep.seen:
+                played += zip(("fast", "stairs"), excitations.creep_pair(), strict=True)
+        training = [look, *(record(excitation, name) for name, excitation in played)]
+        held_out = record(excitations.others(), "others")
         fit, assessment = self._identify(training, held_out)
-        for i in range(1, self.plan.rounds + 1):
-            if assessment.trustworthy or self.plan.protocol:
+        for i in range(1, 1 + (0 if plan.protocol else plan.rounds)):
+            if assessment.trustworthy:
                 break
-            training.append(record(self._more(assessment, i), f"more-{i}"))
+            more = _suggested(excitations, assessment) or excitations.tops(10 * (i + 1))
+            training.append(record(more, f"more-{i}"))
             fit, assessment = self._identify(training, held_out)
-        planner = PathPlanner(self.excitations.homing(), [self.rig.limits], self.excitations.leg, _ends(loops))
-        linear = planner.nominal()
-        before = self._play(linear)
-        modelled = planner.compensated(fit.actuator, self.session.sequence)
-        if "nominal" in self.session.kept and not self.session.is_complete(modelled.excitation, "compensated"):
-            # Only a record just before shows what crept meanwhile.
-            before = self._play(linear, afresh=True)
-            modelled = planner.compensated(fit.actuator, self.session.sequence)
-        runs = [(linear, before), (modelled, self._play(modelled))]
-        known = {"training": tuple(training), "held_out": (held_out,), "insight": assessment, "creep": creep}
-        return self._result(fit, runs, **known)
+        return _Measured(
+            fit,
+            fit.actuator,
+            tuple(training),
+            held_out,
+            excitations.homing(),
+            excitations.leg,
+            ends=_ends(loops),
+            insight=assessment,
+            creep=creep,
+        )
 
-    def _training(self, loops: Record, creep: CreepCheck) -> Iterator[tuple[str, Excitation]]:
-        """Yield the excitations to record for training, by name."""
-        if self.plan.protocol:
-            yield from ((f"given-{i}", excitation) for i, excitation in enumerate(self.plan.protocol, 1))
-            return
-        yield "loops", self._most_informative(loops)
-        if creep.seen:
-            yield from zip(("fast", "stairs"), self.excitations.creep_pair(), strict=True)
-
-    def _most_informative(self, loops: Record) -> Excitation:
+    def _most_informative(self, excitations: ExcitationPlan, loops: Record) -> Excitation:
         """Return the excitation that adds most to the major loops."""
         self.listener.message("choosing what to record")
-        try:
+        with suppress(IdentifyError, ModelError):
             fit = identify(loops, structure="maxwell_slip", throw=False)
-            if fit.actuator is None:
-                return self.excitations.tops()
-            assessment = self._insight(fit, loops)
-        except (IdentifyError, ModelError):
-            return self.excitations.tops()
-        return self._suggested(assessment) or self.excitations.tops()
-
-    def _more(self, assessment: Insight, number: int) -> Excitation:
-        return self._suggested(assessment) or self.excitations.tops(10 * (number + 1))
-
-    def _suggested(self, assessment: Insight) -> Excitation | None:
-        if not assessment.advice:
-            return None
-        return self.excitations.within_slew_rate(assessment.advice[0].excitation)
+            if fit.actuator is not None:
+                return _suggested(excitations, self._insight(fit, loops)) or excitations.tops()
+        return excitations.tops()
 
     def _identify(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
         self.listener.step("identify")
@@ -306,7 +274,13 @@ class _OneAxisRun(_AbstractRun):
         return fit, self._insight(fit, training)
 
     def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight:
-        return insight(fit.actuator, records, limits=(self.excitations.low, self.excitations.high), repeats=0)
+        limits = self.rig.limits
+        return insight(fit.actuator, records, limits=(limits.low, limits.high), repeats=0)
+
+
+def _suggested(excitations: ExcitationPlan, assessment: Insight) -> Excitation | None:
+    """Return what insight asks for first, no faster than the slew rate."""
+    return excitations.within_slew_rate(assessment.advice[0].excitation) if assessment.advice else None
 
 
 def _ends(loops: Record) -> tuple[float, float]:

@@ -1,23 +1,174 @@
-"""The plan of a calibration, known before anything is sent."""
+"""The plan of a calibration: what it plays, known before anything is sent, and voltages from files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import RecordError
+from dehyst._errors import FileFormatError, RecordError
+from dehyst._types import Array
 from dehyst.calibration.comparison_loop import replay
-from dehyst.calibration.protocol import AxesExcitations, ExcitationPlan, sample_rate_for
 from dehyst.calibration.tracking import PathPlanner
 from dehyst.instruments import AbstractRig
-from dehyst.waveforms import Excitation
-from dehyst.waveforms.excitation import positive
+from dehyst.records import MOST, Record, read_table, time_of
+from dehyst.waveforms import (
+    Excitation,
+    Leg,
+    Sampling,
+    descending_tops,
+    positive,
+    raised_cosine,
+    stage_excitation,
+    staircase,
+)
 
-# Cycles that each hold of the look lasts.
-_HOLD = 3.0
+_SAMPLES_A_CYCLE = 400
+# Cycles that each hold of the look lasts, and cycles of the look after its holds, where the state is known.
+_HOLD, _LOOPS = 3.0, 2
+# Shares of a hold between which creep is measured: early, but after the ramp has decayed, and late.
+_EARLY, _LATE = (0.1, 0.2), (0.9, 1.0)
+# Creep that a model may ignore, as a share of the stroke.
+_LITTLE = 1e-3
+# Speed-up of the fast loops that separate creep, and least samples a cycle that resolve the corners.
+_FASTER, _FEWEST = 5, 60
+_STEPS = 5
+# A rig may round a rate up.
+_SLOWER = 0.95
+# Share of the median by which the steps of time may differ.
+_UNEVEN = 1e-3
+# The held-out record of several axes is of other heights, periods and turning points.
+_HEIGHT, _PERIOD, _SEED = 0.97, 0.83, 100
+
+
+@dataclass(frozen=True)
+class ExcitationPlan:
+    """The excitations of a calibration of one axis, from `low` to `high` [V], at a `sample_rate` [Hz] of the rig.
+
+    A leg takes half a cycle of the `frequency` [Hz], or more if the `slew_rate` [V/s] stretches it; each hold that
+    measures creep lasts `hold` [s]. Raise `RecordError` if a number is impossible, or there are fewer than 8 samples a
+    cycle.
+    """
+
+    low: float
+    high: float
+    sample_rate: float
+    frequency: float = 1.0
+    hold: float = 3.0
+    slew_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        positive(self.hold, "hold")
+        self.sampling()
+
+    def sampling(self, faster: float = 1.0) -> Sampling:
+        """Return the sampling of the voltages, `faster` times faster."""
+        return Sampling(
+            frequency=faster * self.frequency,
+            sample_rate=self.sample_rate,
+            base=self.low,
+            limits=(self.low, self.high),
+            slew_rate=self.slew_rate,
+        )
+
+    def look(self) -> Excitation:
+        """Play up, a hold, down, a hold, then two major loops: for stroke, noise, creep and the first insight."""
+        sampling = self.sampling()
+        rise, fall = sampling.legs([self.low, self.high, self.low])
+        stay, rest = (Leg(level, level, self.hold) for level in (self.high, self.low))
+        return sampling.play("look", [rise, stay, fall, rest, *(rise, fall) * _LOOPS])
+
+    def loops(self, look: Record) -> Record:
+        """Return the major loops at the end of a look."""
+        sampling = self.sampling()
+        cycle = sampling.play("loop", sampling.legs([self.low, self.high, self.low]))
+        return look.slice(len(look) - 1 - _LOOPS * (len(cycle) - 1), None).with_name("look's loops")
+
+    def tops(self, steps: int = 10) -> Excitation:
+        """Play two major loops and descending tops."""
+        return descending_tops(self.high, steps=steps, drive=self.sampling())
+
+    def others(self) -> Excitation:
+        """Play loops of other heights, to be held out."""
+        heights = self.low + (self.high - self.low) * np.array([1.0, 0.75, 0.45])
+        return raised_cosine(heights, cycles=2, drive=self.sampling())
+
+    def creep_pair(self) -> tuple[Excitation, Excitation]:
+        """Return two excitations that separate creep from hysteresis: faster loops, and stairs with holds."""
+        faster = min(_FASTER, self.sample_rate / (_FEWEST * self.frequency))
+        fast = descending_tops(self.high, steps=_STEPS, drive=self.sampling(max(faster, 1.0)))
+        stairs = staircase(self.high, steps=_STEPS, hold=self.hold, back=True, drive=self.sampling())
+        return fast, stairs
+
+    def within_slew_rate(self, excitation: Excitation) -> Excitation:
+        """Return the excitation, slowed down to the slew rate."""
+        steepest = float(np.abs(np.diff(excitation.voltage)).max()) * excitation.sample_rate
+        if self.slew_rate is None or steepest <= _SLOWER * self.slew_rate:
+            return excitation
+        slower = excitation.sample_rate * _SLOWER * self.slew_rate / steepest
+        return Excitation(excitation.name, excitation.voltage, slower, excitation.warnings)
+
+    @property
+    def leg(self) -> int:
+        """Samples between two turns of a path: half a cycle, or as many as leave a model half of the slew rate."""
+        samples = 0.5 * self.sample_rate / self.frequency
+        if self.slew_rate is not None:
+            samples = max(samples, np.pi * (self.high - self.low) * self.sample_rate / self.slew_rate)
+        return int(np.ceil(samples))
+
+    def homing(self) -> Excitation:
+        """Play two major cycles: after them the state is known."""
+        return raised_cosine([self.high], cycles=2, drive=self.sampling())
+
+
+@dataclass(frozen=True)
+class AxesExcitations:
+    """The excitations of a calibration of several axes, with a column an axis.
+
+    `axes`: names. `each`: speed and voltages of each axis. `steps`: descending tops of each alone. `cycles`: of the
+    first one together with the others.
+    """
+
+    axes: tuple[str, ...]
+    each: tuple[ExcitationPlan, ...]
+    steps: int
+    cycles: int
+
+    def training(self) -> Excitation:
+        """Play the axes one after the other, then together."""
+        played = self._played(1.0, 1.0, 0)
+        return Excitation("axes", played.voltage, played.sample_rate)
+
+    def others(self) -> Excitation:
+        """Play all axes together, to be held out."""
+        played = self._played(_HEIGHT, _PERIOD, _SEED)
+        return Excitation("others", played.voltage[played.parts[-1][1] :], played.sample_rate)
+
+    def homing(self) -> Excitation:
+        """Play two major cycles of all axes at once."""
+        cycles = [one.homing().voltage for one in self.each]
+        longest = max(map(len, cycles))
+        # Axes that are faster wait at their lowest voltage first.
+        columns = [np.concatenate([np.full(longest - len(one), one[0]), one]) for one in cycles]
+        return Excitation("homing", np.column_stack(columns), self.each[0].sample_rate)
+
+    @property
+    def leg(self) -> int:
+        """Samples between two turns of a path of the first axis: half a cycle, or what slew rates need."""
+        return max(one.leg for one in self.each)
+
+    def _played(self, height: float, faster: float, seed: int) -> Excitation:
+        return stage_excitation(
+            [one.low + height * (one.high - one.low) for one in self.each],
+            drive=[one.sampling(faster) for one in self.each],
+            steps=self.steps,
+            cycles=self.cycles,
+            axes=self.axes,
+            seed=seed,
+        )
 
 
 @dataclass(frozen=True)
@@ -63,7 +214,7 @@ class Plan:
     def excitations(self, rig: AbstractRig) -> ExcitationPlan:
         """Return the excitations of this plan on a `rig` of one axis."""
         hold = _HOLD / self.frequency if self.hold is None else self.hold
-        rate = rig.nearest_rate(sample_rate_for(self.frequency))
+        rate = rig.nearest_rate(_SAMPLES_A_CYCLE * self.frequency)
         return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
 
     def axes_excitations(self, rig: AbstractRig) -> AxesExcitations:
@@ -93,11 +244,8 @@ class PlannedStep(NamedTuple):
 
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
-    """Return what a calibration would send, without sending it.
-
-    Raise `RecordError` if it cannot be played within the rig's limits.
-    """
-    planned = _steps_of_one(rig, plan) if len(rig.axes) == 1 else _steps_of_several(rig, plan)
+    """Return what a calibration would send; raise `RecordError` if that cannot be played within the rig's limits."""
+    planned = tuple(_steps_of_one(rig, plan) if len(rig.axes) == 1 else _steps_of_several(rig, plan))
     for step in planned:
         if step.excitation is not None:
             rig.check(step.excitation)
@@ -110,59 +258,98 @@ def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
     A step that depends on earlier records has no numbers; of several axes, voltages are lists. `rig` and `plan` as in
     `steps`, which may raise.
     """
-    return [_entry(rig, step) for step in steps(rig, plan)]
+    listed = []
+    for step in steps(rig, plan):
+        entry: dict[str, Any] = {"step": step.name, "what": step.words}
+        if step.excitation is not None:
+            rate, v = rig.nearest_rate(step.excitation.sample_rate), step.excitation.voltage
+            entry["samples"] = len(v) + step.more
+            entry["seconds"] = (entry["samples"] - 1) / rate
+            entry["lowest_V"], entry["highest_V"] = v.min(axis=0).tolist(), v.max(axis=0).tolist()
+            entry["steepest_V_per_s"] = (np.abs(np.diff(v, axis=0)).max(axis=0) * rate).tolist()
+        listed.append(entry)
+    return listed
 
 
-def _entry(rig: AbstractRig, step: PlannedStep) -> dict[str, Any]:
-    entry: dict[str, Any] = {"step": step.name, "what": step.words}
-    if step.excitation is None:
-        return entry
-    rate, v = rig.nearest_rate(step.excitation.sample_rate), step.excitation.voltage
-    samples = len(v) + step.more
-    return entry | {
-        "samples": samples,
-        "seconds": (samples - 1) / rate,
-        "lowest_V": v.min(axis=0).tolist(),
-        "highest_V": v.max(axis=0).tolist(),
-        "steepest_V_per_s": (np.abs(np.diff(v, axis=0)).max(axis=0) * rate).tolist(),
-    }
-
-
-def _steps_of_one(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
+def _steps_of_one(rig: AbstractRig, plan: Plan) -> Iterator[PlannedStep]:
     excitations = plan.excitations(rig)
+    look = excitations.look()
+    yield PlannedStep("comparison", "if the folder holds records: their loop twice, which must agree", replay(look))
+    yield PlannedStep("look", "holds at both ends, two major loops", look)
+    for i, given in enumerate(plan.protocol, 1):
+        yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
+    if not plan.protocol:
+        yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", excitations.tops())
+        for name, excitation in zip(("fast", "stairs"), excitations.creep_pair(), strict=True):
+            yield PlannedStep(name, "if the look shows creep", excitation)
+        for i in range(1, plan.rounds + 1):
+            yield PlannedStep(f"more-{i}", "if insight finds undetermined stiffnesses", None)
+    yield PlannedStep("others", "loops of other heights, held out", excitations.others())
     # With a constant ratio the voltages of the path depend on no measured displacement.
     path = PathPlanner(excitations.homing(), [rig.limits], excitations.leg, (0.0, 1.0)).nominal().excitation
-    look = excitations.look()
-    return (
-        PlannedStep("comparison", "if the folder holds records: their loop twice, which must agree", replay(look)),
-        PlannedStep("look", "holds at both ends, two major loops", look),
-        *_training_steps(excitations, plan),
-        PlannedStep("others", "loops of other heights, held out", excitations.others()),
-        PlannedStep("nominal", "homing, then a path of nine reversals by a constant ratio", path),
-        PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", path),
-    )
+    yield PlannedStep("nominal", "homing, then a path of nine reversals by a constant ratio", path)
+    yield PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", path)
 
 
-def _steps_of_several(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
+def _steps_of_several(rig: AbstractRig, plan: Plan) -> Iterator[PlannedStep]:
     excitations = plan.axes_excitations(rig)
     homing = excitations.homing()
+    yield PlannedStep("axes", "each axis alone, then all together", excitations.training())
+    yield PlannedStep("others", "all axes together, held out", excitations.others())
     path = PathPlanner(homing, [one.limits for one in rig.rigs], excitations.leg).samples
     words = "homing, then a path of all axes by constant ratios; its voltages follow"
-    return (
-        PlannedStep("axes", "each axis alone, then all together", excitations.training()),
-        PlannedStep("others", "all axes together, held out", excitations.others()),
-        PlannedStep("nominal", words, homing, path),
-        PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", homing, path),
-    )
+    yield PlannedStep("nominal", words, homing, path)
+    yield PlannedStep("compensated", "homing, then the same path by the model; its voltages follow", homing, path)
 
 
-def _training_steps(excitations: ExcitationPlan, plan: Plan) -> Iterator[PlannedStep]:
-    if plan.protocol:
-        for i, given in enumerate(plan.protocol, 1):
-            yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
-        return
-    yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", excitations.tops())
-    for name, excitation in zip(("fast", "stairs"), excitations.creep_pair(), strict=True):
-        yield PlannedStep(name, "if the look shows creep", excitation)
-    for i in range(1, plan.rounds + 1):
-        yield PlannedStep(f"more-{i}", "if insight finds undetermined stiffnesses", None)
+@dataclass(frozen=True)
+class CreepCheck:
+    """Creep in a look, as shares of the stroke: how far the displacement went on, and its standard uncertainty."""
+
+    share: float
+    doubt: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether a model should include creep."""
+        return abs(self.share) > max(_LITTLE, 4 * self.doubt)
+
+
+def creep_of(look: Record) -> CreepCheck:
+    """Return how far the displacement went on while the voltage of a look was held at its top."""
+    # The longest hold at the highest voltage; a readback has noise.
+    top = look.voltage > look.voltage.max() - 0.01 * float(np.ptp(look.voltage))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(int), [0]])))
+    first, last = max(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True), key=lambda span: span[1] - span[0])
+    y = look.displacement[first:last]
+    early, late = (y[int(a * y.size) : max(int(b * y.size), int(a * y.size) + 1)] for a, b in (_EARLY, _LATE))
+    share = float(late.mean()) - float(early.mean())
+    return CreepCheck(share / look.stroke, look.noise * float(np.sqrt(1 / early.size + 1 / late.size)) / look.stroke)
+
+
+class WantedVoltage(NamedTuple):
+    """An `excitation`, and the displacement (n,) [m] that is `wanted` at each of its voltages, or None."""
+
+    excitation: Excitation
+    wanted: Array | None
+
+
+def read_voltage(path: Path, *, max_bytes: float = MOST) -> WantedVoltage:
+    """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it.
+
+    The file is a table of `max_bytes` at most, with time [s] and voltage [V], and perhaps the wanted displacement.
+    Raise `FileFormatError` if it cannot be read, or the times do not rise, or not evenly.
+    """
+    table = read_table(path, max_bytes=max_bytes)
+    voltage = table.column("voltage")
+    steps = np.diff(time_of(table, voltage.size, None, None))
+    if not (steps > 0).all():
+        raise FileFormatError(f"{path}: the times do not rise; write it with dehyst excite, or correct them")
+    if not steps.size or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
+        raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
+    excitation = Excitation(path.stem, voltage, 1 / float(np.median(steps)))
+    try:
+        wanted = table.column("displacement")
+    except FileFormatError:
+        wanted = None
+    return WantedVoltage(excitation, wanted)

@@ -16,9 +16,7 @@ from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.calibration.comparison_loop import Agreement, agreement, replay
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.records import Record, Recording, read
-from dehyst.records.hdf5 import sha256_of
-from dehyst.records.recording import demand_disk_space, salvage, unused_path
+from dehyst.records import Record, Recording, demand_disk_space, read, salvage, sha256_of, unused_path
 from dehyst.waveforms import Excitation
 
 FORMAT = "dehyst-calibration"
@@ -53,29 +51,13 @@ class NullProgress:
 class Session:
     """Records on one rig, in one folder: ``records/NAME.h5``, of several axes ``records/NAME-AXIS.h5``.
 
-    Records of one axis that are complete are kept. Those of several are moved to ``records/set-aside`` before the first
-    one is played.
+    Records of one axis that are complete are kept: the session continues in the folder of a calibration of the same
+    instrument. Those of several are moved to ``records/set-aside`` before the first one is played. The listener
+    receives the samples, of several axes those of the axis that is farthest off its path.
 
-    Raise `FileFormatError` if the folder cannot be made, or belongs to another instrument.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist. The session continues in the folder of a calibration of the same instrument.
-    rig : AbstractRig
-    listener : ProgressListener
-        Receives the samples, of several axes those of the axis that is farthest off its path.
-
-    Attributes
-    ----------
-    sequence : list of Record
-        The requested records, in order.
-    played, kept : list of str
-        Names of the records that were played, and of those that were on disk.
-    agreement : Agreement or None
-        Of a loop on disk, played again; None if no record on disk was kept.
-    salvaged : tuple of Path
-        Records that a killed process had left incomplete.
+    `sequence`: the requested records, in order. `played`, `kept`: names of those that were played, and that were on
+    disk. `agreement`: of a loop on disk, played again; None if no record on disk was kept. Raise `FileFormatError` if
+    the folder cannot be made, or belongs to another instrument.
     """
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
@@ -93,34 +75,19 @@ class Session:
         self._replayed: Record | None = None
 
     def record(
-        self,
-        excitation: Excitation,
-        name: str,
-        *,
-        wanted: Array | None = None,
-        stroke: Any = None,
-        afresh: bool = False,
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = None, again: bool = False
     ) -> Record:
-        """Play an excitation and write its record, unless it is on disk already.
+        """Play an excitation and write its record, unless it is on disk already and is not to be played `again`.
 
         Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
         `RigError` as `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
         Raise `FileFormatError` if nothing can be written.
 
-        Parameters
-        ----------
-        excitation : Excitation
-        name : str
-            Of the record and its files.
-        wanted : (n,) or (n, axes) array, optional
-            Wanted displacement [m] at each voltage, for the listener; NaN where none is wanted.
-        stroke : float or (axes,) array, optional
-            Reference of its error [m].
-        afresh : bool
-            Whether to play it although it is on disk.
+        For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN where none is wanted, and
+        the `stroke` [m] to which their error refers, of each axis.
         """
         paths = self._paths(name)
-        stored = None if afresh or self._several else self._stored(paths[0], excitation)
+        stored = None if again else self._stored(name, excitation)
         if stored is not None and self._agrees(stored.with_name(name), excitation):
             self.kept.append(name)
             self.sequence.append(stored)
@@ -137,6 +104,15 @@ class Session:
             self._replayed = None
         self.sequence.append(record)
         return record
+
+    def is_complete(self, excitation: Excitation, name: str) -> bool:
+        """Return whether the complete record of an excitation is on disk."""
+        return self._stored(name, excitation) is not None
+
+    def hashes(self) -> dict[str, str]:
+        """Return the SHA-256 of the file of each requested record."""
+        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def _begin(self, excitation: Excitation) -> None:
         """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
@@ -223,19 +199,12 @@ class Session:
         self.agreement, self._replayed = result, played
         return True
 
-    def is_complete(self, excitation: Excitation, name: str) -> bool:
-        """Return whether the complete record of an excitation is on disk."""
-        return not self._several and self._stored(self._paths(name)[0], excitation) is not None
-
-    def hashes(self) -> dict[str, str]:
-        """Return the SHA-256 of the file of each requested record."""
-        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
-        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
-
-    def _stored(self, path: Path, excitation: Excitation) -> Record | None:
-        """Return the record in a file if it is complete, undamaged and of this excitation on this instrument."""
+    def _stored(self, name: str, excitation: Excitation) -> Record | None:
+        """Return the record of one axis on disk if it is complete, undamaged and of this excitation and instrument."""
+        if self._several:
+            return None
         try:
-            record = read(path)
+            record = read(self._paths(name)[0])
         except (FileFormatError, RecordError):
             return None
         meta, samples = record.meta, (record.time, record.voltage, record.displacement)
@@ -254,14 +223,13 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
 
     Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
     """
-    records = folder / "records"
+    records, path = folder / "records", folder / "campaign.json"
     try:
         records.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileFormatError(
             f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
         ) from error
-    path = folder / "campaign.json"
     instrument: dict[str, Any] = {"rig": rig, "axis": axis}
     if not os.path.lexists(path):
         write_json(path, {"format": FORMAT, "version": 1, **instrument})

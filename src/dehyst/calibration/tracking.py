@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.control import Compensator, StageCompensator, VoltageLimits
-from dehyst.model import Actuator, Motion, Stage
-from dehyst.model.stage import apply
-from dehyst.model.states import beginning
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent, rms
-from dehyst.waveforms import Excitation
-from dehyst.waveforms.several_axes import RATIO
-from dehyst.waveforms.standard import TURNS, wanted_path
+from dehyst.model import Actuator, Stage, State, apply, beginning
+from dehyst.records import Record, largest, percent, rms
+from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 
 # Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
 # later than the axis before.
@@ -30,17 +25,9 @@ _USED, _LATER = 0.96, 3
 class PlannedRun:
     """A path to follow after a homing, and a voltage for it.
 
-    Attributes
-    ----------
-    wanted : (n,) or (n, axes) array
-        Wanted reading of the sensor [m] at each sample of the excitation; NaN during the homing.
-    begin : int
-        First sample of the path, after the homing and the way to the path.
-    excitation : Excitation
-    stroke : float or (axes,) array
-        Of the major loop [m].
-    warnings : tuple of str
-        Where the voltage could not follow.
+    `wanted`: readings of the sensor [m] at each sample of the `excitation`, (n,) or (n, axes); NaN during the homing.
+    `begin`: first sample of the path, after the homing and the way to the path. `stroke`: of the major loop [m], of
+    each axis. `warnings`: where the voltage could not follow.
     """
 
     wanted: Array
@@ -62,22 +49,20 @@ class _Place(NamedTuple):
     origin: Array
     reach: Array
 
+    @classmethod
+    def between(cls, low: float, high: float) -> _Place:
+        """Return the place of a path of one axis between two readings [m]."""
+        return cls(*(np.array([value]) for value in (low, high - low, low, high - low)))
+
 
 @dataclass(frozen=True, eq=False)
 class PathPlanner:
     """A planner of a path through most of the stroke after a homing, of one axis or of several that move together.
 
-    Parameters
-    ----------
-    homing : Excitation
-        Two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate too.
-    limits : sequence of VoltageLimits
-        Voltages allowed [V] on each axis, and their slew rate.
-    leg : int
-        Samples from one turning point to the next, of the first axis; several axes have periods that do not repeat.
-    ends : (float, float), optional
-        Of one axis, measured displacement [m] at the lowest and highest voltage of the homing. Those of several axes
-        follow from the model.
+    `homing`: two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate
+    too. `limits`: voltages allowed on each axis, and their slew rate. `leg`: samples from one turning point to the
+    next, of the first axis; several axes have periods that do not repeat. `ends`: of one axis, measured displacement
+    [m] at the lowest and highest voltage of the homing; those of several axes follow from the model.
     """
 
     homing: Excitation
@@ -90,18 +75,16 @@ class PathPlanner:
         """Samples of a path with the way to it, after the homing."""
         return self.leg + (len(TURNS) - 1) * max(self._legs)
 
-    def nominal(self, stage: Stage | None = None, before: Sequence[Record] = ()) -> PlannedRun:
+    def nominal(self, model: Actuator | Stage | None = None, before: Sequence[Record] = ()) -> PlannedRun:
         """Plan the run with a constant ratio of voltage to displacement, as if there was no coupling.
 
-        Of several axes, the path lies where the model of the `stage` expects it after all records until now, `before`.
+        Of several axes, the path lies where the `model` expects it after all records until now, `before`.
         """
-        if self.ends is not None or stage is None:
-            low, high = self.ends or (0.0, 1.0)
-            place = _Place(*(np.array([value]) for value in (low, high - low, low, high - low)))
+        if self.ends is not None or model is None:
+            place = _Place.between(*(self.ends or (0.0, 1.0)))
             start = place.low
         else:
-            homed, datum = self._homed(stage, before)
-            place, start = self._place(stage, homed, datum), homed.displacement[-1] + datum
+            place, start, *_ = self._homed(model, before)
         bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
         wanted = self._wanted(place, start)
         voltage = bottom + (wanted - place.low) * (top - bottom) / place.stroke
@@ -113,20 +96,15 @@ class PathPlanner:
         `before`: all records until now, in order; the last is that of the nominal run. Its path corrects for what
         happened before the records, and for the drift of the sensor.
         """
-        stage = model if isinstance(model, Stage) else Stage((model,))
-        homed, datum = self._homed(stage, before)
-        place = self._place(stage, homed, datum)
-        wanted = self._wanted(place, homed.displacement[-1] + datum)
+        place, start, states, datum = self._homed(model, before)
+        wanted = self._wanted(place, start)
         time = np.arange(len(wanted)) / self.homing.sample_rate
-        ahead = np.column_stack(
-            [
-                np.interp(time + one.delay, time, column) - zero
-                for one, column, zero in zip(stage.actuators, wanted.T, datum.tolist(), strict=True)
-            ]
-        )
+        actuators = model.actuators if isinstance(model, Stage) else (model,)
+        columns = zip(actuators, wanted.T, datum.tolist(), strict=True)
+        ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in columns])
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
         if isinstance(model, Stage):
-            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=homed.state)
+            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=states)
             commands = several.trajectory(ahead, time=time)
             pairs = zip(model.axes, commands, strict=True)
             remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
@@ -134,7 +112,7 @@ class PathPlanner:
             return self._run("compensated", wanted, voltage, place, remarks)
         one = Compensator(model, bounds[0], rates[0])
         present = float(self.homing.voltage[-1])
-        followed = one.trajectory(ahead[:, 0], time=time, state=homed.state[0], present=present)
+        followed = one.trajectory(ahead[:, 0], time=time, state=states[0], present=present)
         return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
 
     @property
@@ -142,8 +120,14 @@ class PathPlanner:
         """Samples between two turning points of each axis."""
         return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
 
-    def _homed(self, stage: Stage, before: Sequence[Record]) -> tuple[Motion, Array]:
-        """Return the motion of the next homing, and the zeros (axes,) [m] of the sensors by the last record."""
+    def _homed(
+        self, model: Actuator | Stage, before: Sequence[Record]
+    ) -> tuple[_Place, Array, tuple[State, ...], Array]:
+        """Return the place of the path, and after the next homing the readings [m], states, and zeros [m] of sensors.
+
+        The zeros are those of the last record.
+        """
+        stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement = _joined(before)
         starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
         played = stage.simulate(voltage, time=time, states=starts, extrapolate=True)
@@ -151,37 +135,34 @@ class PathPlanner:
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
-        return stage.simulate(rows, time=homing.time, states=played.state, extrapolate=True), datum
-
-    def _place(self, stage: Stage, homed: Motion, datum: Array) -> _Place:
+        homed = stage.simulate(rows, time=homing.time, states=played.state, extrapolate=True)
+        start = homed.displacement[-1] + datum
         if self.ends is not None:
-            low, high = self.ends
-            return _Place(*(np.array([value]) for value in (low, high - low, low, high - low)))
+            return _Place.between(*self.ends), start, homed.state, datum
         # Each actuator alone at the ends of its major loop.
-        moved = apply(stage.decoupling, homed.displacement)[len(self.homing) // 2 :]
+        moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
         stroke = top - bottom
         # So large that whatever the other axes do no actuator leaves its range.
         share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + datum
         low = apply(stage.coupling, bottom[None])[0] + datum
-        return _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
+        place = _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
+        return place, start, homed.state, datum
 
     def _wanted(self, place: _Place, start: Array) -> Array:
         """Return the way from the end of the homing to the path, and the path [m]: (n, axes)."""
         legs = self._legs
         # As many samples as the slowest axis needs for all its turning points.
         count = (len(TURNS) - 1) * max(legs) + 1
-        paths = [wanted_path(1.0, self._turns(j, count, leg), leg=leg)[:count] for j, leg in enumerate(legs)]
+        paths = []
+        for j, leg in enumerate(legs):
+            later = islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // leg + 2)
+            turns = TURNS if len(legs) == 1 else tuple(later)
+            paths.append(wanted_path(1.0, turns, leg=leg)[:count])
         path = place.origin + place.reach * np.column_stack(paths)
         way = [wanted_path(1.0, ends, leg=self.leg) for ends in zip(start.tolist(), path[0].tolist(), strict=True)]
         return np.vstack([np.column_stack(way)[1:], path[1:]])
-
-    def _turns(self, j: int, count: int, leg: int) -> tuple[float, ...]:
-        """Return the turning points of axis `j` for `count` samples."""
-        if len(self.limits) == 1:
-            return TURNS
-        return tuple(islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // leg + 2))
 
     def _run(
         self, name: str, wanted: Array, voltage: Array, place: _Place, warnings: tuple[str, ...] = ()
@@ -211,16 +192,8 @@ def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:
 class TrackedPath:
     """A measured path of one axis or several.
 
-    Attributes
-    ----------
-    time : (n,) array
-        [s].
-    wanted, reached : (n,) or (n, axes) array
-        Displacement [m].
-    stroke : float or (axes,) array
-        [m].
-    axes : tuple of str
-        Names of several axes.
+    `time` (n,) [s], `wanted` and `reached` displacement (n,) or (n, axes) [m], `stroke` [m] of each axis; `axes`: names
+    of several.
     """
 
     time: Array
@@ -244,16 +217,14 @@ class TrackedPath:
     @property
     def largest_percent(self) -> Any:
         """Largest error in % of the stroke; of several axes a tuple, one each."""
-        if self.axes:
-            return tuple(one.largest_percent for one in self.each)
-        return percent(largest(self.error), self.stroke)
+        found = tuple(percent(largest(one.error), one.stroke) for one in self.each)
+        return found if self.axes else found[0]
 
     @property
     def rms_percent(self) -> Any:
         """RMS error in % of the stroke; of several axes a tuple, one each."""
-        if self.axes:
-            return tuple(one.rms_percent for one in self.each)
-        return percent(rms(self.error), self.stroke)
+        found = tuple(percent(rms(one.error), one.stroke) for one in self.each)
+        return found if self.axes else found[0]
 
     @property
     def each(self) -> tuple[TrackedPath, ...]:

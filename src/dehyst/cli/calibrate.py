@@ -95,7 +95,7 @@ def calibrate(
         if not options["protocol"]:
             refuse_given("without --protocol", "max_bytes")
     from dehyst.calibration import Plan
-    from dehyst.calibration.protocol import read_voltage
+    from dehyst.calibration.plan import read_voltage
     from dehyst.instruments import open_rig
 
     names = [name.strip() for name in (axes or rig.rpartition("/")[2]).split(",")] if several else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,6 @@ from dehyst.records.formats.file_content import MOST
 
 if TYPE_CHECKING:
     from dehyst.control import Compensator, PossibleStart, StageCompensator
-    from dehyst.exports import Exported
     from dehyst.model import Actuator, State
 
 
@@ -97,12 +95,12 @@ def export(
     With --fmu, write it or its actuator as an FMU for co-simulation. To a name that ends in .wasm, write it as
     WebAssembly, and beside it the JavaScript module that calls it.
     """
-    several, force = is_stage(model), bool(given("force"))
-    as_wasm = _refuse_other_options(directory, fmu, kind, several)
-    if as_wasm:
-        from dehyst.exports.wasm import wasm_files
+    from dehyst.exports.targets import TARGETS
 
-        refuse_overwriting([model], *wasm_files(directory))
+    several = is_stage(model)
+    target = TARGETS[_target(directory, fmu, kind, several)]
+    if target.files is not None:
+        refuse_overwriting([model], *target.files(directory))
     known = AxesModel.read(model)
     bounds, slews = bounds_of(known.axes, {"limits": limits, "slew": slew, **axis_bounds})
     begins, remarks = given_starts(known, start, bounds, {"max_bytes": MOST, "decimal": None})
@@ -112,59 +110,34 @@ def export(
     if kind == "actuator":
         bounds = [_NONE]
     compensator, loops = _compensators(known, starts, bounds, slews, period=period, preview=preview)
-
-    def begin_words() -> list[str]:
-        words = ([_begin_words(loop, *pair, kind)] for loop, pair in zip(loops, pairs, strict=True))
-        return known.prefixed(words)
-
-    if fmu is not None:
-        refuse_overwriting([model], directory)
-        result, line, more = _write_fmu(loops[0], starts[0].state, directory, fmu, kind or "compensator")
-        result["warnings"] = remarks = [*remarks, *more]
-        conclude(as_json, result, [line, *begin_words()], remarks)
-        return
-    if not several:
+    options = {"number": number, "name": name, "measure": measure, "force": bool(given("force"))}
+    written = target.write(compensator, directory, {**options, "fmu": fmu, "kind": kind})
+    remarks += written.remarks
+    if not several and kind != "actuator":
         remarks += _limit_warnings(loops[0], starts[0].state)
-    if as_wasm:
-        result, line = _write_wasm(loops[0], directory)
-        conclude(as_json, {**result, "warnings": remarks}, [line, *begin_words()], remarks)
-        return
-    from dehyst.exports import export as run
-
-    exported = run(compensator, directory, number, force=force, measure=measure, name=name)
-    if measure and exported.unmeasured is not None:
-        remarks.append(f"bytes and errors were not measured on this computer: {exported.unmeasured}")
-    result = {
-        "directory": str(directory),
-        "number": number,
-        "warnings": remarks,
-        **known.merged([_begins(loop) for loop in loops]),
-        **_numbers(exported),
-    }
-    of_axes = f" of the axes {', '.join(known.axes)}," if several else ""
-    head = f"{directory}: a compensator{of_axes} of {number}s"
-    conclude(as_json, result, [head, *begin_words(), *_table(exported)], remarks)
+    begin_words = known.prefixed([_begin_words(loop, *pair, kind)] for loop, pair in zip(loops, pairs, strict=True))
+    result = {**written.values, "warnings": remarks, **known.merged([_begins(loop) for loop in loops])}
+    conclude(as_json, result, [written.line, *begin_words, *written.table], remarks)
 
 
-def _refuse_other_options(directory: Path, fmu: str | None, kind: str | None, several: bool) -> bool:
-    """Refuse options that have no effect on what is written; return whether that is WebAssembly."""
+def _target(directory: Path, fmu: str | None, kind: str | None, several: bool) -> str:
+    """Return the kind of export; refuse options that have no effect on it."""
+    from dehyst.exports.targets import TARGETS
+
     always = ("limits", "slew", "period", "start", "force")
+    suffixes = {target.suffix: name for name, target in TARGETS.items() if target.suffix}
     if several:
         refuse_unused("with a stage, which is exported as C", *always, *AXIS_BOUNDS, "name", "measure")
-        if directory.suffix in (".fmu", ".wasm"):
+        if directory.suffix in suffixes:
             raise click.UsageError("a stage is exported as C; give a folder")
-    elif fmu is None and directory.suffix == ".fmu":
+        return "c"
+    name = "fmu" if fmu is not None and directory.suffix != ".wasm" else suffixes.get(directory.suffix, "c")
+    if name == "fmu" and fmu is None:
         raise click.UsageError(f"{directory}: got a name that ends in .fmu without --fmu; give --fmu or another folder")
-    elif directory.suffix == ".wasm":
-        refuse_unused("on WebAssembly", *always, "preview")
-        return True
-    elif fmu is None:
-        refuse_unused("on C for one axis", *always, "preview", "number", "name", "measure")
-    elif kind == "actuator":
+    if kind == "actuator" and name == "fmu":
         refuse_unused("on an FMU of the actuator", "period", "start", "force", "fmu", "kind")
-    else:
-        refuse_unused("on an FMU", *always, "preview", "fmu", "kind")
-    return False
+    refuse_unused(f"on {TARGETS[name].words}", *always, *TARGETS[name].options)
+    return name
 
 
 def _compensators(
@@ -179,34 +152,6 @@ def _compensators(
         return several, several.compensators
     one = Compensator(known.actuators[0], limits[0], slews[0], period=period, state=states[0], preview=preview)
     return one, (one,)
-
-
-def _write_wasm(compensator: Compensator, path: Path) -> tuple[dict[str, Any], str]:
-    """Write WebAssembly; return its result as JSON values, and as a line."""
-    from dehyst.exports import export_wasm
-    from dehyst.exports.wasm import wasm_files
-
-    export_wasm(compensator, path)
-    _, script, types = wasm_files(path)
-    size = path.stat().st_size
-    result = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size, **_begins(compensator)}
-    return result, f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
-
-
-def _write_fmu(
-    compensator: Compensator, state: State, path: Path, version: Any, kind: Any
-) -> tuple[dict[str, Any], str, list[str]]:
-    """Write an FMU; return its result as JSON values, as a line, and warnings."""
-    from dehyst.exports import SourceOnlyWarning, export_fmu
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(compensator, path, version, kind)
-    remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    result = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks, **_begins(compensator)}
-    remarks += _limit_warnings(compensator, state) if kind == "compensator" else []
-    content = "sources and a binary for Linux x86-64" if result["binary"] else "sources"
-    return {**result, "warnings": remarks}, f"{path}: an FMU {version} of the {kind}, {content}", remarks
 
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
@@ -247,22 +192,3 @@ def _begin_words(compensator: Compensator, actuator: Actuator, start: PossibleSt
     begin = ExportedStart.of(compensator)
     sentence = f"memory begins at {begin.words} {start_words(actuator, start, compensator.state)}"
     return sentence if kind == "actuator" else f"{sentence}; to bring the actuator there, {begin.way}"
-
-
-def _numbers(exported: Exported) -> dict[str, Any]:
-    return {
-        "bytes": {name: footprint._asdict() for name, footprint in exported.footprints.items()},
-        "error_of_range": exported.error,
-        "unmeasured": exported.unmeasured,
-    }
-
-
-def _table(exported: Exported) -> list[str]:
-    rows = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if exported.footprints else []
-    rows += [
-        f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}"
-        for name, size in exported.footprints.items()
-    ]
-    if exported.error is not None:
-        rows.append(f"floats: errors up to {exported.error:.1e} of the range")
-    return rows

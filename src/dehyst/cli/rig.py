@@ -146,7 +146,7 @@ def serve(
         echo(
             ("" if axes == 1 else f"axis {one.name}: ")
             + _tally(one.bench)
-            + (f", {controller.recorder.rows_sent} samples reported" if one is controller.axes[-1] else "")
+            + (f", {controller.rows_sent} samples reported" if one is controller.axes[-1] else "")
         )
 
 

@@ -18,10 +18,7 @@ from dehyst._validation import interval, keep, number, vector
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
 from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow
-from dehyst.model import Actuator, State
-from dehyst.model.checks import ANYWAY
-from dehyst.model.python_control import compensator_block, labels
-from dehyst.model.states import state_within_limits
+from dehyst.model import ANYWAY, Actuator, State, compensator_block, labels, state_within_limits
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem

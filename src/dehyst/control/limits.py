@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DehystError, ModelError
 from dehyst._types import Array
 from dehyst._validation import interval, keep, number, untimely, vector
-from dehyst.model import Actuator
-from dehyst.model.checks import Range, voltage_error
+from dehyst.model import Actuator, Range, voltage_error
 
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"

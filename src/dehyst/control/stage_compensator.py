@@ -17,9 +17,7 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
 from dehyst.control.trajectory import Command
-from dehyst.model import Stage, State
-from dehyst.model.stage import apply, dot, reachable
-from dehyst.model.states import state_after_loops
+from dehyst.model import Stage, State, apply, dot, reachable, state_after_loops
 
 # Passes over the path in which clamped axes correct the free ones.
 _PASSES = 12

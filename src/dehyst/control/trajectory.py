@@ -17,8 +17,7 @@ from dehyst._validation import vector
 from dehyst._views import html, tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits, outside_identified
-from dehyst.model import Actuator, Motion, State
-from dehyst.model.evaluator import PathData
+from dehyst.model import Actuator, Motion, PathData, State
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+from itertools import accumulate
 from pathlib import Path
 from string import Template
 from typing import NamedTuple
@@ -13,38 +14,20 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
 from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
-from dehyst.exports.coupling import coupled_sources, labels
-from dehyst.exports.footprint import (
-    CORTEX_M4,
-    CORTEX_M4_SMALL,
-    CORTEX_M4F,
-    CORTEX_M4F_SMALL,
-    STRICT,
-    Footprint,
-    run,
-    sizes,
-)
-from dehyst.exports.golden_trace import GoldenTrace, Loop, golden_trace, trace_header
-from dehyst.exports.model_header import (
-    NUMBERS,
-    SIZES,
-    ExportedStart,
-    Number,
-    config_header,
-    demand_compensator,
-    numbers,
-    size_macros,
-)
-from dehyst.exports.naming import DEFAULT, demand_name, file_of, in_comment, name_in, printable, shipped, text_of
-
-__all__ = ["SOURCES", "Exported", "Footprint", "code", "export", "sizes"]
+from dehyst.exports.footprint import Footprint, Measurement, measure
+from dehyst.exports.golden_trace import Loop, golden_trace, trace_header
+from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header, demand_compensator
+from dehyst.exports.naming import DEFAULT, demand_name, name_in, printable, shipped, text_of
 
 STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
 CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
 CONFIG = "dehyst_config.h"
-_FILES = {*CORE, CONFIG, "piezo.c", "piezo.h", "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
+# Files of an export besides the two that have its name.
+_FILES = {*CORE, CONFIG, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
+# Lines of the templates in whose place the generated text comes.
+_SIZES, _NUMBERS = "/* sizes */\n", "/* numbers */\n"
 # A float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
@@ -55,34 +38,21 @@ Wanted displacements must be smooth, without jumps, corners or noise: delays are
 samples, which amplify these. Voltages stay within the limits all the same.
 """
 _INDENT = " " * 22 + "# "
-_COMPILER, _UNASKED = "cc", "not asked for"
-_PROCESSORS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "this computer, -O2": (_COMPILER, ("-O2",)),
-    "Cortex-M4, -O2": ("arm-none-eabi-gcc", CORTEX_M4),
-    "Cortex-M4, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4_SMALL),
-    "Cortex-M4F, -O2": ("arm-none-eabi-gcc", CORTEX_M4F),
-    "Cortex-M4F, -Os -flto": ("arm-none-eabi-gcc", CORTEX_M4F_SMALL),
-}
-_TABLE_NOTES = (
-    "",
-    "Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.",
-    "Stack: the deepest chain of calls, without that arithmetic.",
-)
-_MEASURED = re.compile(r"largest error ([\d.e+-]+) of the range")
+_TABLE = """\
+| bytes | flash | RAM for one `piezo` | stack |
+| --- | --- | --- | --- |
+{rows}
+
+Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.
+Stack: the deepest chain of calls, without that arithmetic."""
 
 
 class Exported(NamedTuple):
-    """An exported folder.
+    """An exported `folder`, and what was measured of it.
 
-    Attributes
-    ----------
-    folder : Path
-    footprints : dict of str to Footprint
-        Bytes by processor, for each compiler that was found.
-    error : float or None
-        Of floats: the largest error of the trace, as a share of the limits or of the reach; None if not measured.
-    unmeasured : str or None
-        Why bytes or error were not measured on this computer; None if they were.
+    `footprints`: bytes by processor, for each compiler that was found. `error`: of floats, the largest of the trace, as
+    a share of the limits or of the reach; None if not measured. `unmeasured`: why bytes or error were not measured on
+    this computer; None if they were.
     """
 
     folder: Path
@@ -105,19 +75,22 @@ def code(compensator: Loop, number: Number = "double", name: str | None = None) 
         raise ModelError(argument="number", got=repr(number), need=need)
     own = _name(compensator, name)
     demand_name(own)
-    files = {file: shipped(file) for file in CORE} | {CONFIG: config_header(number)}
     if isinstance(compensator, StageCompensator):
-        title = f"stage '{in_comment(compensator.stage.name)}'"
-        source, header = coupled_sources(compensator, own)
+        kind, title, templates = "stage", compensator.stage.name, ("stage.h", "stage.c")
+        macros, numbers = _coupled(compensator)
     else:
-        title = f"actuator '{in_comment(compensator.actuator.name)}'"
-        source, header = (
-            text_of(shipped(file).replace(place, generated(compensator, number)), own)
-            for file, place, generated in (("piezo.c", NUMBERS, numbers), ("piezo.h", SIZES, size_macros))
-        )
-    # The actuator's name is not to be renamed.
-    title = f"/* The {title}, made by dehyst {__version__}. Units: V, m, s. Do not edit. */\n"
-    return files | {f"{own}.c": title + source, f"{own}.h": title + header}
+        kind, title, templates = "actuator", compensator.actuator.name, ("piezo.h", "piezo.c")
+        text = ModelText(compensator, number)
+        macros, numbers = text.macros(), text.numbers()
+    # The actuator's name is not to be renamed, nor to end the comment.
+    title = printable(title).replace("*/", "* /").replace("/*", "/ *")
+    title = f"/* The {kind} '{title}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */\n"
+    header, source = map(shipped, templates)
+    own_files = {
+        f"{own}.c": title + text_of(source.replace(_NUMBERS, numbers), own),
+        f"{own}.h": title + text_of(header.replace(_SIZES, macros), own),
+    }
+    return {**{file: shipped(file) for file in CORE}, CONFIG: config_header(number), **own_files}
 
 
 def _name(compensator: Loop, name: str | None) -> str:
@@ -125,6 +98,29 @@ def _name(compensator: Loop, name: str | None) -> str:
     if name is not None:
         return name
     return STAGE_NAME if isinstance(compensator, StageCompensator) else DEFAULT
+
+
+def _coupled(compensator: StageCompensator) -> tuple[str, str]:
+    """Return the macros and the numbers of several axes: those of each, and the matrices."""
+    texts = [ModelText(one, "double") for one in compensator.compensators]
+    ends, count = list(accumulate(text.memory for text in texts)), len(texts)
+    macros = {
+        "AXES": count,
+        "PERIOD": repr(compensator.period or 0.0),
+        "MEMORY": ends[-1],
+        "SPARE": max(2, *(text.memory for text in texts)),
+    }
+    numbers = [text_of(text.numbers(), f"axis{j}") for j, text in enumerate(texts)]
+    for name, table in (("decoupling", compensator.stage.decoupling), ("coupling", compensator.stage.coupling)):
+        rows = ",\n    ".join("{" + ", ".join(value.hex() for value in row) + "}" for row in table.tolist())
+        numbers.append(f"static const dehyst_real {name}[MODEL_AXES][MODEL_AXES] = {{\n    {rows}}};\n")
+    models = ", ".join(f"&axis{j}_model" for j in range(count))
+    numbers += [
+        f"static const dehyst_model *const models[MODEL_AXES] = {{{models}}};",
+        "/* Where the memory of each axis begins. */",
+        f"static const int begins[MODEL_AXES] = {{{', '.join(map(str, [0, *ends[:-1]]))}}};\n",
+    ]
+    return "".join(f"#define MODEL_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
 
 
 def export(
@@ -140,8 +136,8 @@ def export(
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
     Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
-    Those of a stage, stage.c and stage.h, have the coupling matrix and the numbers and calls of each axis. Beside
-    them are a golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
+    Those of a stage, stage.c and stage.h, have the coupling matrix and the numbers of each axis. Beside them are a
+    golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
 
     Parameters
     ----------
@@ -158,10 +154,6 @@ def export(
         the files of the model are then NAME.c and NAME.h, and macros begin with it.
     measure : bool, optional
         Compile the export to measure bytes and the error of floats, which takes seconds.
-
-    Returns
-    -------
-    Exported
 
     Raises
     ------
@@ -181,52 +173,25 @@ def export(
         _demand_free(folder, force)
         draft.mkdir()
         _write(draft, {**files, "LICENSE": shipped("LICENSE")})
-        result = _complete(draft, compensator, number, own, measure)
+        found = _complete(draft, compensator, number, own, measure)
         _put(draft, target)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return result._replace(folder=folder)
+    return Exported(folder, *found)
 
 
-def _complete(draft: Path, compensator: Loop, number: Number, name: str, measure: bool) -> Exported:
+def _complete(draft: Path, compensator: Loop, number: Number, name: str, measured: bool) -> Measurement:
     """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
     trace = golden_trace(compensator)
     _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    result = Exported(draft, {}, None, None if measure else _UNASKED)
-    if measure:
-        result = _measured(result, number, name)
+    found = measure(draft, number, name) if measured else Measurement({}, None, "not asked for")
     if number == "float":
-        most = _UNMEASURED if result.error is None else _MARGIN * result.error
+        most = _UNMEASURED if found.error is None else _MARGIN * found.error
         _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    _write(draft, {"README.md": _readme(compensator, number, trace, result, name)})
-    return result
-
-
-def _measured(result: Exported, number: Number, name: str) -> Exported:
-    """Add sizes and error by the compilers at hand, or the reason why they are missing."""
-    error, reason, footprints = None, None, {}
-    if number == "float":
-        try:
-            error = _float_error(result.folder, name)
-        except FileFormatError as failure:
-            reason = _reason(failure)
-    for processor, (compiler, flags) in _PROCESSORS.items():
-        # Its floating-point unit has floats only.
-        if processor.startswith("Cortex-M4F") and number == "double":
-            continue
-        try:
-            footprints[processor] = sizes(result.folder, compiler, flags)
-        except FileFormatError as failure:
-            reason = _reason(failure) if compiler == _COMPILER else reason
-    return result._replace(footprints=footprints, error=error, unmeasured=reason)
-
-
-def _reason(failure: FileFormatError) -> str:
-    if shutil.which(_COMPILER) is None:
-        return f"no C compiler ({_COMPILER}) was found"
-    return f"the C compiler failed ({failure})"
+    _write(draft, {"README.md": _readme(compensator, number, len(trace.rows), found, name)})
+    return found
 
 
 def _demand_free(folder: Path, force: bool) -> None:
@@ -239,7 +204,7 @@ def _demand_free(folder: Path, force: bool) -> None:
         raise FileFormatError(f"{folder}: is a file, need the name of a folder")
     present = sorted(path.name for path in folder.iterdir())
     earlier = name_in(folder)
-    exported = {file_of(file, earlier or DEFAULT) for file in _FILES}
+    exported = _FILES | {f"{earlier or DEFAULT}.c", f"{earlier or DEFAULT}.h"}
     foreign = [name for name in present if name not in exported and not _BUILT.fullmatch(name)]
     if foreign or (present and earlier is None):
         named = ", ".join((foreign or present)[:3])
@@ -276,57 +241,62 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             settle(stream.fileno())
 
 
-def _float_error(folder: Path, name: str) -> float:
-    """Measure the largest error of the trace in floats, as a share of the range."""
-    with tempfile.TemporaryDirectory() as work:
-        program, sources = str(Path(work) / "check"), [file_of(file, name) for file in SOURCES]
-        run([_COMPILER, *STRICT, "-O2", "check.c", *sources, "-o", program], folder)
-        error = _MEASURED.search(run([program], folder))
-    if error is None:
-        raise FileFormatError("check.c: did not print the error of floats; install dehyst again")
-    return float(error[1])
-
-
-def _readme(compensator: Loop, number: Number, trace: GoldenTrace, result: Exported, own: str) -> str:
-    period = compensator.period
-    common = {
+def _readme(compensator: Loop, number: Number, rows: int, found: Measurement, own: str) -> str:
+    period, sizes = compensator.period, []
+    if found.unmeasured is not None:
+        sizes.append(
+            f"Not measured on this computer: {found.unmeasured}. To measure it later: "
+            "`dehyst.exports.sizes(folder, compiler)`."
+        )
+    if found.footprints or not sizes:
+        lines = (
+            f"| {key} | {one.flash} | {one.ram} | {one.stack or 'unknown'} |" for key, one in found.footprints.items()
+        )
+        sizes.append(_TABLE.format(rows="\n".join(lines)))
+    words: dict[str, object] = {
         "version": __version__,
         "every": "a sample" if period is None else f"every {period:.9g} s",
-        "bytes": text_of(_bytes(result), own),
-        "rows": len(trace.rows),
+        "bytes": text_of("\n\n".join(sizes), own),
+        "rows": rows,
     }
     if isinstance(compensator, StageCompensator):
-        template, more = "stage_README.md", _axes_words(compensator, own)
+        template = "stage_README.md"
+        words |= {
+            "name": printable(compensator.stage.name),
+            "count": len(compensator.compensators),
+            "axes": ", ".join(compensator.stage.axes),
+            "table": "\n".join(map(_axis_row, compensator.stage.axes, compensator.compensators)),
+        }
     else:
-        template, more = "README.md", _axis_words(compensator, number, result, own)
-    return Template(text_of(shipped(template), own)).substitute(common | more)
+        template = "README.md"
+        words |= _axis_words(compensator, number, found.error, own)
+    return Template(text_of(shipped(template), own)).substitute(words)
 
 
-def _axes_words(compensator: StageCompensator, own: str) -> dict[str, object]:
-    rows = []
-    for axis, loop in zip(compensator.stage.axes, compensator.compensators, strict=True):
-        low, high = loop.limits
-        slew = "not limited" if loop.slew_rate is None else f"{loop.slew_rate:.9g} V/s"
-        start = ExportedStart.of(loop)
-        rows.append(f"| {axis} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |")
-    return {
-        "name": printable(compensator.stage.name),
-        "count": len(rows),
-        "axes": ", ".join(compensator.stage.axes),
-        "table": "\n".join(rows),
-        "example": f"{own}_{labels(compensator)[0]}_step",
-    }
+def _axis_row(axis: str, loop: Compensator) -> str:
+    """Return the row of one of several axes in the table of the README."""
+    (low, high), start = loop.limits, ExportedStart.of(loop)
+    slew = "not limited" if loop.slew_rate is None else f"{loop.slew_rate:.9g} V/s"
+    return f"| {axis} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |"
 
 
-def _axis_words(compensator: Compensator, number: Number, result: Exported, own: str) -> dict[str, object]:
+def _axis_words(compensator: Compensator, number: Number, error: float | None, own: str) -> dict[str, object]:
+    """Return what the README says of a single axis."""
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     start = ExportedStart.of(compensator)
-    timed = "this model does not depend on time"
+    timer = "this model does not depend on time" if period is None else f"every {period:.9g} s, MODEL_PERIOD"
+    if number == "double":
+        bound = ": the same bits"
+    elif error is None:
+        bound = f"; the error was not\n{_INDENT}measured, it must be below {_UNMEASURED:.0e} of the range"
+    else:
+        most = f"{_MARGIN * error:.1e}"
+        bound = f"; errors are at most {error:.1e}\n{_INDENT}of the range and must lie between {_LEAST:.0e} and {most}"
     return {
         "name": printable(compensator.actuator.name),
         "number": number,
-        "timer": timed if period is None else text_of(f"every {period:.9g} s, MODEL_PERIOD", own),
+        "timer": text_of(timer, own),
         "low": f"{low:.9g}",
         "high": f"{high:.9g}",
         "slew": "" if slew is None else f" and change by {slew:.9g} V/s at most",
@@ -334,34 +304,6 @@ def _axis_words(compensator: Compensator, number: Number, result: Exported, own:
         "smooth": _SMOOTH if compensator.tables()["tap"].size > 1 or compensator.actuator.lag else "",
         "begins": start.words,
         "way": start.way,
-        "error": _error_words(number, result),
+        "error": bound,
         "config": "" if number == "double" else ", with floats in `dehyst_config.h`",
     }
-
-
-def _error_words(number: Number, result: Exported) -> str:
-    if number == "double":
-        return ": the same bits"
-    if result.error is None:
-        return f"; the error was not\n{_INDENT}measured, it must be below {_UNMEASURED:.0e} of the range"
-    most = f"{_MARGIN * result.error:.1e}"
-    return (
-        f"; errors are at most {result.error:.1e}\n{_INDENT}of the range and must lie between {_LEAST:.0e} and {most}"
-    )
-
-
-def _bytes(result: Exported) -> str:
-    """Return the bytes by processor as Markdown, and why some are not measured."""
-    left_out = (
-        f"Not measured on this computer: {result.unmeasured}. To measure it later: "
-        "`dehyst.exports.sizes(folder, compiler)`."
-    )
-    parts = [] if result.unmeasured is None else [left_out]
-    if result.footprints or not parts:
-        head = ("| bytes | flash | RAM for one `piezo` | stack |", "| --- | --- | --- | --- |")
-        rows = (
-            f"| {name} | {size.flash} | {size.ram} | {size.stack or 'unknown'} |"
-            for name, size in result.footprints.items()
-        )
-        parts.append("\n".join([*head, *rows, *_TABLE_NOTES]))
-    return "\n\n".join(parts)

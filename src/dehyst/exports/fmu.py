@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import io
 import os
 import platform
@@ -14,35 +15,70 @@ import uuid
 import warnings
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
-from html import escape
 from pathlib import Path
+from string import Template
 from typing import Literal, NamedTuple, TypeAlias, get_args
-from xml.etree import ElementTree
+from xml.sax.saxutils import escape
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, demand_alike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.firmware import CONFIG, CORE
 from dehyst.exports.footprint import run
-from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.exports.model_header import ExportedStart, ModelText, config_header, demand_compensator
 from dehyst.exports.naming import printable, shipped
 
 Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]
 
-_UNITS = {"s": {"s": 1}, "m": {"m": 1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
-_LONGEST = 60
-
-_WRAPPERS = {"2.0": ("fmi2.h", "fmi2.c"), "3.0": ("fmi3.h", "fmi3.c", "fmi3_absent.c")}
-_BINARY = {"2.0": "binaries/linux64", "3.0": "binaries/x86_64-linux"}
+# Longest identifier, and bytes of the model in a line.
+_LONGEST, _A_LINE = 60, 24
+# The only file to compile.
 _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
 _TIME = (1980, 1, 1, 0, 0, 0)
 # Limits that no voltage meets.
 _NONE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
+
+
+class _Fmi(NamedTuple):
+    """A version of FMI: its sources, the folder of the binary, and how the description writes variables and outputs.
+
+    A variable is `number` if it has a unit, else `whole`; an output is also an `unknown`.
+    """
+
+    description: str
+    wrappers: tuple[str, ...]
+    binary: str
+    number: str
+    whole: str
+    output: str
+    unknown: str
+
+
+_COMMON = 'description="{description}" name="{name}" valueReference="{reference}" causality="{causality}"'
+_FMI = {
+    "2.0": _Fmi(
+        "modelDescription2.xml",
+        ("fmi2.h", "fmi2.c"),
+        "binaries/linux64",
+        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Real {{numbers}} />\n    </ScalarVariable>",
+        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Integer />\n    </ScalarVariable>",
+        '      <Unknown index="{index}" dependencies="" />',
+        "",
+    ),
+    "3.0": _Fmi(
+        "modelDescription3.xml",
+        ("fmi3.h", "fmi3.c", "fmi3_absent.c"),
+        "binaries/x86_64-linux",
+        f"    <Float64 {_COMMON} {{role}} {{numbers}} />",
+        f"    <UInt64 {_COMMON} {{role}} />",
+        '    <Output valueReference="{reference}" dependencies="" />',
+        '    <InitialUnknown valueReference="{reference}" dependencies="" />',
+    ),
+}
 
 
 class SourceOnlyWarning(UserWarning):
@@ -53,12 +89,7 @@ class _NoBinaryError(Exception):
     """The reason why no binary could be built."""
 
 
-def export_fmu(
-    compensator: Compensator,
-    path: PathLike,
-    version: Version = "3.0",
-    kind: Kind = "compensator",
-) -> None:
+def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0", kind: Kind = "compensator") -> None:
     """Write an FMU for co-simulation, which starts from the state in which the compensator was made or last reset.
 
     Its step is the compensator's period, or a whole multiple of it, over which the input is held; without a period any
@@ -98,18 +129,26 @@ def export_fmu(
         # The same actuator in the same state, for any voltage.
         state = compensator.initial_state
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
-    description = Description.of(compensator, version, kind)
-    sources = _sources(compensator, version)
-    token = _token(sources, version, kind)
-    sources["fmu_model.h"] = _model(token, description)
-    texts = {"modelDescription.xml": description.xml(token, _SOURCE)}
+    fmi, summary, variables = _FMI[version], *_interface(compensator, kind)
+    sources = _sources(compensator, fmi, kind)
+    digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
+    for name, text in sources.items():
+        digest.update(f"\n{name} {len(text)}\n{text}".encode())
+    token, given = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}", variables[1].name
+    sources["fmu_model.h"] += f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{given}"\n\n#endif\n'
+    title, identifier = _names(compensator.actuator.name, kind)
+    texts = {"modelDescription.xml": _description(compensator, fmi, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
     if version == "3.0":
-        texts["sources/buildDescription.xml"] = description.build_xml(_SOURCE)
-    texts |= {"documentation/index.html": description.page(), "documentation/licenses/license.txt": shipped("LICENSE")}
+        build = Template(shipped("buildDescription.xml"))
+        texts["sources/buildDescription.xml"] = build.substitute(identifier=identifier)
+    texts |= {
+        "documentation/index.html": _page(title, summary, variables),
+        "documentation/licenses/license.txt": shipped("LICENSE"),
+    }
     content = {name: text.encode() for name, text in texts.items()}
     try:
-        content[f"{_BINARY[version]}/{description.identifier}.so"] = _compiled(sources)
+        content[f"{fmi.binary}/{identifier}.so"] = _compiled(sources)
     except _NoBinaryError as reason:
         warnings.warn(
             f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
@@ -120,29 +159,26 @@ def export_fmu(
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, version: Version) -> dict[str, str]:
-    """Return the contents of `sources/`, without the file that holds the token."""
-    wrapper = ("fmu.h", "fmu.c", *_WRAPPERS[version])
-    units = (*SOURCES, *(name for name in wrapper if name.endswith(".c")))
-    every = shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units)
-    return {**code(compensator), **{name: shipped(name) for name in wrapper}, _SOURCE: every}
-
-
-def _token(sources: Mapping[str, str], version: Version, kind: Kind) -> str:
-    digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
-    for name, text in sources.items():
-        digest.update(f"\n{name} {len(text)}\n{text}".encode())
-    return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
-
-
-def _model(token: str, description: Description) -> str:
-    """Return the text of `fmu_model.h`."""
-    name = next(variable.name for variable in description.variables if variable.causality == "input")
-    return (
-        "#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
-        f"#define FMU_ACTUATOR {int(description.kind == 'actuator')}\n"
-        f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{name}"\n\n#endif\n'
-    )
+def _sources(compensator: Compensator, fmi: _Fmi, kind: Kind) -> dict[str, str]:
+    """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
+    block, text = compensator.model_block(), ModelText(compensator, "double")
+    sizes = {
+        "ACTUATOR": int(kind == "actuator"),
+        "ROOM": text.room,
+        "MEMORY": text.memory,
+        "SNAPSHOT": text.snapshot,
+    }
+    macros = "".join(f"#define FMU_{name} {value}\n" for name, value in sizes.items())
+    rows = ",\n".join(", ".join(map(str, block[i : i + _A_LINE])) for i in range(0, len(block), _A_LINE))
+    wrapper = ("fmu.h", "fmu.c", *fmi.wrappers)
+    units = ("dehyst.c", *(name for name in wrapper if name.endswith(".c")))
+    return {
+        **{name: shipped(name) for name in (*CORE, *wrapper)},
+        CONFIG: config_header("double"),
+        "fmu_block.h": f"static const unsigned char fmu_block[] = {{\n{rows}}};\n",
+        "fmu_model.h": f"#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n{macros}",
+        _SOURCE: shipped("fmu_all.c") + "".join(f'#include "{name}"\n' for name in units),
+    }
 
 
 def _compiled(sources: Mapping[str, str]) -> bytes:
@@ -187,196 +223,86 @@ class Variable(NamedTuple):
     range: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
-class Description:
-    """An FMU of a compensator, or of its actuator.
-
-    Attributes
-    ----------
-    version, kind : str
-        As in `export_fmu`.
-    name, identifier : str
-        The actuator's and the kind, as text and as a name in C.
-    summary : str
-        A sentence or two.
-    period : float
-        Seconds; 0: it does not depend on time.
-    variables : tuple of Variable
-    """
-
-    version: Version
-    kind: Kind
-    name: str
-    identifier: str
-    summary: str
-    period: float
-    variables: tuple[Variable, ...]
-
-    @classmethod
-    def of(cls, compensator: Compensator, version: Version, kind: Kind) -> Description:
-        """Describe it as it was when made or last reset."""
-        period, words = compensator.period or 0.0, printable(compensator.actuator.name)
-        pace = f"One step every {period!r} s." if period else "It does not depend on time: any step is one sample."
-        make = _compensator if kind == "compensator" else _actuator
-        summary, variables = make(compensator, words)
-        slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
-        twice = slug == kind
-        return cls(
-            version,
-            kind,
-            words if twice else f"{words}, {kind}",
-            f"dehyst_{slug}" if twice else f"dehyst_{slug}_{kind}",
-            f"{summary} {pace}",
-            period,
-            (Variable("time", "independent", "s", "Simulation time"), *variables),
-        )
-
-    @property
-    def outputs(self) -> tuple[int, ...]:
-        """Value references of the outputs."""
-        return tuple(i for i, variable in enumerate(self.variables) if variable.causality == "output")
-
-    def xml(self, token: str, source: str) -> str:
-        """Text of `modelDescription.xml`.
-
-        `token`: GUID or instantiation token. `source`: the file to compile.
-        """
-        root = ElementTree.Element(
-            "fmiModelDescription",
-            {
-                "fmiVersion": self.version,
-                "modelName": self.name,
-                "guid" if self.version == "2.0" else "instantiationToken": token,
-                "description": self.summary,
-                "generationTool": f"dehyst {__version__}",
-                "variableNamingConvention": "flat",
-            },
-        )
-        if self.version == "2.0":
-            _fill_2(root, self, source)
-        else:
-            _fill_3(root, self)
-        return _text(root)
-
-    def build_xml(self, source: str) -> str:
-        """Text of FMI 3.0's `sources/buildDescription.xml`."""
-        root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-        configuration = _add(root, "BuildConfiguration", modelIdentifier=self.identifier)
-        files = _add(configuration, "SourceFileSet", language="C99")
-        _add(files, "SourceFile", name=source)
-        return _text(root)
-
-    def page(self) -> str:
-        """Return the HTML page."""
-        rows = [
-            f"<tr><td>{variable.name}</td><td>{variable.causality}</td><td>{variable.unit}</td><td>{escape(variable.description)}</td></tr>"
-            for variable in self.variables
+def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable]]:
+    """Return what an FMU is, in a sentence or two, and its variables: time, the input, and outputs."""
+    words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
+    period, (low, high), ahead = compensator.period, compensator.limits, compensator.samples_ahead
+    time = Variable("time", "independent", "s", "Simulation time")
+    pace = f" One step every {period!r} s." if period else " It does not depend on time: any step is one sample."
+    if kind == "actuator":
+        reached = "Voltage reached at the end of a step's first period, then held"
+        return f"The actuator '{words}': displacement that a voltage causes.{pace}", [
+            time,
+            Variable("voltage", "input", "V", reached, begin.voltage),
+            Variable("displacement", "output", "m", "Displacement"),
         ]
-        head = (
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-            f"<title>{escape(self.name)}</title></head><body>\n"
-            f"<h1>{escape(self.name)}</h1>\n<p>{escape(self.summary)}</p>"
-        )
-        columns = "<table><tr><th>variable</th><th></th><th>unit</th><th></th></tr>"
-        end = f"</table>\n<p>Made by dehyst {__version__}; its licence is in licenses/.</p></body></html>\n"
-        return "\n".join([head, columns, *rows, end])
-
-
-def _compensator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    (low, high), ahead = compensator.limits, compensator.samples_ahead
-    when = f"in {ahead} steps" if ahead else "at the end of the step"
-    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{name}' follow a displacement."
+    summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
     if compensator.slew_rate is not None:
         summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
-    y = ExportedStart.of(compensator).displacement
-    return summary, (
-        Variable("displacement", "input", "m", f"Displacement wanted {when}", y),
+    wanted = f"Displacement wanted {f'in {ahead} steps' if ahead else 'at the end of the step'}"
+    return summary + pace, [
+        time,
+        Variable("displacement", "input", "m", wanted, begin.displacement),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
         Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
         Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+    ]
+
+
+def _names(actuator: str, kind: Kind) -> tuple[str, str]:
+    """Return the name of an actuator and the kind, as text and as a name in C."""
+    words = printable(actuator)
+    slug = re.sub(r"\W+", "_", words, flags=re.ASCII).strip("_")[:_LONGEST] or "piezo"
+    return (words, f"dehyst_{slug}") if slug == kind else (f"{words}, {kind}", f"dehyst_{slug}_{kind}")
+
+
+def _description(
+    compensator: Compensator,
+    fmi: _Fmi,
+    title: str,
+    identifier: str,
+    token: str,
+    summary: str,
+    variables: list[Variable],
+) -> str:
+    """Return the text of `modelDescription.xml`; `token` is the GUID or the instantiation token."""
+    listed, outputs, unknowns = [], [], []
+    for reference, one in enumerate(variables):
+        role = f'variability="{"continuous" if one.unit else "discrete"}"'
+        numbers = f'unit="{one.unit}"'
+        if one.range is not None:
+            numbers += f' min="{one.range[0]!r}" max="{one.range[1]!r}"'
+        if one.start is not None:
+            numbers += f' start="{one.start!r}"'
+        if one.causality == "output":
+            role += ' initial="calculated"'
+            outputs.append(fmi.output.format(reference=reference, index=reference + 1))
+            unknowns.append(fmi.unknown.format(reference=reference))
+        form = fmi.number if one.unit else fmi.whole
+        listed.append(form.format(**one._asdict(), reference=reference, role=role, numbers=numbers))
+    period = compensator.period
+    quoted = {'"': "&quot;"}
+    return Template(shipped(fmi.description)).substitute(
+        name=escape(title, quoted),
+        token=token,
+        summary=escape(summary, quoted),
+        program=__version__,
+        identifier=identifier,
+        any_step="false" if period else "true",
+        fixed_step=f' fixedInternalStepSize="{period!r}"' if period else "",
+        step=f' stepSize="{period!r}"' if period else "",
+        variables="\n".join(listed),
+        outputs="\n".join(outputs),
+        unknowns="\n".join(unknowns),
     )
 
 
-def _actuator(compensator: Compensator, name: str) -> tuple[str, tuple[Variable, ...]]:
-    v = ExportedStart.of(compensator).voltage
-    return f"The actuator '{name}': displacement that a voltage causes.", (
-        Variable("voltage", "input", "V", "Voltage reached at the end of a step's first period, then held", v),
-        Variable("displacement", "output", "m", "Displacement"),
+def _page(title: str, summary: str, variables: list[Variable]) -> str:
+    """Return the HTML page."""
+    rows = (
+        f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{html.escape(one.description)}</td></tr>"
+        for one in variables
     )
-
-
-def _fill_2(root: ElementTree.Element, description: Description, source: str) -> None:
-    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
-    features |= dict.fromkeys(
-        ("canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate"), "true"
+    return Template(shipped("fmu.html")).substitute(
+        name=html.escape(title), summary=html.escape(summary), rows="\n".join(rows), program=__version__
     )
-    interface = _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
-    _add(_add(interface, "SourceFiles"), "File", name=source)
-    _fill_common(root, description)
-    variables = _add(root, "ModelVariables")
-    for reference, variable in enumerate(description.variables):
-        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
-        scalar = _add(variables, "ScalarVariable", description=variable.description, **attributes)
-        if variable.unit:
-            _add(scalar, "Real", unit=variable.unit, **_numbers(variable))
-        else:
-            _add(scalar, "Integer")
-    structure = _add(root, "ModelStructure")
-    for part in ("Outputs", "InitialUnknowns"):
-        unknowns = _add(structure, part)
-        for reference in description.outputs:
-            _add(unknowns, "Unknown", index=str(reference + 1), dependencies="")
-
-
-def _fill_3(root: ElementTree.Element, description: Description) -> None:
-    features = {"canHandleVariableCommunicationStepSize": _flag(not description.period)}
-    features |= dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
-    if description.period:
-        features["fixedInternalStepSize"] = repr(description.period)
-    _add(root, "CoSimulation", modelIdentifier=description.identifier, **features)
-    _fill_common(root, description)
-    variables = _add(root, "ModelVariables")
-    for reference, variable in enumerate(description.variables):
-        attributes = {"name": variable.name, "valueReference": str(reference)} | _roles(variable)
-        if variable.unit:
-            attributes |= {"unit": variable.unit} | _numbers(variable)
-        _add(variables, "Float64" if variable.unit else "UInt64", description=variable.description, **attributes)
-    structure = _add(root, "ModelStructure")
-    for part in ("Output", "InitialUnknown"):
-        for reference in description.outputs:
-            _add(structure, part, valueReference=str(reference), dependencies="")
-
-
-def _fill_common(root: ElementTree.Element, description: Description) -> None:
-    units = _add(root, "UnitDefinitions")
-    for name, base in _UNITS.items():
-        exponents = {symbol: str(power) for symbol, power in base.items()}
-        _add(_add(units, "Unit", name=name), "BaseUnit", **exponents)
-    categories = _add(root, "LogCategories")
-    _add(categories, "Category", name="logStatusError", description="What was refused, and why")
-    _add(categories, "Category", name="logStatusWarning", description="The first sample that is clamped")
-    step = {"stepSize": repr(description.period)} if description.period else {}
-    _add(root, "DefaultExperiment", startTime="0", **step)
-
-
-def _roles(variable: Variable) -> dict[str, str]:
-    roles = {"causality": variable.causality, "variability": "continuous" if variable.unit else "discrete"}
-    return roles | {"initial": "calculated"} if variable.causality == "output" else roles
-
-
-def _numbers(variable: Variable) -> dict[str, str]:
-    numbers = {} if variable.range is None else {"min": repr(variable.range[0]), "max": repr(variable.range[1])}
-    return numbers if variable.start is None else numbers | {"start": repr(variable.start)}
-
-
-def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, attributes)
-
-
-def _flag(value: bool) -> str:
-    return "true" if value else "false"
-
-
-def _text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -1,4 +1,4 @@
-"""Bytes of flash, RAM and stack of an exported folder, by a compiler."""
+"""What an exported folder takes and how exact its floats are, by the compilers at hand: flash, RAM, stack, error."""
 
 from __future__ import annotations
 
@@ -7,81 +7,94 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from dehyst._errors import FileFormatError
 from dehyst._io import PathLike
-from dehyst.exports.naming import DEFAULT, name_in, text_of
+from dehyst.exports.naming import DEFAULT, name_in, shipped, text_of
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 _M4, _UNIT = ("-mcpu=cortex-m4", "-mthumb"), ("-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 CORTEX_M4, CORTEX_M4_SMALL = ("-O2", *_M4), ("-Os", "-flto", *_M4)
 CORTEX_M4F, CORTEX_M4F_SMALL = (*CORTEX_M4, *_UNIT), (*CORTEX_M4_SMALL, *_UNIT)
+_COMPILER, _ARM = "cc", "arm-none-eabi-gcc"
+# Compiler and flags by processor, and whether it computes doubles: the unit of a Cortex-M4F has floats only.
+PROCESSORS = {
+    "this computer, -O2": (_COMPILER, ("-O2",), True),
+    "Cortex-M4, -O2": (_ARM, CORTEX_M4, True),
+    "Cortex-M4, -Os -flto": (_ARM, CORTEX_M4_SMALL, True),
+    "Cortex-M4F, -O2": (_ARM, CORTEX_M4F, False),
+    "Cortex-M4F, -Os -flto": (_ARM, CORTEX_M4F_SMALL, False),
+}
 _BARE = ("-ffreestanding", "-ffunction-sections", "-fdata-sections", "-fno-asynchronous-unwind-tables")
-_PROGRAM = """#include "piezo.h"
-static piezo memory;
-volatile dehyst_real wanted, sent;
-int main(void)
-{
-    if (piezo_begin(&memory) != DEHYST_OK) return 1;
-    for (;;) sent = piezo_step(&memory, wanted);
-}
-"""
-_STAGE_PROGRAM = """#include "piezo.h"
-static piezo memory;
-volatile dehyst_real wanted, sent;
-int main(void)
-{
-    dehyst_real given[MODEL_AXES], got[MODEL_AXES];
-    int j;
-    if (piezo_begin(&memory) != DEHYST_OK) return 1;
-    for (;;) {
-        for (j = 0; j < MODEL_AXES; j++) given[j] = wanted;
-        piezo_step(&memory, given, got);
-        for (j = 0; j < MODEL_AXES; j++) sent = got[j];
-    }
-}
-"""
 _MEMORY = '#include "piezo.h"\nextern char memory[sizeof(piezo)];\nchar memory[sizeof(piezo)] = {0};\n'
 _FRAME = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes')
 _CALL = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
+_ERROR = re.compile(r"largest error ([\d.e+-]+) of the range")
 
 
 class Footprint(NamedTuple):
-    """Bytes of `flash` (code and numbers), of RAM for one piezo, and of `stack` below a call, None if unknown.
-
-    RAM is `ram`.
-    """
+    """Bytes of `flash` (code and numbers), of `ram` for one piezo, and of `stack` below a call, None if unknown."""
 
     flash: int
     ram: int
     stack: int | None
 
 
+class Measurement(NamedTuple):
+    """Bytes by processor, the largest error of floats as a share of the range, and why some were not measured."""
+
+    footprints: dict[str, Footprint]
+    error: float | None
+    unmeasured: str | None
+
+
+def measure(folder: Path, number: str, name: str) -> Measurement:
+    """Measure an exported folder, whose model has a `name`, by the compilers at hand."""
+    error, reason, footprints = None, None, {}
+    try:
+        if number == "float":
+            error = _float_error(folder, name)
+    except FileFormatError as failure:
+        reason = _reason(failure)
+    for processor, (compiler, flags, doubles) in PROCESSORS.items():
+        if number == "double" and not doubles:
+            continue
+        try:
+            footprints[processor] = sizes(folder, compiler, flags)
+        except FileFormatError as failure:
+            reason = _reason(failure) if compiler == _COMPILER else reason
+    return Measurement(footprints, error, reason)
+
+
+def _reason(failure: FileFormatError) -> str:
+    if shutil.which(_COMPILER) is None:
+        return f"no C compiler ({_COMPILER}) was found"
+    return f"the C compiler failed ({failure})"
+
+
+def _float_error(folder: Path, name: str) -> float:
+    """Measure the largest error of the trace in floats, as a share of the range."""
+    with tempfile.TemporaryDirectory() as work:
+        program = str(Path(work) / "check")
+        run([_COMPILER, *STRICT, "-O2", "check.c", f"{name}.c", "dehyst.c", "-o", program], folder)
+        error = _ERROR.search(run([program], folder))
+    if error is None:
+        raise FileFormatError("check.c: did not print the error of floats; install dehyst again")
+    return float(error[1])
+
+
 def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O2",)) -> Footprint:
-    """Compile an exported folder and measure it.
+    """Compile a `directory` that `dehyst.export` wrote, and measure it.
 
-    Parameters
-    ----------
-    directory : path
-        A folder that `dehyst.export` wrote.
-    compiler : str, optional
-        The compiler for the processor, such as ``arm-none-eabi-gcc``; its `size` is expected beside it.
-    flags : sequence of str, optional
-        Optimisation and processor; ``-flto`` leaves out what this model does not need.
+    `compiler`: that for the processor, such as ``arm-none-eabi-gcc``; its ``size`` is expected beside it. `flags`:
+    optimisation and processor; ``-flto`` leaves out what this model does not need.
 
-    Returns
-    -------
-    Footprint
-        Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else. Stack is
-        that of the deepest chain of calls without this arithmetic; only gcc reports it.
-
-    Raises
-    ------
-    FileFormatError
-        If there is no such compiler, or it cannot compile the folder.
+    Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else; stack is that
+    of the deepest chain of calls without this arithmetic, which only gcc reports. Raise `FileFormatError` if there is
+    no such compiler, or it cannot compile the folder.
     """
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
@@ -89,22 +102,24 @@ def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O
             if source.name != "check.c":
                 shutil.copy(source, folder)
         name = name_in(folder) or DEFAULT
-        several = "MODEL_AXES" in (folder / f"{name}.h").read_text(encoding="utf-8")
-        (folder / "program.c").write_text(text_of(_STAGE_PROGRAM if several else _PROGRAM, name))
+        (folder / "program.c").write_text(text_of(shipped("footprint.c"), name))
         sources = sorted(path.name for path in folder.glob("*.c"))
-        options = [*STRICT, *_BARE, *flags]
-        graphs = _compile(folder, compiler, options, sources)
+        options, graph = [*STRICT, *_BARE, *flags], ["-fcallgraph-info=su"]
+        try:
+            run([compiler, *options, *graph, "-c", *sources], folder)
+        except FileFormatError:
+            graph = []
+            run([compiler, *options, "-c", *sources], folder)
         link = ["-static", "-nostdlib", "-Wl,--gc-sections", "-Wl,-e,main", "-Wl,--build-id=none"]
-        objects = [f"{name[:-2]}.o" for name in sources]
+        objects = [f"{source[:-2]}.o" for source in sources]
         # With -flto the program is compiled when it is linked.
-        late = ["-fcallgraph-info=su", *_BARE] if graphs else []
+        late = [*graph, *_BARE] if graph else []
         run([compiler, *flags, *late, *link, *objects, "-lgcc", "-o", "program"], folder)
         (folder / "memory.c").write_text(text_of(_MEMORY, name))
         run([compiler, *options, "-fno-lto", "-c", "memory.c"], folder)
         text, data, _ = _size(folder, compiler, "program")
-        return Footprint(
-            text + data, sum(_size(folder, compiler, "memory.o")), _deepest(folder, name) if graphs else None
-        )
+        ram = sum(_size(folder, compiler, "memory.o"))
+        return Footprint(text + data, ram, _deepest(folder, name) if graph else None)
 
 
 def run(command: Sequence[str], folder: Path) -> str:
@@ -127,21 +142,11 @@ def run(command: Sequence[str], folder: Path) -> str:
     return done.stdout
 
 
-def _compile(folder: Path, compiler: str, options: list[str], sources: Sequence[str]) -> bool:
-    """Compile, and return whether the compiler also wrote the graph of calls."""
-    try:
-        run([compiler, *options, "-fcallgraph-info=su", "-c", *sources], folder)
-    except FileFormatError:
-        run([compiler, *options, "-c", *sources], folder)
-        return False
-    return True
-
-
-def _size(folder: Path, compiler: str, file: str) -> tuple[int, int, int]:
+def _size(folder: Path, compiler: str, file: str) -> list[int]:
     """Return the bytes of text, data and bss."""
     beside = re.sub(r"(gcc|clang|cc)(-[\d.]+)?$", "size", compiler)
     row = run([beside if shutil.which(beside) else "size", file], folder).splitlines()[1].split()
-    return int(row[0]), int(row[1]), int(row[2])
+    return [int(word) for word in row[:3]]
 
 
 def _deepest(folder: Path, name: str) -> int:
@@ -155,14 +160,10 @@ def _deepest(folder: Path, name: str) -> int:
             calls.setdefault(caller, set()).add(called)
 
     def below(caller: str) -> int:
-        return frames.get(caller, 0) + _most(below(called) for called in calls.get(caller, ()))
+        return frames.get(caller, 0) + max((below(called) for called in calls.get(caller, ())), default=0)
 
     # Compiled as a whole, a step may have become a part of the program; titles then begin with a file.
     own = {title: title.rpartition(":")[2] for title in frames}
     inlined = f"{name}_step" not in own.values()
-    begins = f"{name}_"
-    return _most(below(title) for title, call in own.items() if call.startswith(begins) or (inlined and call == "main"))
-
-
-def _most(values: Iterable[int]) -> int:
-    return max(values, default=0)
+    begins = [t for t, call in own.items() if call.startswith(f"{name}_") or (inlined and call == "main")]
+    return max(map(below, begins), default=0)

@@ -15,9 +15,8 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import ClampWarning, Compensator, StageCompensator
-from dehyst.control.limits import Clamps
-from dehyst.model.stage import apply
+from dehyst.control import Clamps, ClampWarning, Compensator, StageCompensator
+from dehyst.model import apply
 
 Loop: TypeAlias = Compensator | StageCompensator
 
@@ -25,6 +24,7 @@ Loop: TypeAlias = Compensator | StageCompensator
 _BEYOND = 0.25
 _LEGS, _JUMPS, _VOLTAGES = 14, 80, 80
 _LEAST_LEG, _MOST_LEG = 25, 400
+_COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
 _HEADER = Template("""/* What Python computed with this model. */
 #ifndef TRACE_H
 #define TRACE_H
@@ -41,7 +41,6 @@ $rows
 
 #endif
 """)
-_COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
 
 
 class Call(IntEnum):
@@ -92,11 +91,17 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
         return compensator.clone("m") if isinstance(compensator, Compensator) else compensator.clone()
 
     loop, body = new(), new()
-    axes = axes_of(loop)
+    axes = (loop,) if isinstance(loop, Compensator) else loop.compensators
     limits, reach = np.array([one.limits for one in axes]), np.array([one.reach for one in axes])
+    slowest = 0.0
+    for one, (low, high) in zip(axes, limits.tolist(), strict=True):
+        if one.slew_rate is not None and one.period is not None:
+            slowest = max(slowest, 4 * (high - low) / (one.slew_rate * one.period))
+    moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * _shares(len(axes), slowest)
+    path = moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClampWarning)
-        rows = tuple(_played(loop, _path(loop, limits, reach), limits))
+        rows = tuple(_played(loop, path, limits))
         (low, high), rng = limits.T, np.random.default_rng(21)
         half = _VOLTAGES // 2
         for voltage in np.vstack([np.linspace(low, high, half), rng.uniform(low, high, (half, len(limits)))]):
@@ -108,20 +113,17 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
     return GoldenTrace(rows, clamps, refused, volts, stroke, not isinstance(loop, Compensator))
 
 
-def axes_of(compensator: Loop) -> tuple[Compensator, ...]:
-    """Return the compensator of each axis."""
-    return (compensator,) if isinstance(compensator, Compensator) else compensator.compensators
-
-
 def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     """Return the text of `trace.h`; the error of floats must lie between two shares of the range."""
+    form = "    {{{}, {{{}}}, {{{}}}}}" if trace.coupled else "    {{{}, {}, {}}}"
     # C has no literal for NaN; check.c makes one.
-    words = [
-        (int(row.what), *(", ".join(v.hex() if math.isfinite(v) else "0" for v in some) for some in (row[1], row[2])))
+    rows = [
+        form.format(
+            int(row.what),
+            *(", ".join(v.hex() if math.isfinite(v) else "0" for v in some) for some in (row.given, row.answer)),
+        )
         for row in trace.rows
     ]
-    form = "    {{{}, {{{}}}, {{{}}}}}" if trace.coupled else "    {{{}, {}, {}}}"
-    rows = [form.format(*row) for row in words]
     macros = {call.name: str(int(call)) for call in Call} | {"SIZE": str(len(rows))}
     limited, slewed = [[f"{count}UL" for count in counts] for counts in zip(*trace.clamps, strict=True)]
     columns, counts = "given, answer", ""
@@ -146,26 +148,18 @@ def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     return _HEADER.substitute(macros=defined, columns=columns, counts=counts, rows=",\n".join(rows))
 
 
-def _path(loop: Loop, limits: Array, reach: Array) -> Array:
-    """Return wanted displacements (n, axes) [m]: half cosines, slow enough for most slew rates, then jumps."""
-    rng, count = np.random.default_rng(20), len(limits)
-    slews = [one.slew_rate for one in axes_of(loop)]
-    needed = [
-        4 * (high - low) / (slew * loop.period)
-        for (low, high), slew in zip(limits.tolist(), slews, strict=True)
-        if slew is not None and loop.period is not None
-    ]
-    leg = int(np.clip(max(needed, default=0.0), _LEAST_LEG, _MOST_LEG))
-    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, (_LEGS, count))
+def _shares(axes: int, slowest: float) -> Array:
+    """Return a path (n, axes) in shares of the reach: half cosines of `slowest` samples or more, then jumps."""
+    rng = np.random.default_rng(20)
+    leg = int(np.clip(slowest, _LEAST_LEG, _MOST_LEG))
+    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, (_LEGS, axes))
     shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
     legs = [a + (b - a) * shape[:, None] for a, b in pairwise(turns)]
-    share = np.vstack([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, count))])
-    moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * share
-    return moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
+    return np.vstack([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, axes))])
 
 
 def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:
-    """Yield the rows of a path, with every kind of call mixed in."""
+    """Yield the rows of a path (n, axes) [m], with every kind of call mixed in."""
     low, high = limits.T
     nothing = (0.0,) * len(limits)
     for t, wanted in enumerate(path):

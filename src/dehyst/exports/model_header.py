@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from string import Template
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -11,14 +12,32 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control import Compensator
-from dehyst.model import Actuator, State
-from dehyst.model.states import NEAR, looped
+from dehyst.model import NEAR, Actuator, State, looped
 
 Number: TypeAlias = Literal["double", "float"]
 Tables: TypeAlias = Mapping[str, Array]
 
-# Lines of the templates in whose place the generated text comes.
-SIZES, NUMBERS = "/* sizes */\n", "/* numbers */\n"
+# The model, with the members of `dehyst_model` in their order.
+_MODEL = Template("""\
+static const dehyst_model piezo_model = {{{
+    {$elements, $slip, 0, 0, 0, 0},
+    {$knots, $spring}},
+  {$grades, $graded},
+  {$bends, $transformer},
+  {$bends, $inverse},
+  $branches, $creep,
+  $inertia, $series,
+  {$smooth, $lengths}},
+ {$step,
+  {{$phi},
+   {$before},
+   {$after}}},
+ $limits,
+ $taps, $tap,
+ $amplifier,
+ $stiffness,
+ {$start, $memory},
+ $period, $ahead, ${id}ul, ${shape}ul};""")
 _A_LINE = 4
 # Bytes before the numbers of a block.
 _HEADER = 64
@@ -99,30 +118,6 @@ def demand_compensator(value: object) -> None:
         )
 
 
-class Sizes(NamedTuple):
-    """Sizes of a loop: elements, spring's knots, grades, transformer's knots, creep branches, smooth elements, taps."""
-
-    elements: int
-    knots: int
-    grades: int
-    bends: int
-    branches: int
-    smooth: int
-    taps: int
-
-    @classmethod
-    def of(cls, tables: Tables) -> Sizes:
-        """Read them from the tables of a compensator."""
-        grades = max(tables["grade_knot"].size - 1, 0)
-        names = ("tau_voltage", "creep", "length", "tap")
-        return cls(tables["rho"].size, tables["knot"].size, grades, *(tables[name].size for name in names))
-
-    def room(self, block: bytes) -> int:
-        """Return how many numbers a block of these sizes and the tables that the core computes have."""
-        graded = self.grades + (self.elements + 1) * (self.grades + 1) if self.grades else 0
-        return (len(block) - _HEADER) // 8 + self.knots + 2 * self.bends + graded
-
-
 def config_header(number: Number) -> str:
     """Return `dehyst_config.h`, which says in one place what number type the core and the model have."""
     return f"""/* The choices of a build, which every file of it includes. */
@@ -136,136 +131,149 @@ def config_header(number: Number) -> str:
 """
 
 
-def size_macros(compensator: Compensator, number: Number) -> str:
-    """Return the macros that `piezo.h` begins with."""
-    tables = _tables(compensator, number)
-    sizes, (low, high) = Sizes.of(tables), tables["loop"][:2].tolist()
-    spell = _Spelling(number).plain
-    lines = [
-        f"#define MODEL_ELEMENTS {sizes.elements}",
-        f"#define MODEL_BRANCHES {sizes.branches}",
-        f"#define MODEL_SMOOTH {sizes.smooth}",
-        f"#define MODEL_TAPS {sizes.taps}",
-        "/* Numbers that dehyst_model_load needs for another block of these sizes. */",
-        f"#define MODEL_ROOM {sizes.room(compensator.model_block())}",
-        "",
-        "/* Seconds between steps; 0: this model does not depend on time. */",
-        f"#define MODEL_PERIOD {spell(compensator.period or 0.0)}",
-        "/* A displacement is to be given so many samples before its time. */",
-        f"#define MODEL_AHEAD {compensator.samples_ahead}",
-        f"#define MODEL_LOW {spell(low)} /* V */",
-        f"#define MODEL_HIGH {spell(high)} /* V */",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def numbers(compensator: Compensator, number: Number) -> str:
-    """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from.
+class ModelText:
+    """The numbers of a `compensator` as C text of a `number` type; a float is rounded once, limits inward.
 
     Raise `ModelError` if numbers that must differ are one float, or a float cannot hold one of them.
     """
-    tables = _tables(compensator, number)
-    if number == "float":
-        _demand_float(tables)
-    spell, start, branches = _Spelling(number), compensator.start(), tables["creep"].size
-    memory = {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
-    used = {**_used(tables), **memory}
-    arrays = [spell.array(name, values) for name, values in used.items() if values.size]
-    begin = ExportedStart.of(compensator)
-    comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
-    return "\n".join([*arrays, comment, _model(compensator, tables, used, spell), ""])
 
+    def __init__(self, compensator: Compensator, number: Number) -> None:
+        self._compensator, self._number = compensator, number
+        self._start, self._tables = compensator.start(), compensator.tables()
+        if number == "float":
+            self._tables["loop"] = _inward(self._tables["loop"])
+            _demand_float(self._tables)
 
-class _Spelling:
-    """Numbers as C text: hexadecimal where only C reads them, so that no bit is lost."""
+    @property
+    def memory(self) -> int:
+        """How many numbers the memory of a loop has."""
+        return 2 * self._start.carts.size + self._start.strains.size + self._tables["tap"].size
 
-    def __init__(self, number: Number) -> None:
-        self.number = number
+    @property
+    def snapshot(self) -> int:
+        """Bytes of a snapshot of it."""
+        return 40 + 8 * (8 + self.memory - self._start.carts.size)
 
-    def one(self, value: float) -> str:
+    @property
+    def room(self) -> int:
+        """How many numbers a block of these sizes and the tables that the core computes have."""
+        tables, elements = self._tables, self._tables["rho"].size
+        grades = max(tables["grade_knot"].size - 1, 0)
+        computed = tables["knot"].size + 2 * tables["tau_voltage"].size
+        computed += grades + (elements + 1) * (grades + 1) if grades else 0
+        return (len(self._compensator.model_block()) - _HEADER) // 8 + computed
+
+    def macros(self) -> str:
+        """Return the macros that `piezo.h` begins with."""
+        tables, compensator = self._tables, self._compensator
+        low, high = tables["loop"][:2].tolist()
+        return f"""\
+#define MODEL_ELEMENTS {tables["rho"].size}
+#define MODEL_BRANCHES {tables["creep"].size}
+#define MODEL_SMOOTH {tables["length"].size}
+#define MODEL_TAPS {tables["tap"].size}
+/* Numbers that dehyst_model_load needs for another block of these sizes. */
+#define MODEL_ROOM {self.room}
+
+/* Seconds between steps; 0: this model does not depend on time. */
+#define MODEL_PERIOD {self._decimal(compensator.period or 0.0)}
+/* A displacement is to be given so many samples before its time. */
+#define MODEL_AHEAD {compensator.samples_ahead}
+#define MODEL_LOW {self._decimal(low)} /* V */
+#define MODEL_HIGH {self._decimal(high)} /* V */
+"""
+
+    def numbers(self) -> str:
+        """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from."""
+        start, branches = self._start, self._tables["creep"].size
+        # What a step reads: not kappa with graded elements, and one slope less than knots.
+        arrays = {name: self._tables[name] for name in self._tables if name not in ("loop", "inertia", "transition")}
+        if arrays["grade_knot"].size:
+            arrays["kappa"] = EMPTY
+        for name in ("tau_slope", "tau_inverse"):
+            arrays[name] = arrays[name][:-1]
+        arrays |= {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
+        begin = ExportedStart.of(self._compensator)
+        comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
+        texts = [self._array(name, values) for name, values in arrays.items() if values.size]
+        return "\n".join([*texts, comment, self._model(arrays), ""])
+
+    def _model(self, arrays: Tables) -> str:
+        tables, start, compensator, some = self._tables, self._start, self._compensator, self._some
+        inertia, transition = tables["inertia"], tables["transition"]
+        moves = transition if transition.size else np.zeros(8)
+        low, high, change, *amplifier, stiffness = tables["loop"].tolist()
+        motion = start.motion if start.motion.size else np.array([start.w, 0.0])
+        model_id, shape = compensator.model_ids()
+
+        def at(*names: str) -> str:
+            return ", ".join(f"piezo_{name}" if arrays[name].size else "0" for name in names)
+
+        return _MODEL.substitute(
+            elements=tables["rho"].size,
+            slip=at("rho", "kappa"),
+            knots=tables["knot"].size,
+            spring=at("knot", "value", "slope"),
+            grades=max(tables["grade_knot"].size - 1, 0),
+            graded=at("grade_knot", "grade_value", "grade_slope"),
+            bends=tables["tau_voltage"].size,
+            transformer=at("tau_voltage", "tau_drive", "tau_slope"),
+            inverse=at("tau_drive", "tau_voltage", "tau_inverse"),
+            branches=tables["creep"].size,
+            creep=at("creep"),
+            inertia=int(inertia.size > 0),
+            series=some(inertia) if inertia.size else "0, 0",
+            smooth=tables["length"].size,
+            lengths=at("length", "back", "smooth"),
+            step=at("decay", "gain"),
+            phi=some(moves[:4]),
+            before=some(moves[4:6]),
+            after=some(moves[6:]),
+            limits=some(np.array([low, high, change])),
+            taps=tables["tap"].size,
+            tap=at("tap"),
+            amplifier=some(np.array(amplifier)),
+            stiffness=self._one(stiffness),
+            start=some(np.array([start.w, *motion])),
+            memory=at("cart", "strain", "elongation"),
+            period=self._one(compensator.period or 0.0),
+            ahead=compensator.samples_ahead,
+            id=model_id,
+            shape=shape,
+        )
+
+    def _one(self, value: float) -> str:
+        """Return a number in hexadecimal, where only C reads it, so that no bit is lost."""
         if value == _LARGEST:
             return "DEHYST_LARGEST"
-        return float(value).hex() if self.number == "double" else f"{float(np.float32(value)).hex()}f"
+        return float(value).hex() if self._number == "double" else f"{float(np.float32(value)).hex()}f"
 
-    def plain(self, value: float) -> str:
-        """Return the shortest decimal that is rounded to the same number, which every C++ reads."""
-        return repr(float(value)) if self.number == "double" else f"{np.float32(value)!s}f"
+    def _some(self, values: Array) -> str:
+        return ", ".join(map(self._one, values.tolist()))
 
-    def some(self, values: Array) -> str:
-        return ", ".join(self.one(value) for value in values.tolist())
-
-    def array(self, name: str, values: Array) -> str:
-        rows = [self.some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE)]
-        body = ",\n    ".join(rows)
+    def _array(self, name: str, values: Array) -> str:
+        body = ",\n    ".join(self._some(values[i : i + _A_LINE]) for i in range(0, values.size, _A_LINE))
         return f"static const dehyst_real piezo_{name}[{values.size}] = {{\n    {body}}};"
 
+    def _decimal(self, value: float) -> str:
+        """Return the shortest decimal that is rounded to the same number, which every C++ reads."""
+        return repr(float(value)) if self._number == "double" else f"{np.float32(value)!s}f"
 
-def _tables(compensator: Compensator, number: Number) -> Tables:
-    """Return the tables; for floats with limits and largest change rounded inward, so that no voltage leaves them."""
-    tables = compensator.tables()
-    if number == "double":
-        return tables
-    low, high, change, *rest = tables["loop"].tolist()
-    inward = [-_below(-low), _below(high), change if change == _LARGEST else _below(change)]
+
+def _inward(loop: Array) -> Array:
+    """Return the numbers of a loop with limits and largest change rounded inward, so that no voltage leaves them."""
+
+    def below(value: float) -> float:
+        rounded = np.float32(value)
+        return float(rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf)))
+
+    low, high, change, *rest = loop.tolist()
+    inward = [-below(-low), below(high), change if change == _LARGEST else below(change)]
     if inward[0] >= inward[1] or inward[2] <= 0:
         raise ModelError(
             f"float: no number lies within the limits {low!r} to {high!r} V or the slew rate; export double"
         )
-    return {**tables, "loop": np.array([*inward, *rest])}
-
-
-def _below(value: float) -> float:
-    """Return the largest float that is not above a double."""
-    rounded = np.float32(value)
-    return float(rounded if float(rounded) <= value else np.nextafter(rounded, np.float32(-np.inf)))
-
-
-def _used(tables: Tables) -> dict[str, Array]:
-    """Select the arrays that a loop reads: not kappa with graded elements, and one slope less than knots."""
-    arrays = {name: values for name, values in tables.items() if name not in ("loop", "inertia", "transition")}
-    if tables["grade_knot"].size:
-        arrays["kappa"] = EMPTY
-    for name in ("tau_slope", "tau_inverse"):
-        arrays[name] = arrays[name][:-1]
-    return arrays
-
-
-def _model(compensator: Compensator, tables: Tables, used: Tables, spell: _Spelling) -> str:
-    """Return the constant `piezo_model`, with the members of `dehyst_model` in their order."""
-    sizes, start = Sizes.of(tables), compensator.start()
-    motion = start.motion if start.motion.size else np.array([start.w, 0.0])
-
-    def at(*names: str) -> str:
-        return ", ".join(f"piezo_{name}" if used[name].size else "0" for name in names)
-
-    inertia, step = tables["inertia"], tables["transition"]
-    series = spell.some(inertia) if inertia.size else "0, 0"
-    moves = step if step.size else np.zeros(8)
-    low, high, change, *amplifier, stiffness = tables["loop"].tolist()
-    model_id, shape = compensator.model_ids()
-    rows = [
-        "{{{",
-        f"    {{{sizes.elements}, {at('rho', 'kappa')}, 0, 0, 0, 0}},",
-        f"    {{{sizes.knots}, {at('knot', 'value', 'slope')}}}}},",
-        f"  {{{sizes.grades}, {at('grade_knot', 'grade_value', 'grade_slope')}}},",
-        f"  {{{sizes.bends}, {at('tau_voltage', 'tau_drive', 'tau_slope')}}},",
-        f"  {{{sizes.bends}, {at('tau_drive', 'tau_voltage', 'tau_inverse')}}},",
-        f"  {sizes.branches}, {at('creep')},",
-        f"  {int(inertia.size > 0)}, {series},",
-        f"  {{{sizes.smooth}, {at('length', 'back', 'smooth')}}}}},",
-        f" {{{at('decay', 'gain')},",
-        f"  {{{{{spell.some(moves[:4])}}},",
-        f"   {{{spell.some(moves[4:6])}}},",
-        f"   {{{spell.some(moves[6:])}}}}}}},",
-        f" {spell.one(low)}, {spell.one(high)}, {spell.one(change)},",
-        f" {sizes.taps}, {at('tap')},",
-        f" {spell.some(np.array(amplifier))},",
-        f" {spell.one(stiffness)},",
-        f" {{{spell.some(np.array([start.w, *motion]))}, {at('cart', 'strain', 'elongation')}}},",
-        f" {spell.one(compensator.period or 0.0)}, {compensator.samples_ahead}, {model_id}ul, {shape}ul}};",
-    ]
-    return "static const dehyst_model piezo_model = " + "\n".join(rows)
+    return np.array([*inward, *rest])
 
 
 def _demand_float(tables: Tables) -> None:

@@ -1,4 +1,4 @@
-"""Files that come with the package, and their names, symbols and macros: several models fit into one firmware."""
+"""Files that come with the package, and the names of an export: several models fit into one firmware."""
 
 from __future__ import annotations
 
@@ -44,24 +44,19 @@ def demand_name(name: object) -> None:
             got=repr(name),
             need=f"a name in C: a letter, then letters, digits and underscores, {_MOST} at most",
         )
-    lower, code = name.lower(), (_NOT_CODE.sub(" ", shipped(file)) for file in _RENAMED)
-    # Identifiers of the files with symbols of the model, without members of structures.
-    words = {word for text in code for word in _CODE_WORD.findall(text)}
+    lower = name.lower()
     if lower.startswith(("dehyst", "trace_", "model_")):
         raise ModelError(
             f"got {name!r}, but such names belong to the core and its numbers", argument="name", hint="give another"
         )
+    # Identifiers of the files with symbols of the model, without members of structures.
+    words = {word for file in _RENAMED for word in _CODE_WORD.findall(_NOT_CODE.sub(" ", shipped(file)))}
     if lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in words):
         raise ModelError(
             f"got {name!r}, which means something else in C or in the exported files",
             argument="name",
             hint="give another",
         )
-
-
-def file_of(file: str, name: str) -> str:
-    """Return the name of a file of an export: by default piezo.c and piezo.h."""
-    return f"{name}{file.removeprefix(DEFAULT)}" if file.startswith(f"{DEFAULT}.") else file
 
 
 def text_of(text: str, name: str) -> str:
@@ -76,11 +71,6 @@ def text_of(text: str, name: str) -> str:
 def printable(name: str) -> str:
     """Return the name of a model for a line of text, without characters that XML or a terminal cannot show."""
     return "".join(letter if letter.isprintable() else " " for letter in name).strip() or "actuator"
-
-
-def in_comment(name: str) -> str:
-    """Return the same for a comment in C, without marks of comments."""
-    return printable(name).replace("*/", "* /").replace("/*", "/ *")
 
 
 def name_in(folder: Path) -> str | None:

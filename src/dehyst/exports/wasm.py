@@ -64,16 +64,8 @@ def wasm_module(compensator: Compensator) -> bytes:
     core = shipped_bytes("core.wasm")
     if not core.startswith(_MAGIC):
         raise FileFormatError("exports/templates/core.wasm: not the file of this version; install dehyst again")
-    about = json.dumps(_about(compensator), ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
-    # Own sections come first: a file of dehyst is known by its beginning.
-    return _MAGIC + _section("dehyst.about", about) + _section("dehyst.model", compensator.model_block()) + core[8:]
-
-
-def _about(compensator: Compensator) -> dict[str, object]:
-    """Return what the wrapper says about the model."""
     actuator, start = compensator.actuator, ExportedStart.of(compensator)
-    metres = compensator.clone("m")
-    return {
+    about = {
         "format": "dehyst-wasm",
         "version": __version__,
         "name": actuator.name,
@@ -82,9 +74,12 @@ def _about(compensator: Compensator) -> dict[str, object]:
         "period": compensator.period,
         "needsPeriod": actuator.model.needs_time or compensator.preview,
         "samplesAhead": compensator.samples_ahead,
-        "reach": list(metres.reach),
+        "reach": list(compensator.clone("m").reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
+    text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
+    # Own sections come first: a file of dehyst is known by its beginning.
+    return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", compensator.model_block()) + core[8:]
 
 
 def _section(name: str, content: bytes) -> bytes:

@@ -1,21 +1,17 @@
 """Fleets: thousands of records identified at once, one table of the results, and what it shows."""
 
-from dehyst.fleet.dataset import Dataset, Task, open_dataset
-from dehyst.fleet.drift import Ageing, Drifts, drifts_of
-from dehyst.fleet.findings import Findings, Outlier, findings_of
-from dehyst.fleet.run import identify_fleet
+from dehyst.fleet.dataset import Dataset, open_dataset
+from dehyst.fleet.drift import Drifts, drifts_of
+from dehyst.fleet.findings import Findings, findings_of
+from dehyst.fleet.run import identify_fleet, refuse_inside
 from dehyst.fleet.table import Fleet, load
 from dehyst.fleet.task import FleetOptions
 
 __all__ = [
-    "Ageing",
     "Dataset",
     "Drifts",
     "Findings",
     "Fleet",
-    "FleetOptions",
-    "Outlier",
-    "Task",
     "drifts_of",
     "findings_of",
     "identify_fleet",

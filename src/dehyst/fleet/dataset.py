@@ -16,12 +16,20 @@ import numpy as np
 
 from dehyst._errors import DehystError, FileFormatError, library
 from dehyst._io import PathLike, path_of, reading_errors
-from dehyst.records import Record, read
-from dehyst.records.files import record_of
-from dehyst.records.formats.columns import Column, Table, listed, without_groups
-from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
-from dehyst.records.formats.reader_process import LOADERS
-from dehyst.records.tables import Choice
+from dehyst.records import (
+    LOADERS,
+    Choice,
+    Column,
+    Record,
+    Table,
+    arrow_columns,
+    is_readable,
+    listed,
+    read,
+    record_of,
+    vectors,
+    without_groups,
+)
 
 # Name of the key where none is asked for.
 RECORD = "record"

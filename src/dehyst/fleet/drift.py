@@ -18,7 +18,7 @@ from dehyst._types import Array, Mask
 from dehyst._views.fields import json_values
 from dehyst.fleet.table import Fleet
 from dehyst.model import Actuator
-from dehyst.trust.history import DECISION, ControlChart
+from dehyst.trust import DECISION, ControlChart
 
 # A goal [% of the stroke] by default, and the part of it that is the least standard deviation of the charts.
 GOAL, _LEAST = 1.0, 0.1

@@ -12,8 +12,7 @@ from dehyst._types import Array
 from dehyst._views.html import escape
 from dehyst.fleet.drift import Drifts
 from dehyst.fleet.findings import MISSED, QUANTITIES, Findings, modelled
-from dehyst.report import html
-from dehyst.report.charts import Axis, Chart, Series
+from dehyst.report import Axis, Chart, Series, html
 
 # Rows of a table on the page, and bars of a histogram.
 _MOST, _BARS = 200, 40

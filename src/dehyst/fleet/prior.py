@@ -14,13 +14,9 @@ from dehyst._errors import DehystError, IdentifyError
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.fleet.table import Fleet
-from dehyst.identification import Fit, Outcome, RecordErrors, identify
-from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.rules import RULES
-from dehyst.identification.validation import compare, errors_of
+from dehyst.identification import RULES, Fit, Outcome, RecordErrors, compare, errors_of, identify, prepare
 from dehyst.model import Actuator, Identification, MaxwellSlip, Spring
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.records import Record, rms
 
 # Models that make a prior, at least; part by which their grids may differ.
 _FEWEST, _SAME = 5, 1e-3

@@ -25,8 +25,7 @@ from dehyst.fleet.drift import widths
 from dehyst.fleet.prior import Shape, identified_with_prior
 from dehyst.fleet.table import CAUSE, MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
-from dehyst.records import Record
-from dehyst.records.tables import Choice
+from dehyst.records import Choice, Record
 
 # A task is tried so many times; status of a worker that ends itself at the time limit.
 _TRIALS, _LATE = 3, 75

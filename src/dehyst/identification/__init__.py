@@ -1,27 +1,56 @@
 """Identification: from records to an actuator."""
 
+from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.coupling.identify import StageFit, identify_stage
-from dehyst.identification.expectation import Expectation, Readiness
-from dehyst.identification.fit import Fit
+from dehyst.identification.coupling.matrix import (
+    BARELY,
+    INSEPARABLE,
+    AxisTraces,
+    PlayColumns,
+    coupling_by_plays,
+    separate_motion,
+)
+from dehyst.identification.diagnostics.branches import Branch, voltage_at
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probes
+from dehyst.identification.expectation import Readiness
+from dehyst.identification.fit import Fit, label
 from dehyst.identification.identify import identify
-from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace, Verdict
+from dehyst.identification.paper_methods import BreakPointLoop, loops_of
+from dehyst.identification.preprocessing import cleaning
+from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
+from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
+from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
+from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect, epochs
+from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.regression.nuisances import searched_delay, worthwhile
+from dehyst.identification.regression.regression import Regression
+from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, read_traces, write_traces
+from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Method
-from dehyst.identification.solvers.program import Norm
-from dehyst.identification.structure import Structure
-from dehyst.identification.validation import initial_state, state_after
-from dehyst.model.identification import Outcome
+from dehyst.identification.solvers.highs import linear_programs
+from dehyst.identification.solvers.least_squares import triangle_of
+from dehyst.identification.solvers.program import Norm, Solution, solve
+from dehyst.identification.structure import Grid, Structure
+from dehyst.identification.validation import (
+    MOST_ROWS,
+    RecordComparison,
+    compare,
+    compare_all,
+    errors_of,
+    initial_state,
+    prepare_for,
+    state_after,
+    without_offset,
+)
+from dehyst.model import Outcome
 
 __all__ = [
     "Check",
     "Deadline",
-    "Expectation",
     "Fit",
-    "Method",
-    "Norm",
     "Outcome",
     "Readiness",
     "RecordErrors",
-    "RemainingError",
     "StageFit",
     "Structure",
     "Trace",

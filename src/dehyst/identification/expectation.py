@@ -11,8 +11,8 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model.identification import Outcome
-from dehyst.records.signals import NOISE_PEAK
+from dehyst.model import Outcome
+from dehyst.records import NOISE_PEAK
 
 
 class Readiness(Enum):

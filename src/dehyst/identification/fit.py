@@ -15,9 +15,7 @@ from dehyst._views.pictures import plotted
 from dehyst.identification.expectation import Expectation, Readiness
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, State
-from dehyst.model.identification import Outcome
-from dehyst.model.summary import parts_of
+from dehyst.model import Actuator, Outcome, State, parts_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

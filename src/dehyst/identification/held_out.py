@@ -29,7 +29,7 @@ from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
 from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
 from dehyst.model import Actuator
-from dehyst.records.signals import rms
+from dehyst.records import rms
 
 _ROWS = 4000
 _PARTS = 6

@@ -30,8 +30,7 @@ from dehyst.identification.structure_selection import simplest
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.structured_fit import refine as refine_by_simulation
 from dehyst.identification.training_data import TrainingData
-from dehyst.model import Actuator
-from dehyst.model.identification import Outcome
+from dehyst.model import Actuator, Outcome
 from dehyst.records import Record
 
 

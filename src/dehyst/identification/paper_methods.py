@@ -12,9 +12,7 @@ from dehyst._types import Array
 from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.settings import Direction
 from dehyst.identification.solvers import highs
-from dehyst.model import Actuator, MaxwellSlip, Spring
-from dehyst.model.elements import parts_in_segments
-from dehyst.model.identification import Outcome
+from dehyst.model import Actuator, MaxwellSlip, Outcome, Spring, parts_in_segments
 from dehyst.records import Record
 
 

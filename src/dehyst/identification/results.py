@@ -20,7 +20,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
 from dehyst.model import State
-from dehyst.records.signals import turning_points, white_noise
+from dehyst.records import turning_points, white_noise
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -32,11 +32,8 @@ from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_hold
 from dehyst.identification.validation import MOST_ROWS, compare, errors_of
-from dehyst.model import Actuator, Identification
-from dehyst.model.identification import Outcome
-from dehyst.records import Record
-from dehyst.records.quality import guesses
-from dehyst.records.signals import recorded_slew_rate, resolution, rms
+from dehyst.model import Actuator, Identification, Outcome
+from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 from dehyst.waveforms import Sampling
 
 _T = TypeVar("_T")

@@ -20,8 +20,7 @@ import numpy as np
 from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
 from dehyst.identification.rules import RULES
-from dehyst.model import GradedSlip, MaxwellSlip
-from dehyst.model.elements import segment_of
+from dehyst.model import GradedSlip, MaxwellSlip, segment_of
 
 # All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
 _STARTS = (0.0, 1.0, -1.0)

@@ -11,8 +11,7 @@ import numpy as np
 from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._types import Array, Mask
-from dehyst.model import Actuator, GradedSlip
-from dehyst.model.elements import segment_of
+from dehyst.model import Actuator, GradedSlip, segment_of
 
 # Lengths of smooth elements as parts of the stroke, each with both closings. An element forgets its start over a few
 # lengths: longer ones would still depend on how a record began.

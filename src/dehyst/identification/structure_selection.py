@@ -16,7 +16,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Structure
-from dehyst.records.signals import rms
+from dehyst.records import rms
 
 # Cycles are held out in turn, one of so many.
 _FOLDS = 3

@@ -29,8 +29,7 @@ from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.training_data import Lagging, TrainingData
 from dehyst.identification.validation import compare, without_offset
 from dehyst.model import Actuator, Dynamics, State
-from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.records import Record, rms
 
 # The program and the simulation agree on dynamics after so many rounds.
 _ROUNDS = 3

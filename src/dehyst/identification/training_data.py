@@ -22,8 +22,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Grid, Structure
 from dehyst.model import Actuator, Dynamics
-from dehyst.records import Record
-from dehyst.records.signals import energy_share, resolution, turning_points
+from dehyst.records import Record, energy_share, resolution, turning_points
 
 # Rows for a trial, and for the final program.
 FEW_ROWS, _MOST_ROWS = 4000, 30_000

@@ -21,8 +21,7 @@ from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.start_state import fit_start
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, State
-from dehyst.records import Record
-from dehyst.records.signals import largest, turning_points
+from dehyst.records import Record, largest, turning_points
 
 # Rows in memory: more are gone through in blocks. Of a longer record so many suffice for what is not found by that.
 MOST_ROWS, _FEW_ROWS = 200_000, 20_000

@@ -3,14 +3,13 @@
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig
 from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, host_timed
-from dehyst.instruments.samples import Listener, Reading, Samples
+from dehyst.instruments.samples import READBACK_TOLERANCE, Reading, Samples
 
 __all__ = [
     "HIGHEST_RATE",
     "AbstractRig",
     "DeviceError",
     "LinkError",
-    "Listener",
     "Reading",
     "RigError",
     "Samples",

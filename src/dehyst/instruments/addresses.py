@@ -6,23 +6,22 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
 from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
 
-_Options = dict[str, Any]
-_FORMS = (
-    "pi://host:port[/axis or axes], epics://PREFIX, sim://play (or creep, preisach, boucwen, /path/to/model.json), "
-    "ni://Dev1/ao0,ai0?gain=10&scale=5 or path/to/my_rig.py:make"
-)
+_Options: TypeAlias = dict[str, Any]
 
 
 def open_rig(
     address: str, axes: Sequence[str] | None = None, *, limits: AxisLimits = None, slew_rate: AxisSlewRates = None
 ) -> AbstractRig:
     """Open the rig at an address, of one axis or of several that move together.
+
+    Raise `RigError` if the address is not valid or names other axes, or no instrument with these axes answers there;
+    `MissingExtraError` if a required package is not installed.
 
     Parameters
     ----------
@@ -40,27 +39,20 @@ def open_rig(
         Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
     slew_rate : float or sequence of float, optional
         Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
-
-    Raises
-    ------
-    RigError
-        If the address is not valid or names other axes, or no instrument with these axes answers there.
-    MissingExtraError
-        If a required package is not installed.
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
-    scheme, separator, rest = address.partition("://")
-    if separator and scheme.lower() == "pi":
-        return _checked(_pi(rest, axes, options), options)
-    if axes is not None:
-        raise RigError(f"{address}: cannot choose axes, or play several together; need pi://host:port/1,2,3")
+    word, separator, rest = address.partition("://")
+    scheme = SCHEMES.get(word.lower()) if separator else None
+    if axes is not None and (scheme is None or not scheme.several):
+        raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'].form}")
+    if scheme is not None:
+        return _checked(scheme.open(rest, {**options, "axes": axes} if scheme.several else options), options)
+    forms = f"{', '.join(one.form for one in SCHEMES.values())} or path/to/my_rig.py:make"
     if separator:
-        if scheme.lower() not in _OPENERS:
-            raise RigError(f"{address}: got an unknown kind of rig, {scheme!r}; need {_FORMS}")
-        return _checked(_OPENERS[scheme.lower()](rest, options), options)
+        raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
     path, separator, name = address.rpartition(":")
     if not (separator and path.endswith(".py") and name.isidentifier()):
-        raise RigError(f"{address!r}: is not the address of a rig; need {_FORMS}")
+        raise RigError(f"{address!r}: is not the address of a rig; need {forms}")
     return _checked(_custom(Path(path), name, options), options)
 
 
@@ -82,46 +74,38 @@ def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
     return rig
 
 
-def _pi(rest: str, axes: Sequence[str] | None, options: _Options) -> AbstractRig:
-    from dehyst.instruments.pi import PiRig
-
-    host, port, path = _pi_address(rest)
-    named = [name for name in (path or "").split(",") if name]
-    if axes is not None and named and list(axes) != named:
-        raise RigError(f"pi://{rest}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
-    return PiRig.connect(host, port, axis=list(axes or named) or None, **options)
-
-
-def _pi_address(rest: str) -> tuple[str, int, str | None]:
-    """Return host, port and axis, if one is named."""
-    from dehyst.instruments.pi import PORT
+def _pi(rest: str, options: _Options) -> AbstractRig:
+    from dehyst.instruments.pi import PORT, PiRig
 
     try:
         parts = urlsplit(f"//{rest}")
         host, port = parts.hostname, parts.port
     except ValueError as error:
         raise RigError(f"pi://{rest}: is not the address of a rig ({error}); need pi://host:port") from error
-    axis = parts.path.strip("/") or None
-    if not host or parts.query or parts.fragment or (axis and "/" in axis):
+    path, axes = parts.path.strip("/"), options.pop("axes")
+    if not host or parts.query or parts.fragment or "/" in path:
         raise RigError(f"pi://{rest}: need pi://host:port, or pi://host:port/axis")
-    return host, PORT if port is None else port, axis
+    named = [name for name in path.split(",") if name]
+    if axes is not None and named and list(axes) != named:
+        raise RigError(f"pi://{rest}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
+    return PiRig.connect(host, PORT if port is None else port, axis=list(axes or named) or None, **options)
 
 
 def _epics(prefix: str, options: _Options) -> AbstractRig:
-    if not prefix:
-        raise RigError("epics://: need the prefix of the process variables, as in epics://LAB:PIEZO")
     from dehyst.instruments.epics import EpicsRig
 
+    if not prefix:
+        raise RigError("epics://: need the prefix of the process variables, as in epics://LAB:PIEZO")
     # `connect` adds the colon between prefix and name.
     return EpicsRig.connect(prefix.removesuffix(":"), **options)
 
 
 def _sim(name: str, options: _Options) -> AbstractRig:
+    from dehyst.instruments.simulated import SimulatedRig
+    from dehyst.virtual import virtual_actuator
+
     if not name:
         raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json after it")
-    from dehyst.instruments.simulated import SimulatedRig
-    from dehyst.virtual.modelled import virtual_actuator
-
     return SimulatedRig(virtual_actuator(name), **options)
 
 
@@ -129,6 +113,25 @@ def _ni(rest: str, options: _Options) -> AbstractRig:
     from dehyst.instruments.nidaqmx import NiRig
 
     return NiRig.from_address(f"ni://{rest}", **options)
+
+
+class Scheme(NamedTuple):
+    """A kind of address: its `form`, for messages, and what opens the rest of it, after ``://``, with options.
+
+    If it may have `several` axes, the options contain `axes` besides limits and slew rate.
+    """
+
+    form: str
+    open: Callable[[str, _Options], AbstractRig]
+    several: bool = False
+
+
+SCHEMES = {
+    "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
+    "epics": Scheme("epics://PREFIX", _epics),
+    "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
+    "ni": Scheme("ni://Dev1/ao0,ai0?gain=10&scale=5", _ni),
+}
 
 
 def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
@@ -166,6 +169,3 @@ def _module(path: Path) -> ModuleType:
     except Exception as error:
         raise RigError(f"{path}: {type(error).__name__}: {error}") from error
     return module
-
-
-_OPENERS: dict[str, Callable[[str, _Options], AbstractRig]] = {"epics": _epics, "sim": _sim, "ni": _ni}

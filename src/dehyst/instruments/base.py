@@ -7,32 +7,28 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from types import TracebackType
-from typing import Any, Self, TypeAlias, final
+from typing import Any, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DeviceError, ModelError, RecordError, RigError
+from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.instruments.interrupts import retreated, retreating, shielded
+from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import (
     READBACK_TOLERANCE,
-    Inspection,
     Listener,
     Reading,
     Samples,
     SensorWatch,
-    arrivals,
     columns_of,
     driver_errors,
-    finite,
-    pieces,
-    reading_of,
+    inspected,
 )
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
@@ -40,6 +36,7 @@ from dehyst.waveforms import Excitation
 # Of all axes, or of each; None for an axis: those of the device.
 AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
 AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
+_Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
 # Highest rate [Hz] that a host keeps with one round trip a sample.
 HIGHEST_RATE = 200.0
@@ -57,6 +54,8 @@ _SHORTEST_SWEEP = 0.1
 _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Relative slack for rates that a device rounds.
 _SLACK = 1e-6
+# First words of a note on an error that reports where the voltage was left.
+_NOTE = "The voltage"
 
 
 class AbstractRig(ABC):
@@ -65,7 +64,8 @@ class AbstractRig(ABC):
     A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
     the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that send a
     voltage are final. A rig of several axes is made of a rig of each axis, whose limits, readings, ramps and stops are
-    used; its own are `_wave`, which plays all axes from one instant, and `_close`.
+    used; its own are `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no voltage is
+    allowed by both device and user, or two axes have one name.
 
     Parameters
     ----------
@@ -80,21 +80,9 @@ class AbstractRig(ABC):
     longest : int, optional
         Most samples of one `_wave`; default any number.
     axis : str
-        Of the device; of several axes their names, joined by commas.
+        Of the device; of several axes their names, joined by commas. They are `axes`.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
-
-    Attributes
-    ----------
-    axes : tuple of str
-        Names of the axes.
-    rigs : tuple of AbstractRig
-        The rig of each axis; of one axis, the rig itself.
-
-    Raises
-    ------
-    RigError
-        If no voltage is allowed by both device and user, or two axes have one name.
     """
 
     def __init__(
@@ -112,7 +100,7 @@ class AbstractRig(ABC):
         self._limits: VoltageLimits | None = None
         self._parts: tuple[AbstractRig, ...] = ()
         if isinstance(device, VoltageLimits):
-            self._limits = common_limits(device, limits, slew_rate)
+            self._limits = _common_limits(device, limits, slew_rate)
         else:
             self._parts = tuple(device)
         self.axes: tuple[str, ...] = tuple(one.axis for one in self._parts) or (axis,)
@@ -166,14 +154,8 @@ class AbstractRig(ABC):
     def set_voltage(self, voltage: float) -> float:
         """Ramp to a `voltage` [V] within the slew rate, the whole range in a second at least; return the voltage sent.
 
-        A voltage outside the limits is clamped, with a `ClampWarning`.
-
-        Raises
-        ------
-        RecordError
-            If it is not a finite number; nothing was sent.
-        RigError
-            If the device fails; a retreat was attempted.
+        A voltage outside the limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite
+        number: nothing was sent; `RigError` if the device fails: a retreat was attempted.
         """
         self._refuse_closed()
         try:
@@ -188,7 +170,7 @@ class AbstractRig(ABC):
                 stacklevel=2,
             )
         with self.safely():
-            self._ramp([sent])
+            self._ramp([self._ramping(sent)])
         return sent
 
     @final
@@ -199,7 +181,10 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         self._refuse_several()
-        return finite(self.name, self._reading())
+        reading = self._reading()
+        if not all(map(math.isfinite, reading)):
+            raise LinkError(f"{self.name}: read {reading}, need finite numbers; check the device and its sensor")
+        return reading
 
     @final
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
@@ -208,41 +193,38 @@ class AbstractRig(ABC):
         Returns voltage and displacement as the device recorded them, in its own time; several axes play together, a
         column each. `listen` is called with each batch of `Samples` as it arrives. After any error, in `listen` too,
         and on Ctrl-C or SIGTERM, the wave is stopped and all voltages ramped to the safe ones; `listen` has received
-        all samples that arrived.
-
-        Raises
-        ------
-        RecordError
-            If the excitation has not one voltage for each axis, leaves the limits or is too steep; nothing was sent.
-        RigError
-            If the device, its link or its sensor fails.
+        all samples that arrived. Raise `RecordError` if the excitation has not one voltage for each axis, leaves the
+        limits or is too steep: nothing was sent; `RigError` if the device, its link or its sensor fails.
         """
-        rate = self.check(excitation)
-        several = self.axes if self._parts else ()
-        spans = [one.limits.high - one.limits.low for one in self.rigs]
-        inspection = Inspection(self.name, spans if several else spans[0], several)
-        names = [f"the sensor of axis {axis}" for axis in several] or ["the sensor"]
+        rate, axes = self.check(excitation), self.axes if self._parts else ()
+        spans = np.array([one.limits.high - one.limits.low for one in self.rigs])
         sensors = [
-            SensorWatch(max(float(np.ptp(column)), _LEAST_WATCHED * span), name)
-            for column, span, name in zip(columns_of(excitation.voltage), spans, names, strict=True)
+            SensorWatch(
+                max(float(np.ptp(column)), _LEAST_WATCHED * span),
+                f"the sensor of axis {one.axis}" if axes else "the sensor",
+            )
+            for one, column, span in zip(self.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
         ]
         batches: list[Samples] = []
         with self.safely():
-            self._ramp(np.ravel(excitation.voltage[0]).tolist())
-            for piece in pieces(excitation.voltage, self.longest):
-                inspection.begin(piece)
+            starts = np.ravel(excitation.voltage[0]).tolist()
+            self._ramp([one._ramping(start) for one, start in zip(self.rigs, starts, strict=True)])
+            for piece in _pieces(excitation.voltage, self.longest):
+                after = float(batches[-1].time[-1]) if batches else -math.inf
+                wave = partial(self._wave, piece, rate)
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
-                with closing(arrivals(self.name, partial(self._wave, piece, rate), inspection)) as arriving:
+                with closing(inspected(self.name, wave, piece, spans=spans, after=after, axes=axes)) as arriving:
                     for samples in arriving:
                         batches.append(samples)
                         for one, last in zip(self.rigs, np.ravel(samples.voltage[-1]).tolist(), strict=True):
                             one._last_voltage = last
                         listen(samples)
-                        for j, sensor in enumerate(sensors):
-                            sensor.observe(columns_of(samples.voltage)[j], columns_of(samples.displacement)[j])
-        times, voltage, displacement = (np.concatenate(columns) for columns in zip(*batches, strict=True))
+                        columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
+                        for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
+                            sensor.observe(voltage, displacement)
+        times, voltages, displacements = (np.concatenate(column) for column in zip(*batches, strict=True))
         meta = {"rig": self.name, "axis": self.axis}
-        return Record(times, voltage, displacement, excitation.name, meta, axes=several)
+        return Record(times, voltages, displacements, excitation.name, meta, axes=axes)
 
     @final
     def check(self, excitation: Excitation) -> float:
@@ -257,9 +239,20 @@ class AbstractRig(ABC):
         rates = set()
         for one, column in zip(self.rigs, columns, strict=True):
             with driver_errors(self.name, "nearest_rate"):
-                rates.add(float(one.nearest_rate(excitation.sample_rate)))
-            name = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name
-            _check_voltage(column, max(rates), one, name)
+                rates.add(rate := float(one.nearest_rate(excitation.sample_rate)))
+            name, limits = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name, one.limits
+            low, high = float(column.min()), float(column.max())
+            if low < limits.low or high > limits.high:
+                raise RecordError(
+                    f"{name}: {low:.6g} to {high:.6g} V, but {one.name} may have {limits.words}; "
+                    "request less, or widen the limits if device and actuator allow it; nothing was sent"
+                )
+            steepest = float(np.abs(np.diff(column)).max()) * rate
+            if steepest > one.slew_rate * (1 + _SLACK):
+                raise RecordError(
+                    f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {one.name} may have "
+                    f"{one.slew_rate:.6g} V/s; play it slower; nothing was sent"
+                )
         if len(rates) > 1:
             raise RigError(f"{self.name}: its axes play at {sorted(rates)} Hz, need one rate")
         return rates.pop()
@@ -268,8 +261,19 @@ class AbstractRig(ABC):
     @contextmanager
     def safely(self) -> Iterator[None]:
         """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
-        with retreating(self):
-            yield
+        with shielded() as shield:
+            try:
+                # Twice: a signal may come between an error and the line that defers signals.
+                try:
+                    yield
+                except BaseException:
+                    shield.deferring = True
+                    raise
+            except BaseException as error:
+                if not any(note.startswith(_NOTE) for note in getattr(error, "__notes__", ())):
+                    # The cause of the error may prevent the retreat too.
+                    error.add_note(self._retreated().replace(f" ({error})", ""))
+                raise
 
     @final
     def retreat(self) -> Any:
@@ -289,9 +293,7 @@ class AbstractRig(ABC):
                     ramps.append(one._ramping(one.safe, one._last_voltage))
                 except Exception as error:  # the other axes go on
                     errors.append(error)
-            errors += self._ramped(ramps)
-        if errors:
-            raise errors[0]
+            self._ramp(ramps, errors)
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
     @final
@@ -306,7 +308,7 @@ class AbstractRig(ABC):
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
         """Return which of `count` voltages each sample of a record belongs to; where pieces join, two share one."""
-        return np.concatenate(list(pieces(np.arange(count), self.longest)))
+        return np.concatenate(list(_pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
@@ -340,16 +342,9 @@ class AbstractRig(ABC):
         """Wait."""
         time.sleep(seconds)
 
-    def _ramp(self, ends: Sequence[float]) -> None:
-        """Ramp all axes to their voltages [V]."""
-        errors = self._ramped([one._ramping(end) for one, end in zip(self.rigs, ends, strict=True)])
-        if errors:
-            raise errors[0]
-
-    def _ramped(self, ramps: Sequence[Iterator[None]]) -> list[Exception]:
-        """Ramp axes side by side, a step of each in a tick; return the errors of those that failed."""
-        errors: list[Exception] = []
-        going = list(ramps)
+    def _ramp(self, ramps: Sequence[Iterator[None]], errors: Sequence[Exception] = ()) -> None:
+        """Ramp axes side by side, a step of each in a tick; raise the first error when those that can have ramped."""
+        found, going = list(errors), list(ramps)
         while going:
             left = []
             for ramp in going:
@@ -357,11 +352,12 @@ class AbstractRig(ABC):
                     if next(ramp, "done") is None:
                         left.append(ramp)
                 except Exception as error:  # of a driver's library: the other axes go on
-                    errors.append(error)
+                    found.append(error)
             going = left
             if going:
                 self.rigs[0]._wait(TICK)
-        return errors
+        if found:
+            raise found[0]
 
     def _ramping(self, end: float, fallback: float | None = None) -> Iterator[None]:
         """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
@@ -395,8 +391,16 @@ class AbstractRig(ABC):
             self._last_voltage = present
 
     def _reading(self) -> Reading:
+        """Read once; numbers may not be finite."""
         with driver_errors(self.name, "_read"):
-            return reading_of(self.name, self._read())
+            values: Any = self._read()
+        try:
+            time_, voltage, displacement = map(float, values)
+        except (TypeError, ValueError) as error:
+            raise DeviceError(
+                f"{self.name}: read {values!r}, need time, voltage and displacement; check the rig's _read"
+            ) from error
+        return Reading(time_, voltage, displacement)
 
     def _refuse_several(self) -> None:
         if self._parts:
@@ -407,9 +411,17 @@ class AbstractRig(ABC):
             raise RigError(f"{self.name}: is closed; open it again")
 
     def _retreated(self) -> str:
-        """Retreat if the link still works, and return the outcome as a sentence."""
-        words = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
-        return retreated(self.retreat, words, self.close, f" of the axes {', '.join(self.axes)}" if self._parts else "")
+        """Retreat if the link still works, else close it; return the outcome as a sentence."""
+        of = f" of the axes {', '.join(self.axes)}" if self._parts else ""
+        safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        try:
+            self.retreat()
+            return f"{_NOTE}{of} was brought to {safe} V."
+        except Exception as error:  # a driver's library may raise anything; the first error is the one to report
+            with suppress(Exception):
+                self.close()
+            failure = f"{_NOTE}{of} could not be brought to {safe} V ({error})"
+            return f"{failure}: the device holds, or plays to its end, what it has; see to it by hand."
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
@@ -433,38 +445,6 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Sample
         yield Samples(*np.array(readings, dtype=np.float64).T)
 
 
-def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
-    """Return the limits that device and user both allow, always with a slew rate.
-
-    Raise `RigError` if they have less than a millivolt in common, or a ramp through them takes more than an hour. Raise
-    `ModelError` if the user's limits are not valid.
-    """
-    given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
-    low, high = max(device.low, given.low), min(device.high, given.high)
-    if not low < high:
-        raise RigError(
-            f"got {given.words}, but the device has {device.words}",
-            argument="limits",
-            hint="nothing is left, give others",
-        )
-    if high - low < _LEAST_RANGE:
-        raise RigError(
-            argument="limits",
-            got=f"{low:g} to {high:g} V",
-            need=f"a range of {_LEAST_RANGE:g} V at least",
-            hint="widen them",
-        )
-    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
-    rate = min(rates) if rates else (high - low) / _SHORTEST_SWEEP
-    if high - low > _LONGEST_RAMP * rate:
-        least = (high - low) / _LONGEST_RAMP
-        raise RigError(
-            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
-            f"give {least:.3g} V/s at least, or narrower limits"
-        )
-    return VoltageLimits(low, high, rate)
-
-
 def bounds_of_axes(
     limits: AxisLimits, slew_rate: AxisSlewRates, count: int
 ) -> list[tuple[tuple[float, float] | None, float | None]]:
@@ -486,17 +466,37 @@ def bounds_of_axes(
     ]
 
 
-def _check_voltage(voltage: Array, rate: float, rig: AbstractRig, name: str) -> None:
-    """Raise RecordError if a voltage (n,) [V] at `rate` [Hz] exceeds limits or slew rate of a rig of one axis."""
-    low, high, limits = float(voltage.min()), float(voltage.max()), rig.limits
-    if low < limits.low or high > limits.high:
-        raise RecordError(
-            f"{name}: {low:.6g} to {high:.6g} V, but {rig.name} may have {limits.words}; "
-            "request less, or widen the limits if device and actuator allow it; nothing was sent"
+def _common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
+    """Return the limits that device and user both allow, always with a slew rate; refuse ramps of over an hour."""
+    given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
+    low, high = max(device.low, given.low), min(device.high, given.high)
+    if not low < high:
+        raise RigError(
+            f"got {given.words}, but the device has {device.words}",
+            argument="limits",
+            hint="nothing is left, give others",
         )
-    steepest = float(np.abs(np.diff(voltage)).max()) * rate
-    if steepest > rig.slew_rate * (1 + _SLACK):
-        raise RecordError(
-            f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
-            f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
+    if high - low < _LEAST_RANGE:
+        raise RigError(
+            argument="limits",
+            got=f"{low:g} to {high:g} V",
+            need=f"a range of {_LEAST_RANGE:g} V at least",
+            hint="widen them",
         )
+    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
+    rate = min(rates, default=(high - low) / _SHORTEST_SWEEP)
+    if high - low > _LONGEST_RAMP * rate:
+        least = (high - low) / _LONGEST_RAMP
+        raise RigError(
+            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
+            f"give {least:.3g} V/s at least, or narrower limits"
+        )
+    return VoltageLimits(low, high, rate)
+
+
+def _pieces(values: NDArray[_Kind], longest: int | None) -> Iterator[NDArray[_Kind]]:
+    """Yield rows (n, ...) in pieces of `longest` at most, each beginning where the one before ended."""
+    size = len(values)
+    step = longest or size
+    for start in range(0, max(1, size - 1), step - 1):
+        yield values[start : start + step]

@@ -10,12 +10,10 @@ from typing import Any
 
 from dehyst._errors import DeviceError, MissingExtraError, ModelError, RigError
 from dehyst._validation import number
-from dehyst.control import Compensator, VoltageLimits, shortest_homing
-from dehyst.control.planning.homing import homing_steps
+from dehyst.control import Compensator, VoltageLimits, homing_steps, shortest_homing
 from dehyst.instruments.epics import PvNames
 from dehyst.instruments.samples import READBACK_TOLERANCE
-from dehyst.model import Actuator
-from dehyst.model.states import state_at
+from dehyst.model import Actuator, state_at
 
 try:
     from bluesky.plan_stubs import stop, wait_for
@@ -49,13 +47,15 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     sent becomes part of the actuator's memory. Before the first `set` the axis must be homed, in a plan by
     ``yield from homing(axis)``: the history of the actuator is unknown.
 
-    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage. Raise
+    A displacement outside the reach of the limits is refused before anything moves. `stop` holds the voltage. Signals:
+    `wanted` [um], after a stop the displacement of the model; `voltage` [V] that was sent, and if anything else sets
+    it, the axis must be homed again; `position` [um], the reading of the sensor, in the device's hints. Raise
     `ModelError` if a number is impossible.
 
     Parameters
     ----------
-    prefix : str
-        Of the process variables, as for `dehyst.instruments.epics.EpicsRig`.
+    prefix, names : str, PvNames
+        Of the process variables, as for `dehyst.instruments.epics.EpicsRig`; `name` is that of the device.
     actuator : Actuator
         Its inertia and its amplifier's lag are ignored: steps are slow against them.
     limits : (float, float), optional
@@ -64,22 +64,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         Largest abs(dv/dt) [V/s], where the IOC allows it; default: the IOC's, or the whole range in a second.
     period : float, optional
         Seconds from one step to the next.
-    settle : float, optional
-        Seconds to wait at the end of a move, so that the IOC has read the sensor again.
-    timeout : float, optional
-        Seconds that one exchange with the IOC may take.
-    names : PvNames, optional
-    name : str, optional
-        Of the device.
-
-    Attributes
-    ----------
-    wanted : SignalR
-        Displacement [um] that was set; after a stop, the displacement of the model.
-    voltage : SignalRW
-        The voltage that was sent [V]. If anything else sets it, the axis must be homed again.
-    position : SignalR
-        The reading of the sensor [um]; it is in the device's hints.
+    settle, timeout : float, optional
+        Seconds to wait at the end of a move, so that the IOC has read the sensor again, and that one exchange may take.
     """
 
     def __init__(
@@ -103,21 +89,23 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         self._actuator, self._period, self._settle = actuator.quasistatic(), period, settle
         self._given = [VoltageLimits(*ends) for ends in (limits, actuator.limits) if ends is not None]
         self._given_slew_rate = None if slew_rate is None else VoltageLimits(0.0, 1.0, slew_rate).slew_rate
-        self._limits: VoltageLimits | None = None
+        # Set by each homing.
+        self._limits = VoltageLimits(0.0, 1.0)
         self._compensator: Compensator | None = None
         self._unhomed_reason = "it was not homed yet"
         self._stopped: bool | None = None
         self._move_lock, self._send_lock = asyncio.Lock(), asyncio.Lock()
         # The time [s] that the model's memory has reached, from the voltage of the homing on.
         self._modelled_at = 0.0
+        address = f"ca://{prefix}{names.joint}"
 
         def readable(what: str) -> SignalR[float]:
-            return epics_signal_r(float, f"ca://{prefix}{names.joint}{what}", timeout=timeout)
+            return epics_signal_r(float, address + what, timeout=timeout)
 
         with self.add_children_as_readables():
             self.wanted, self._set_wanted = soft_signal_r_and_setter(float, units="um", precision=5)
         with self.add_children_as_readables(StandardReadableFormat.UNCACHED_SIGNAL):
-            self.voltage = epics_signal_rw(float, f"ca://{prefix}{names.joint}{names.voltage}", timeout=timeout)
+            self.voltage = epics_signal_rw(float, address + names.voltage, timeout=timeout)
         with self.add_children_as_readables(StandardReadableFormat.HINTED_UNCACHED_SIGNAL):
             self.position = readable(names.position)
         self.readback = readable(names.readback)
@@ -134,19 +122,13 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     async def home(self) -> None:
         """Play the shortest voltage after which the actuator's state is known, whatever it was.
 
-        Raises
-        ------
-        RigError
-            If the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped on the way.
-
-        Warns
-        -----
-        UserWarning
-            If the limits are too narrow to determine the state well.
+        Raise `RigError` if the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped
+        on the way. Warn if the limits are too narrow to determine the state well.
         """
         async with self._move_lock:
-            self._stopped, self._compensator, self._unhomed_reason = None, None, "its homing was broken off"
-            limits = await self._common_limits()
+            self._stopped = None
+            self._forget("its homing was broken off")
+            self._limits = limits = await self._common_limits()
             present = limits.nearest(await self.readback.get_value())
             homing = shortest_homing(self._actuator, limits=(limits.low, limits.high), present=present)
             if not homing.certified:
@@ -154,7 +136,6 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             for voltage, seconds in homing_steps(homing, limits, self._period):
                 await asyncio.shield(self._send(voltage, None, limits, seconds))
                 self._refuse_stopped()
-            self._limits = limits
             self._compensator = Compensator(
                 self._actuator, (limits.low, limits.high), period=self._period, state=homing.state
             )
@@ -164,37 +145,26 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     async def set(self, value: float) -> AsyncIterator[WatcherUpdate[float]]:
         """Move to a displacement [um]; done when the voltage has reached its end.
 
-        Raises
-        ------
-        RigError
-            In the status: if the axis is not homed, something else sent a voltage, or it is stopped without success.
-        ModelError
-            In the status: if the displacement is out of reach; nothing has moved.
+        The status fails with `RigError` if the axis is not homed, something else sent a voltage, or it is stopped
+        without success; with `ModelError` if the displacement is out of reach: nothing has moved.
         """
         async with self._move_lock:
             self._stopped = None
-            compensator, limits = self._homed(), self._limits or VoltageLimits(0.0, 1.0)
-            await self._refuse_other_voltage(compensator, limits)
+            await self._refuse_other_voltage(self._homed())
             await self.check_value(value)
             self._set_wanted(float(value))
             initial, reached = await self.position.get_value(), False
             while not reached and self._stopped is None:
-                reached = await asyncio.shield(self._step(compensator, float(value), limits))
+                reached = await asyncio.shield(self._step(float(value)))
                 now = await self.position.get_value()
                 yield WatcherUpdate(now, initial, float(value), name=self.name, unit="um", precision=5)
             if not reached:
-                self._set_wanted(compensator.state.displacement / _MICRO)
+                self._set_wanted(self._homed().state.displacement / _MICRO)
                 self._refuse_stopped()
             await asyncio.sleep(self._settle)
 
     async def check_value(self, value: float) -> None:
-        """Raise `ModelError` for a displacement [um] that cannot be reached; nothing moves.
-
-        Raises
-        ------
-        RigError
-            If the axis is not homed.
-        """
+        """Raise `ModelError` for a displacement [um] that cannot be reached, `RigError` if the axis is not homed."""
         compensator = self._homed()
         wanted = _MICRO * number(value, f"{self.name}: displacement")
         needed = self._actuator.voltage(state_at(self._actuator, compensator.state, wanted))
@@ -221,37 +191,38 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             raise RigError(f"{self.name}: the state of its actuator is unknown: {self._unhomed_reason}; home it first")
         return self._compensator
 
+    def _forget(self, reason: str) -> None:
+        self._compensator, self._unhomed_reason = None, reason
+
     def _refuse_stopped(self) -> None:
         if self._stopped is False or (self._stopped and self._compensator is None):
             raise RigError(f"{self.name}: was stopped on its way; it holds the voltage where it was")
 
-    async def _refuse_other_voltage(self, compensator: Compensator, limits: VoltageLimits) -> None:
+    async def _refuse_other_voltage(self, compensator: Compensator) -> None:
         """Raise RigError if a voltage was sent that this axis did not send."""
         # A step of a cancelled move may still be on its way to the memory.
         async with self._send_lock:
             sent, output = await asyncio.gather(self.voltage.get_value(), self.readback.get_value())
             modelled = compensator.voltage
-        span = limits.high - limits.low
-        if abs(sent - modelled) > _ROUNDING * span or abs(output - modelled) > READBACK_TOLERANCE * span:
+        low, high = compensator.limits
+        if abs(sent - modelled) > _ROUNDING * (high - low) or abs(output - modelled) > READBACK_TOLERANCE * (
+            high - low
+        ):
             self._forget(
                 f"another client has sent {sent:.6g} V, and the output is {output:.6g} V instead of {modelled:.6g} V"
             )
             self._homed()
 
-    def _catch_up(self, compensator: Compensator) -> None:
-        """Let the model creep for as long as the voltage was held, up to the period of the next step.
-
-        The duration of a step depends on the IOC and this machine.
-        """
+    async def _step(self, value: float) -> bool:
+        """Take one step towards a displacement [um], and return whether it is reached."""
+        compensator, limits = self._homed(), self._limits
+        # The duration of a step depends on the IOC and this machine: the model creeps for as long as the voltage was
+        # held, up to the period of the next step.
         behind = int((time.monotonic() - self._modelled_at) / self._period) - 1
         if self._actuator.needs_time and behind > 0:
             for _ in range(behind):
                 compensator.hold()
             self._modelled_at += behind * self._period
-
-    async def _step(self, compensator: Compensator, value: float, limits: VoltageLimits) -> bool:
-        """Take one step towards a displacement [um], and return whether it is reached."""
-        self._catch_up(compensator)
         target = limits.nearest(compensator.offer(_MICRO * value))
         voltage = limits.towards(target, compensator.voltage, self._period)
         await self._send(voltage, compensator, limits, self._period)
@@ -277,9 +248,6 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
                     "than it reports?"
                 )
             await asyncio.sleep(seconds)
-
-    def _forget(self, reason: str) -> None:
-        self._compensator, self._unhomed_reason = None, reason
 
     async def _common_limits(self) -> VoltageLimits:
         """Return the limits that user, actuator and IOC all allow."""

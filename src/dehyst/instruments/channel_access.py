@@ -51,11 +51,9 @@ _worker = _Worker()
 
 
 class ChannelAccess:
-    """Process variables with a common prefix.
+    """Process variables with a common `prefix`, put before each name as it is.
 
-    Raise `MissingExtraError` if aioca is not installed.
-
-    `prefix`: put before each name, as it is. `timeout`: seconds that one exchange may take.
+    `timeout`: seconds that one exchange may take. Raise `MissingExtraError` if aioca is not installed.
     """
 
     def __init__(self, prefix: str, timeout: float) -> None:
@@ -69,7 +67,7 @@ class ChannelAccess:
     def absent(self, names: Sequence[str]) -> list[str]:
         """Return those of the names that no server answers for within the timeout."""
         pvs = [self.prefix + name for name in names]
-        answers = self._run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
+        answers = _worker.run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
         return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
 
     def connected(self, *names: str) -> bool:
@@ -78,17 +76,20 @@ class ChannelAccess:
         async def unconnected() -> set[str]:
             return self._unconnected()
 
-        return self._run(unconnected()).isdisjoint(self.prefix + name for name in names)
+        return _worker.run(unconnected()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
-        return [self._number(name, value) for name, value in zip(names, self._get(names), strict=True)]
+        numbers = []
+        for name, value in zip(names, self._get(names), strict=True):
+            try:
+                numbers.append(float(value))
+            except (TypeError, ValueError) as error:
+                raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_QUOTED]}, need a number") from error
+        return numbers
 
     def arrays(self, *names: str, count: int) -> list[Array]:
-        """Read the first `count` numbers of each array.
-
-        Raise `LinkError` if an answer is late, or has fewer numbers.
-        """
+        """Read the first `count` numbers of each array; raise `LinkError` if an answer is late, or has fewer."""
         columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
         for name, values in zip(names, columns, strict=True):
             if values.size < count or values.dtype.kind not in "fiu":
@@ -110,10 +111,7 @@ class ChannelAccess:
         return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
 
     def metres(self, name: str) -> float | None:
-        """Return the unit of a record in metres; None if it has no unit.
-
-        Raise `LinkError` if it is not a unit of length.
-        """
+        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is no length."""
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
         count = COUNTS["m"].get(symbol_of(unit))
@@ -125,55 +123,45 @@ class ChannelAccess:
 
     def length(self, name: str) -> int:
         """Return the capacity of an array, in elements."""
-        return int(self._run(self._answered(self._ca.cainfo, [name]))[0].count)
+        return int(self._answers(self._ca.cainfo, [name])[0].count)
 
-    def put(self, name: str, value: float | Array) -> None:
+    def put(self, name: str, value: float | Array | str) -> None:
         """Write a value, and wait until the IOC has processed it.
 
         Raise `LinkError` if there is no answer in time: the value may have been written, or not. Raise `DeviceError` if
         it is refused.
         """
-        self._run(self._put(name, value, {}))
+        long_text = isinstance(value, str) and self.length(name) > 1
+        options = {"datatype": self._ca.DBR_CHAR_STR} if long_text else {}
 
-    def clear(self, name: str) -> None:
-        """Write an empty text."""
-        text = self.length(name) > 1
-        self._run(self._put(name, "", {"datatype": self._ca.DBR_CHAR_STR} if text else {}))
+        async def request(pvs: list[str], **more: Any) -> list[Any]:
+            return [await self._ca.caput(pvs[0], value, wait=True, **more)]
+
+        self._answers(request, [name], **options)
 
     def _get(self, names: Sequence[str], **options: Any) -> list[Any]:
-        return self._run(self._answered(self._ca.caget, names, **options))
+        return self._answers(self._ca.caget, names, **options)
 
-    def _run(self, task: Coroutine[Any, Any, _Value]) -> _Value:
-        return _worker.run(task)
-
-    async def _answered(self, request: Any, names: Sequence[str], **options: Any) -> list[Any]:
+    def _answers(self, request: Any, names: Sequence[str], **options: Any) -> list[Any]:
+        """Return the answers to a request on these variables; raise LinkError or DeviceError if one failed."""
         pvs = [self.prefix + name for name in names]
-        answers: list[Any] = await request(pvs, timeout=self.timeout, throw=False, **options)
-        for pv, answer in zip(pvs, answers, strict=True):
-            if not answer.ok:
-                raise self._error(pv, answer)
-        return answers
 
-    async def _put(self, name: str, value: object, options: dict[str, Any]) -> None:
-        pv = self.prefix + name
-        answer = await self._ca.caput(pv, value, wait=True, timeout=self.timeout, throw=False, **options)
-        if not answer.ok:
-            raise self._error(pv, answer)
+        async def answered() -> list[Any]:
+            answers: list[Any] = await request(pvs, timeout=self.timeout, throw=False, **options)
+            for pv, answer in zip(pvs, answers, strict=True):
+                if answer.ok:
+                    continue
+                if pv in self._unconnected():
+                    raise LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
+                if answer.errorcode == _TIMED_OUT:
+                    raise LinkError(
+                        f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?"
+                    )
+                raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
+            return answers
 
-    def _error(self, pv: str, answer: Any) -> LinkError | DeviceError:
-        """Return the error to raise for an answer that failed."""
-        if pv in self._unconnected():
-            return LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
-        if answer.errorcode == _TIMED_OUT:
-            return LinkError(f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?")
-        return DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
+        return _worker.run(answered())
 
     def _unconnected(self) -> set[str]:
         """Return all variables of this process that are not connected; on the loop's thread."""
         return {channel.name for channel in self._ca.get_channel_infos() if not channel.connected}
-
-    def _number(self, name: str, value: Any) -> float:
-        try:
-            return float(value)
-        except (TypeError, ValueError) as error:
-            raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_QUOTED]}, need a number") from error

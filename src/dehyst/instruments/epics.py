@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -60,21 +60,20 @@ class PvNames:
 
     @property
     def waves(self) -> dict[str, str]:
-        """The names of wave generator and recorder, by their purpose."""
-        return {what: name for what, name in self.all.items() if what.startswith(("wave_", "record_"))}
+        """The names of wave generator and recorder, by their purpose.
 
-    @property
-    def plays(self) -> bool:
-        """Whether waves can be played; raise `RigError` if some of the names for that are missing, but not all."""
+        Raise `RigError` if some of them are missing, but not all.
+        """
         wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
-        missing = [what for what in wanted if what not in self.waves]
-        if missing and self.waves:
+        found = {what: name for what, name in self.all.items() if what in wanted}
+        missing = [what for what in wanted if what not in found]
+        if missing and found:
             raise RigError(
                 f"got none for {', '.join(missing)}",
                 argument="names",
                 hint="waves need all of them, or set all to None",
             )
-        return not missing
+        return found
 
     def without_waves(self) -> PvNames:
         """Return the names for an IOC that plays no waves."""
@@ -88,16 +87,16 @@ class EpicsRig(AbstractRig):
     def __init__(
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
-        self._link, self._names, self._plays = link, names, names.plays
+        self._link, self._names, self._pvs = link, names, names.waves
         prefix = link.prefix.removesuffix(names.joint)
         identity = "" if names.identity is None else link.text(names.identity).strip()
         # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
         self._recorded_metres, longest = self._metres, None
-        if self._plays:
-            self._recorded_metres = link.metres(self._pv("record_position")) or self._metres
+        if self._pvs:
+            self._recorded_metres = link.metres(self._pvs["record_position"]) or self._metres
             tables = ("wave_voltage", "record_time", "record_voltage", "record_position")
-            longest = min(link.length(self._pv(table)) for table in tables)
+            longest = min(link.length(self._pvs[table]) for table in tables)
         self._last, self._began = 0.0, time.monotonic()
         name = f"epics://{prefix}" + (f" ({identity})" if identity else "")
         super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate, longest=longest)
@@ -115,32 +114,20 @@ class EpicsRig(AbstractRig):
     ) -> Self:
         """Connect to all variables; nothing is sent.
 
+        Raise `LinkError` if variables are missing, `RigError` if the device's limits are not an interval. Warn if all
+        variables for waves are missing: the host then times every voltage, slowly.
+
         Parameters
         ----------
         prefix : str
-            Prefix of all names, without the colon.
+            Of all `names`, without the colon.
         limits : (float, float), optional
             Voltages that the user allows [V]. Those of the device come from variables of their own, or from the limits
             of the voltage's record.
         slew_rate : float, optional
-            [V/s].
+            Largest abs(dv/dt) [V/s] that the user allows.
         timeout : float, optional
             Seconds that one exchange may take.
-        names : PvNames, optional
-
-        Raises
-        ------
-        LinkError
-            If variables are missing; their names are in the message.
-        RigError
-            If the device's limits are not an interval.
-        MissingExtraError
-            If aioca is not installed.
-
-        Warns
-        -----
-        UserWarning
-            If all variables for waves are missing: the host then times every voltage, slowly.
         """
         link = ChannelAccess(prefix + names.joint, timeout)
         names = _available(link, names)
@@ -148,11 +135,11 @@ class EpicsRig(AbstractRig):
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Set `sample_rate` [Hz], and return the rate to which the device rounds it."""
-        if not self._plays:
+        if not self._pvs:
             return min(sample_rate, HIGHEST_RATE)
-        self._link.put(self._pv("wave_period"), 1 / sample_rate)
+        self._link.put(self._pvs["wave_period"], 1 / sample_rate)
         self._raise_error()
-        (period,) = self._link.numbers(self._pv("wave_period"))
+        (period,) = self._link.numbers(self._pvs["wave_period"])
         if not period > 0:
             raise DeviceError(
                 f"{self.name}: its sample period is {period:.6g} s where {sample_rate:.6g} Hz was requested"
@@ -176,25 +163,27 @@ class EpicsRig(AbstractRig):
             )
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        if not self._plays:
+        if not self._pvs:
             yield from host_timed(self, voltage, rate)
             return
         for what, value in (("wave_voltage", voltage), ("wave_period", 1 / rate), ("wave_start", 1)):
-            self._link.put(self._pv(what), value)
+            self._link.put(self._pvs[what], value)
             self._raise_error()
         got, latest, cost, shift = 0, time.monotonic(), 0.0, None
         while got < voltage.size:
             count, idle = self._progress(got, latest, max(self._link.timeout, _SILENT / rate))
             now = time.monotonic()
             if count > got and (count >= voltage.size or idle or now - latest >= cost / _SHARE):
-                samples = self._samples(got, min(count, voltage.size))
+                tables = [self._pvs[f"record_{column}"] for column in ("time", "voltage", "position")]
+                arrays = self._link.arrays(*tables, count=min(count, voltage.size))
+                times, volts, positions = (column[got:] for column in arrays)
                 latest = time.monotonic()
-                cost, got = latest - now, got + samples.time.size
+                cost, got = latest - now, got + times.size
                 if shift is None:
                     # Times of a recorder may restart with every wave.
-                    shift = 0.0 if samples.time[0] > self._last else self._last + 1 / rate - samples.time[0]
-                self._last = float(samples.time[-1] + shift)
-                yield samples._replace(time=samples.time + shift)
+                    shift = 0.0 if times[0] > self._last else self._last + 1 / rate - times[0]
+                self._last = float(times[-1] + shift)
+                yield Samples(times + shift, volts, self._recorded_metres * positions)
             elif idle and now - latest > _LATE:
                 raise DeviceError(
                     f"{self.name}: stopped after {got} of {voltage.size} samples; did another client stop it?"
@@ -205,7 +194,7 @@ class EpicsRig(AbstractRig):
     def _progress(self, got: int, latest: float, patience: float) -> tuple[int, bool]:
         """Return the number of recorded samples, and whether the wave has ended."""
         # In this order: once the end is read, the count includes all samples recorded by then.
-        names = self._pv("wave_busy"), self._pv("record_count")
+        names = self._pvs["wave_busy"], self._pvs["record_count"]
         if not self._link.connected(*names):
             raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may continue to play")
         busy, count = self._link.numbers(*names)
@@ -219,27 +208,19 @@ class EpicsRig(AbstractRig):
             )
         return int(count), not busy
 
-    def _samples(self, first: int, stop: int) -> Samples:
-        tables = [self._pv(f"record_{column}") for column in ("time", "voltage", "position")]
-        times, voltage, position = (column[first:] for column in self._link.arrays(*tables, count=stop))
-        return Samples(times, voltage, self._recorded_metres * position)
-
     def _halt(self) -> None:
         self._clear_error()
-        if not self._plays:
+        if not self._pvs:
             return
-        self._link.put(self._pv("wave_stop"), 1)
+        self._link.put(self._pvs["wave_stop"], 1)
         end = time.monotonic() + self._link.timeout
-        while self._link.numbers(self._pv("wave_busy"))[0]:
+        while self._link.numbers(self._pvs["wave_busy"])[0]:
             if time.monotonic() > end:
                 raise DeviceError(f"{self.name}: still plays {self._link.timeout:g} s after the stop command")
             self._wait(_POLL)
 
     def _close(self) -> None:
         """Leave the channels open: they belong to the process, and another rig may use them."""
-
-    def _pv(self, what: str) -> str:
-        return self._names.all[what]
 
     def _raise_error(self) -> None:
         error = "" if self._names.error is None else self._link.text(self._names.error)
@@ -249,7 +230,7 @@ class EpicsRig(AbstractRig):
     def _clear_error(self) -> None:
         """Overwrite an earlier error, which would stay."""
         if self._names.error is not None and self._link.text(self._names.error):
-            self._link.clear(self._names.error)
+            self._link.put(self._names.error, "")
 
     def _device_limits(self, given: tuple[float, float] | None) -> VoltageLimits:
         """Return the device's limits: its variables, and its record's limits where they are narrower."""
@@ -273,21 +254,19 @@ def _available(link: ChannelAccess, names: PvNames) -> PvNames:
     absent = link.absent(list(names.all.values()))
     if not absent:
         return names
-    if names.plays and set(absent) == set(names.waves.values()):
+    if names.waves and set(absent) == set(names.waves.values()):
         warnings.warn(
             f"{link.prefix}{absent[0]} and all others for waves are missing: every voltage is timed by this computer, "
             f"{HIGHEST_RATE:g} a second at most and unevenly",
             stacklevel=3,
         )
         return names.without_waves()
-    raise LinkError(_missing(link, absent, len(names.all)))
-
-
-def _missing(link: ChannelAccess, absent: Sequence[str], count: int) -> str:
-    if len(absent) == count:
-        return (
-            f"{link.prefix}*: none of {count} process variables answered within {link.timeout:g} s, not even "
+    if len(absent) == len(names.all):
+        raise LinkError(
+            f"{link.prefix}*: none of {len(absent)} process variables answered within {link.timeout:g} s, not even "
             f"{link.prefix}{absent[0]}; {HINT}"
         )
-    names = ", ".join(link.prefix + name for name in absent)
-    return f"{names}: no such process variable within {link.timeout:g} s; give names, with None for those it lacks"
+    listed = ", ".join(link.prefix + name for name in absent)
+    raise LinkError(
+        f"{listed}: no such process variable within {link.timeout:g} s; give names, with None for those it lacks"
+    )

@@ -56,9 +56,7 @@ class AbstractGcsLink(ABC):
 
 
 class TcpLink(AbstractGcsLink):
-    """A socket to a controller, which takes one client at a time.
-
-    Raise `LinkError` if no connection can be made.
+    """A socket to a controller, which takes one client at a time; raise `LinkError` if there is no connection.
 
     `timeout`: seconds without a byte after which an answer is abandoned.
     """
@@ -161,39 +159,34 @@ class TcpLink(AbstractGcsLink):
         searched = 0
         while (end := self._buffer.find(b"\n", searched)) < 0:
             searched = len(self._buffer)
+            got = f"got {gcs_syntax.shown(bytes(self._buffer))}" if self._buffer else "got nothing"
             if searched > _LONGEST:
-                raise LinkError(f"got {searched} bytes without a line feed: {gcs_syntax.shown(bytes(self._buffer))}")
-            self._receive(deadline)
+                raise LinkError(f"got {searched} bytes without a line feed: {got.removeprefix('got ')}")
+            if self._socket is None:
+                raise LinkError("the connection is closed")
+            wait = min(self._timeout, deadline - time.monotonic())
+            if wait <= 0:
+                raise LinkError(f"{got}: the answer takes too long")
+            try:
+                self._socket.settimeout(wait)
+                data = self._socket.recv(1 << 16)
+            except TimeoutError as error:
+                raise LinkError(f"{got} in {wait:.3g} s, need an answer") from error
+            except OSError as error:
+                raise LinkError(f"{got}: the connection was lost ({error})") from error
+            if not data:
+                raise LinkError(f"{got}: the controller closed the connection")
+            self._buffer += data
         line = bytes(self._buffer[: end + 1])
         del self._buffer[: end + 1]
         return line
 
-    def _receive(self, deadline: float) -> None:
-        if self._socket is None:
-            raise LinkError("the connection is closed")
-        wait = min(self._timeout, deadline - time.monotonic())
-        got = f"got {gcs_syntax.shown(bytes(self._buffer))}" if self._buffer else "got nothing"
-        if wait <= 0:
-            raise LinkError(f"{got}: the answer takes too long")
-        try:
-            self._socket.settimeout(wait)
-            data = self._socket.recv(1 << 16)
-        except TimeoutError as error:
-            raise LinkError(f"{got} in {wait:.3g} s, need an answer") from error
-        except OSError as error:
-            raise LinkError(f"{got}: the connection was lost ({error})") from error
-        if not data:
-            raise LinkError(f"{got}: the controller closed the connection")
-        self._buffer += data
-
 
 class DeviceLink(AbstractGcsLink):
-    """A device object that the user has connected; it stays open.
+    """A `device` object that the user has connected; it stays open.
 
-    Raise `LinkError` if it does not have them.
-
-    `device`: with two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
-    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`.
+    It has two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
+    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`. Else raise `LinkError`.
     """
 
     def __init__(self, device: Any) -> None:
@@ -217,7 +210,10 @@ class DeviceLink(AbstractGcsLink):
             answer = self._read(query)
         # Whatever the device's own class raises.
         except Exception as error:
-            raise _translated(error) from error
+            number = getattr(error, "val", None)
+            if isinstance(number, int | float) and math.isfinite(number) and number:
+                raise DeviceError(gcs_syntax.sentence(int(number))) from error
+            raise LinkError(f"{type(error).__name__}: {error}") from error
         if not isinstance(answer, str):
             raise LinkError(f"got {gcs_syntax.shown(answer)}, need text")
         return gcs_syntax.lines_of(answer)
@@ -234,35 +230,32 @@ class DeviceLink(AbstractGcsLink):
         """Leave the device connected: it belongs to the user."""
 
 
-def _translated(error: Exception) -> LinkError | DeviceError:
-    number = getattr(error, "val", None)
-    if isinstance(number, int | float) and math.isfinite(number) and number:
-        return DeviceError(gcs_syntax.sentence(int(number)))
-    return LinkError(f"{type(error).__name__}: {error}")
-
-
 class GcsClient:
-    """A client of a controller over a link; it sends nothing twice.
+    """A client of a controller over a `link`; it sends nothing twice.
 
-    Raise `LinkError` if the answers are not those of a controller. Raise `DeviceError` if its version is not GCS 2.
-
-    Parameters
-    ----------
-    link : AbstractGcsLink
-
-    Attributes
-    ----------
-    identity : str
-        Its answer to *IDN?.
-    commands : frozenset of str
-        The commands that it supports.
+    `identity`: the controller's answer to *IDN?. `commands`: those that it supports. Raise `LinkError` if the answers
+    are not those of a controller, `DeviceError` if its version is not GCS 2.
     """
 
     def __init__(self, link: AbstractGcsLink) -> None:
-        self._link = link
-        self.where = link.where
+        self._link, self.where = link, link.where
         self._synchronised = True
-        self.identity = self._identify()
+        try:
+            lines = link.exchange([], IDENTITY)
+        except LinkError as error:
+            raise LinkError(
+                f"{self.where}: sent '{IDENTITY}', {error}; is it a GCS controller, and no other client connected? "
+                "It takes one at a time"
+            ) from error
+        self.identity = " ".join(lines).strip()
+        if lines[0].startswith(("HTTP/", "<")):
+            answer = gcs_syntax.shown(self.identity)
+            raise LinkError(f"{self.where}: a web server answers ({answer}); PI's port is 50000")
+        if self.identity.count(",") < 2 or len(lines) > 1:
+            raise LinkError(
+                f"{self.where}: sent '{IDENTITY}', got {gcs_syntax.shown(self.identity)}, need maker, model, serial "
+                "number; is it a GCS controller?"
+            )
         self.commands = self.query("HLP?", gcs_syntax.commands)
         if "CSV?" in self.commands:
             version = self.query("CSV?", lambda lines: gcs_syntax.real(gcs_syntax.single(lines)))
@@ -294,12 +287,20 @@ class GcsClient:
         self._synchronised = True
         return answer
 
-    def set(self, *commands: str, expect: frozenset[int] = frozenset()) -> None:
-        """Send commands and query the error number.
+    def numbers(self, word: str, *keys: str) -> list[float]:
+        """Query the numbers of these keys, such as axes; raise as `query`."""
+        return self.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.values(lines, keys))
 
-        Raise `DeviceError` if there is an error that is not in `expect`. Raise `LinkError` if the controller does not
-        answer.
-        """
+    def counts(self, word: str, *keys: str) -> list[int]:
+        """Query the whole numbers of these keys; raise as `query`."""
+        return self.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.counts(lines, keys))
+
+    def parameter(self, line: str, item: str, number: int) -> float:
+        """Query one parameter `number` of an `item`; raise as `query`."""
+        return self.query(line, lambda lines: gcs_syntax.parameter(lines, item, number))
+
+    def set(self, *commands: str, expect: frozenset[int] = frozenset()) -> None:
+        """Send commands and query the error number; raise `DeviceError` for one that is not in `expect`."""
         number = self.query("ERR?", gcs_syntax.error, commands)
         if number and number not in expect:
             after = f" after {gcs_syntax.shown(commands)}" if commands else ""
@@ -312,21 +313,3 @@ class GcsClient:
     def close(self) -> None:
         """Close the link."""
         self._link.close()
-
-    def _identify(self) -> str:
-        try:
-            lines = self._link.exchange([], IDENTITY)
-        except LinkError as error:
-            raise LinkError(
-                f"{self.where}: sent '{IDENTITY}', {error}; is it a GCS controller, and no other client connected? "
-                "It takes one at a time"
-            ) from error
-        text = " ".join(lines).strip()
-        if lines[0].startswith(("HTTP/", "<")):
-            raise LinkError(f"{self.where}: a web server answers ({gcs_syntax.shown(text)}); PI's port is 50000")
-        if text.count(",") < 2 or len(lines) > 1:
-            raise LinkError(
-                f"{self.where}: sent '{IDENTITY}', got {gcs_syntax.shown(text)}, need maker, model, serial number; "
-                "is it a GCS controller?"
-            )
-        return text

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from dehyst._errors import LinkError, RigError
 from dehyst._types import Array
-from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
+from dehyst.records import GCS_END, GCS_SEPARATORS, gcs_entries
 
 # Every controller's input buffer holds a line of this many characters.
 _LINE = 500
@@ -152,11 +152,6 @@ def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
     return [real(texts[key]) for key in keys]
 
 
-def timer(lines: Sequence[str]) -> float:
-    """Return the number of an answer of TIM?, with or without a key; raises LinkError."""
-    return real(single(lines).rpartition("=")[2].strip())
-
-
 def counts(lines: Sequence[str], keys: Sequence[str]) -> list[int]:
     """Return whole numbers, not negative, of exactly these keys; raises LinkError."""
     numbers = values(lines, keys)
@@ -202,10 +197,28 @@ def commands(lines: Sequence[str]) -> frozenset[str]:
 
 def options(lines: Sequence[str]) -> Options | None:
     """Return the record options of position and voltage, from an answer of HDR?; None if it does not have both."""
-    listed = dict(_listed(lines))
-    position = _first(listed, "current position", "actual position", "real position")
-    voltage = _first(listed, "voltage of output", "output voltage", "piezo voltage", "voltage")
-    return None if position is None or voltage is None else Options(position, voltage)
+    listed, within = {}, False
+    for line in lines:
+        if line.lstrip().startswith("#"):
+            within = "recordoption" in line.lower().replace(" ", "")
+        elif within and (match := _OPTION.fullmatch(line.strip())):
+            listed[int(match.group(1))] = match.group(2).lower()
+    found = []
+    for names in (
+        ("current position", "actual position", "real position"),
+        ("voltage of output", "output voltage", "piezo voltage", "voltage"),
+    ):
+        matches = [
+            # A control voltage lies before the amplifier: it comes last.
+            (order, "control" in text, number)
+            for order, name in enumerate(names)
+            for number, text in listed.items()
+            if name in text
+        ]
+        if not matches:
+            return None
+        found.append(min(matches)[-1])
+    return Options(*found)
 
 
 def shown(got: object) -> str:
@@ -334,24 +347,6 @@ def sentence(number: int) -> str:
     if number in LIMITS:
         text += "; its limits are narrower than it reported, request narrower limits"
     return f"error {number}: {text}"
-
-
-def _listed(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
-    within = False
-    for line in lines:
-        if line.lstrip().startswith("#"):
-            within = "recordoption" in line.lower().replace(" ", "")
-        elif within and (match := _OPTION.fullmatch(line.strip())):
-            yield int(match.group(1)), match.group(2).lower()
-
-
-def _first(listed: Mapping[int, str], *wanted: str) -> int | None:
-    for words in wanted:
-        # A control voltage lies before the amplifier: it comes last.
-        matches = sorted(("control" in text, number) for number, text in listed.items() if words in text)
-        if matches:
-            return matches[0][1]
-    return None
 
 
 def _decoded(text: str) -> int:

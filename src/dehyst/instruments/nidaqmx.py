@@ -34,8 +34,7 @@ class NiRig(AbstractRig):
 
     The hardware's clock, which the inputs share, times a wave; the wave is not repeated. An input is read at the edge
     that changes the output, so the sample of a voltage is taken at the next edge, at the end of that voltage. Raise
-    `MissingExtraError` if the package nidaqmx is not installed. Raise `RigError` if the card or channel does not exist,
-    has no hardware-timed output, or the output cannot be read back.
+    `RigError` if the card or channel does not exist, has no hardware-timed output, or the output cannot be read back.
 
     Parameters
     ----------
@@ -51,9 +50,7 @@ class NiRig(AbstractRig):
     monitor_gain : float, optional
         Volts on the actuator for each volt of the monitor; default `gain`.
     limits, slew_rate, longest
-        As of `AbstractRig`.
-    clock : callable, optional
-        Seconds of the host.
+        As of `AbstractRig`; `clock` returns seconds of the host.
     """
 
     def __init__(
@@ -70,7 +67,12 @@ class NiRig(AbstractRig):
         longest: int = _LONGEST,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._ni = _library()
+        try:
+            for module in ("constants", "errors", "system"):
+                importlib.import_module(f"nidaqmx.{module}")
+            self._ni: Any = importlib.import_module("nidaqmx")
+        except ImportError as error:
+            raise MissingExtraError.of("nidaqmx", "ni", "A card of National Instruments") from error
         if not (0 < gain < np.inf and np.isfinite(scale) and scale != 0):
             raise RigError(
                 argument="gain, scale",
@@ -89,7 +91,9 @@ class NiRig(AbstractRig):
             self._label = f"{device.product_type} {self._output} ({_NOT_TRIED})"
             if not device.ao_samp_clk_supported:
                 raise RigError(f"{self._label}: has no hardware-timed output, which waves need; use another card")
-            low, high = _widest(device.ao_voltage_rngs)
+            # A flat list: low, high, low, high, ... [V].
+            pairs = list(zip(device.ao_voltage_rngs[::2], device.ao_voltage_rngs[1::2], strict=True))
+            low, high = max(pairs, key=lambda pair: pair[1] - pair[0])
             self._rates = (
                 max(device.ao_min_rate, device.ai_min_rate),
                 min(device.ao_max_rate, device.ai_max_multi_chan_rate / len(self._inputs)),
@@ -153,9 +157,16 @@ class NiRig(AbstractRig):
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         # The last voltage stays for one more edge, at which its sample is taken.
         sent = np.append(voltage, voltage[-1]) / self._gain
+        clock = {"sample_mode": self._finite, "samps_per_chan": sent.size}
         try:
             with self._driver_errors():
-                generation, inputs = self._prepare(sent, rate)
+                generation, inputs = (self._tasks.enter_context(self._ni.Task()) for _ in range(2))
+                self._add_output(generation)
+                generation.timing.cfg_samp_clk_timing(rate, **clock)
+                generation.out_stream.regen_mode = self._ni.constants.RegenerationMode.DONT_ALLOW_REGENERATION
+                self._add_inputs(inputs)
+                inputs.timing.cfg_samp_clk_timing(rate, source=f"/{self._card}/ao/SampleClock", **clock)
+                generation.write(sent, auto_start=False)
                 # The inputs wait for the output's clock.
                 inputs.start()
                 begin = max(self._now(), self._last)
@@ -168,24 +179,13 @@ class NiRig(AbstractRig):
 
     def _halt(self) -> None:
         # The output of a task stays when the task ends.
+        tasks, self._tasks = self._tasks, ExitStack()
         with self._driver_errors():
-            self._end_tasks()
+            tasks.close()
 
     def _close(self) -> None:
         with suppress(Exception):
-            self._end_tasks()
-
-    def _prepare(self, sent: Array, rate: float) -> tuple[Any, Any]:
-        """Return a task that generates and one that reads; neither is started."""
-        generation, inputs = (self._tasks.enter_context(self._ni.Task()) for _ in range(2))
-        self._add_output(generation)
-        clock = {"sample_mode": self._finite, "samps_per_chan": sent.size}
-        generation.timing.cfg_samp_clk_timing(rate, **clock)
-        generation.out_stream.regen_mode = self._ni.constants.RegenerationMode.DONT_ALLOW_REGENERATION
-        self._add_inputs(inputs)
-        inputs.timing.cfg_samp_clk_timing(rate, source=f"/{self._card}/ao/SampleClock", **clock)
-        generation.write(sent, auto_start=False)
-        return generation, inputs
+            self._halt()
 
     def _collect(self, inputs: Any, count: int, begin: float, rate: float) -> Iterator[Samples]:
         """Yield samples as they arrive, without the first, which was taken before the wave."""
@@ -220,10 +220,6 @@ class NiRig(AbstractRig):
         for channel in self._inputs:
             task.ai_channels.add_ai_voltage_chan(channel, min_val=-10.0, max_val=10.0)
 
-    def _end_tasks(self) -> None:
-        tasks, self._tasks = self._tasks, ExitStack()
-        tasks.close()
-
     def _now(self) -> float:
         """Return the seconds since the rig was opened; records never overlap, though the card has another clock."""
         self._last = max(self._last, self._clock() - self._began)
@@ -241,18 +237,3 @@ class NiRig(AbstractRig):
         except self._ni.errors.Error as error:
             message = " ".join(str(error).split())
             raise DeviceError(f"{self._label}: {message}") from error
-
-
-def _library() -> Any:
-    try:
-        for module in ("constants", "errors", "system"):
-            importlib.import_module(f"nidaqmx.{module}")
-        return importlib.import_module("nidaqmx")
-    except ImportError as error:
-        raise MissingExtraError.of("nidaqmx", "ni", "A card of National Instruments") from error
-
-
-def _widest(ranges: list[float]) -> tuple[float, float]:
-    """Return the widest range of a flat list: low, high, low, high, ... [V]."""
-    pairs = list(zip(ranges[::2], ranges[1::2], strict=True))
-    return max(pairs, key=lambda pair: pair[1] - pair[0])

@@ -1,37 +1,95 @@
-"""A rig on axes of a PI piezo controller with GCS 2.0: over TCP, or through a connected device object."""
+"""A rig on axes of a PI piezo controller with GCS 2.0: over TCP, or through a connected device object.
+
+What the controller has is queried; its wave generators play, and its data recorder records.
+"""
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any, Self
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from dehyst._errors import DeviceError
+from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
+from dehyst.control import VoltageLimits
 from dehyst.instruments import gcs_syntax
 from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes, host_timed
 from dehyst.instruments.gcs_client import AbstractGcsLink, DeviceLink, GcsClient, TcpLink
-from dehyst.instruments.gcs_syntax import STOPPED
-from dehyst.instruments.pi_waves import METRES, SHORTEST_POLL, PiClock, PiWaves, WaveAxis, WaveTraits, discover
+from dehyst.instruments.gcs_syntax import command
 from dehyst.instruments.samples import Reading, Samples
 
 PORT = 50000
-# A recorder without a new sample for this time [s] has stopped.
-PATIENCE = 5.0
+# A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
+PATIENCE, _PATIENT_SAMPLES = 5.0, 20
 _STEPS_TO_STOP = 20
+# Controllers report positions in micrometres, timers in milliseconds.
+_METRES, _SECONDS = 1e-6, 1e-3
+# Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
+_SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
+# Most numbers of one answer.
+_NUMBERS = 4000
+# Time [s] between two readings within one tick of a clock.
+_TICK = 1e-9
+# Parameters of the public list.
+_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS = 0x0E000200, 0x13000004, 0x16000200
+_FOR_WAVES = ("WAV", "WSL", "WGC", "WTR", "WGO", "WGO?", "DRC", "DRL?", "DRR?", "RTR", "SPA?", "TNR?", "HDR?")
+_FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
+
+
+class WaveTraits(NamedTuple):
+    """Properties of a controller that plays and records waves.
+
+    `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
+    its recorder tables hold. `options`: record options of position and voltage. `tables`: number of recorder tables.
+    """
+
+    servo_period: float
+    longest: int
+    options: gcs_syntax.Options
+    tables: int
+
+    def divider(self, rate: float) -> int:
+        """Return the number of servo periods a sample, for the rate nearest to `rate` [Hz]."""
+        below = max(1, int(1 / (rate * self.servo_period)))
+        return min((below, below + 1), key=lambda divider: abs(1 / (divider * self.servo_period) - rate))
+
+
+class PiClock:
+    """The time of a controller [s] by its own clock, else by the host's; it never falls behind the last sample."""
+
+    def __init__(self, client: GcsClient) -> None:
+        self._client, self._began, self._shift, self._last = client, time.monotonic(), 0.0, -np.inf
+        self.last_sample = -np.inf
+
+    def now(self) -> float:
+        """Return the time [s]; no two readings have the same time."""
+        if "TIM?" in self._client.commands:
+            # An answer with or without a key.
+            text = self._client.query("TIM?", lambda lines: gcs_syntax.single(lines).rpartition("=")[2].strip())
+            now = _SECONDS * gcs_syntax.real(text)
+        else:
+            now = time.monotonic() - self._began
+        self._shift = max(self._shift, self.last_sample - now)
+        # A clock's ticks may be longer than the time between two readings.
+        self._last = max(now + self._shift, self._last + _TICK)
+        return self._last
 
 
 class PiRig(AbstractRig):
     """Axes of a PI controller in open loop.
 
     The wave generators play and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Raise `LinkError` if the answers are not
-    those of a controller. Raise `DeviceError` if it cannot send voltages in open loop, does not report its limits and
-    none are given, or cannot play and record several axes together. Raise `RigError` if it has no such axis, or its
-    limits and the given ones have no voltage in common.
+    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Positions are assumed to be in
+    micrometres. A servo that is on is switched off. No command is sent twice.
+
+    Raise `LinkError` if the answers are not those of a controller; `DeviceError` if it cannot send voltages in open
+    loop, does not report its limits and none are given, or cannot play and record several axes together; `RigError` if
+    it has no such axis, or its limits and the given ones have no voltage in common.
 
     Parameters
     ----------
@@ -45,10 +103,6 @@ class PiRig(AbstractRig):
         Largest abs(dv/dt) [V/s], of all axes or of each.
     patience : float
         Seconds without a new sample after which a recorder has stopped.
-
-    Notes
-    -----
-    Positions are assumed to be in micrometres. A servo that is on is switched off. No command is sent twice.
     """
 
     waves: WaveTraits | None
@@ -67,6 +121,7 @@ class PiRig(AbstractRig):
         names = [axis] if axis is None or isinstance(axis, str) else list[str | None](axis)
         allowed = bounds_of_axes(limits, slew_rate, len(names))
         if len(names) == 1:
+            self._pi_rigs = [self]
             self._open_axis(names[0], *allowed[0])
             return
         self._pi_rigs = [
@@ -75,71 +130,76 @@ class PiRig(AbstractRig):
         ]
         longest = min(one.longest or 0 for one in self._pi_rigs)
         super().__init__(self._client.name, self._pi_rigs, longest=longest or None, identity=self._client.identity)
-        traits = [one.waves for one in self._pi_rigs]
-        if not all(one is not None and one.tables >= 2 * len(names) for one in traits):
-            raise DeviceError(
-                f"{self.name}: cannot play and record {len(names)} axes together; it needs a wave generator an axis "
-                f"and {2 * len(names)} recorder tables; calibrate one axis at a time"
-            )
-        self.waves = traits[0]
         for one in self._pi_rigs:
+            if one.waves is None or one.waves.tables < 2 * len(names):
+                raise DeviceError(
+                    f"{self.name}: cannot play and record {len(names)} axes together; it needs a wave generator an "
+                    f"axis and {2 * len(names)} recorder tables; calibrate one axis at a time"
+                )
             one._clock = self._clock
+        self.waves = self._pi_rigs[0].waves
 
     def _open_axis(self, axis: str | None, limits: tuple[float, float] | None, slew_rate: float | None) -> None:
         """Query the properties of one axis, and set it up."""
-        traits = discover(self._client, axis, limits)
-        self._pi_rigs, self.waves = [], traits.waves
-        self._channel, self._generator = traits.channel, traits.generator
+        client = self._client
+        absent = [word for word in _FOR_VOLTAGES if word not in client.commands]
+        if absent:
+            raise DeviceError(
+                f"{client.name}: lacks the commands {', '.join(absent)}, need open-loop voltages and a position; use "
+                "another controller"
+            )
+        client.clear()
+        axes = client.query("SAI?", gcs_syntax.names) if "SAI?" in client.commands else ["1"]
+        if axis is None and len(axes) > 1:
+            raise RigError(f"{client.name}: has the axes {', '.join(axes)}; choose one, as in pi://host:port/{axes[0]}")
+        name = axes[0] if axis is None else axis
+        if name not in axes:
+            raise RigError(f"{client.name}: got the axis {name!r}, it has {', '.join(axes)}; give one of them")
+        self._generator = str(axes.index(name) + 1)
+        channels = client.query("VOL?", gcs_syntax.pairs)
+        # The piezo channel of an axis has its name, or else its number.
+        self._channel = name if name in channels else self._generator
+        if self._channel not in channels:
+            raise DeviceError(f"{client.name}: has the channels {', '.join(channels)}, need one for the axis {name}")
+        if "ONL?" in client.commands and client.counts("ONL?", self._channel) == [0]:
+            channel = self._channel
+            raise DeviceError(f"{client.name}: channel {channel} is offline; switch it on there (ONL {channel} 1)")
+        device = _device_limits(client, self._channel, limits)
+        self.waves, missing = _wave_traits(client)
         super().__init__(
-            self._client.name,
-            traits.limits,
+            client.name,
+            device,
             limits=limits,
             slew_rate=slew_rate,
-            axis=traits.axis,
-            longest=traits.waves.longest if traits.waves else None,
-            identity=self._client.identity,
+            axis=name,
+            longest=self.waves.longest if self.waves else None,
+            identity=client.identity,
         )
-        if traits.waves is None:
+        if self.waves is None:
             warnings.warn(
-                f"{self.name}: {traits.missing}; the host sends the voltages instead, slowly ({HIGHEST_RATE:g} Hz) and "
-                "with jitter",
+                f"{self.name}: {missing}; the host sends the voltages instead, slowly ({HIGHEST_RATE:g} Hz) and with "
+                "jitter",
                 stacklevel=3,
             )
 
     @classmethod
-    def connect(
-        cls,
-        host: str,
-        port: int = PORT,
-        *,
-        axis: str | Sequence[str] | None = None,
-        limits: AxisLimits = None,
-        slew_rate: AxisSlewRates = None,
-        timeout: float = 5.0,
-        patience: float = PATIENCE,
-    ) -> Self:
+    def connect(cls, host: str, port: int = PORT, *, timeout: float = 5.0, **options: Any) -> Self:
         """Connect to a controller by TCP; `timeout` [s] is the longest wait for an answer.
 
-        Raise `RigError` as the class does.
+        `options` are those of the class. Raise `RigError` as the class does.
         """
-        link = TcpLink(host, port, timeout)
-        return cls._open(link, axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
+        return cls._open(TcpLink(host, port, timeout), options)
 
     @classmethod
-    def of_device(
-        cls,
-        device: Any,
-        *,
-        axis: str | Sequence[str] | None = None,
-        limits: AxisLimits = None,
-        slew_rate: AxisSlewRates = None,
-        patience: float = PATIENCE,
-    ) -> Self:
-        """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open."""
-        return cls._open(DeviceLink(device), axis=axis, limits=limits, slew_rate=slew_rate, patience=patience)
+    def of_device(cls, device: Any, **options: Any) -> Self:
+        """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open.
+
+        `options` are those of the class.
+        """
+        return cls._open(DeviceLink(device), options)
 
     @classmethod
-    def _open(cls, link: AbstractGcsLink, **options: Any) -> Self:
+    def _open(cls, link: AbstractGcsLink, options: dict[str, Any]) -> Self:
         try:
             return cls(link, **options)
         except BaseException:
@@ -154,43 +214,47 @@ class PiRig(AbstractRig):
 
     def _read(self) -> Reading:
         now = self._clock.now()
-        (position,) = self._values("POS?", self.axis)
+        (position,) = self._client.numbers("POS?", self.axis)
         # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
         self._client.set()
-        (voltage,) = self._values("VOL?", self._channel)
-        return Reading(now, voltage, position * METRES)
+        (voltage,) = self._client.numbers("VOL?", self._channel)
+        return Reading(now, voltage, position * _METRES)
 
     def _put(self, voltage: float) -> None:
         self._open_loop()
-        self._client.set(
-            gcs_syntax.command("SVA", self.axis, gcs_syntax.volts(voltage, self.limits.low, self.limits.high))
-        )
+        self._client.set(command("SVA", self.axis, gcs_syntax.volts(voltage, self.limits.low, self.limits.high)))
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         if self.waves is None:
             yield from host_timed(self, voltage, rate)
             return
-        rigs = self._pi_rigs or [self]
-        for one in rigs:
+        for one in self._pi_rigs:
             one._open_loop()
             one._halt()
-        axes = [WaveAxis(one.axis, one._channel, one._generator, one.limits.low, one.limits.high) for one in rigs]
-        player = PiWaves(self._client, self.waves, axes, clock=self._clock, patience=self._patience, wait=rigs[0]._wait)
-        for samples in player.play(np.ascontiguousarray(voltage.reshape(len(voltage), len(rigs))), rate):
-            yield samples if self._pi_rigs else samples.axis(0)
+        divider = self.waves.divider(rate)
+        interval = divider * self.waves.servo_period
+        columns = voltage.reshape(len(voltage), len(self._pi_rigs))
+        self._prepare(columns, divider, self.waves.options)
+        start = max(self._clock.now(), self._clock.last_sample + interval)
+        self._client.set(command("WGO", *(word for one in self._pi_rigs for word in (one._generator, 1))))
+        for first, positions, volts in self._recorded(len(voltage), interval):
+            times: Array = start + interval * np.arange(first, first + len(volts), dtype=np.float64)
+            self._clock.last_sample = float(times[-1])
+            samples = Samples(times, volts, positions * _METRES)
+            yield samples if len(self.axes) > 1 else samples.axis(0)
         # Otherwise the controller takes no voltages.
-        for one in rigs:
+        for one in self._pi_rigs:
             one._halt()
 
     def _halt(self) -> None:
         if self.waves is None:
             return
         self._client.clear()
-        self._client.set(gcs_syntax.command("WGO", self._generator, 0), expect=frozenset({STOPPED}))
+        self._client.set(command("WGO", self._generator, 0), expect=frozenset({gcs_syntax.STOPPED}))
         for _ in range(_STEPS_TO_STOP):
-            if not self._count("WGO?", self._generator):
+            if self._client.counts("WGO?", self._generator) == [0]:
                 return
-            self._wait(SHORTEST_POLL)
+            self._wait(_SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was sent a stop and goes on; switch it off by hand")
 
     def _close(self) -> None:
@@ -201,15 +265,124 @@ class PiRig(AbstractRig):
         """Switch the servo off before the first voltage, if there is one; reading alone leaves it on."""
         if self._opened or not {"SVO", "SVO?"} <= self._client.commands:
             return
-        if self._count("SVO?", self.axis):
+        if self._client.counts("SVO?", self.axis) != [0]:
             warnings.warn(f"{self.name}: its servo was on and is switched off: open loop is needed", stacklevel=2)
-            self._client.set(gcs_syntax.command("SVO", self.axis, 0))
-        if self._count("SVO?", self.axis):
+            self._client.set(command("SVO", self.axis, 0))
+        if self._client.counts("SVO?", self.axis) != [0]:
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
-    def _count(self, word: str, key: str) -> int:
-        return self._client.query(gcs_syntax.command(word, key), lambda lines: gcs_syntax.counts(lines, [key]))[0]
+    def _prepare(self, voltage: Array, divider: int, options: gcs_syntax.Options) -> None:
+        """Fill the wave tables with voltages (n, axes) [V], and set generators and recorder to play and record once."""
+        client = self._client
+        # Each generator plays a wave table of its own, numbered from 1 on.
+        numbered = list(enumerate(self._pi_rigs, 1))
+        for (number, one), column in zip(numbered, voltage.T, strict=True):
+            points = [gcs_syntax.volts(value, one.limits.low, one.limits.high) for value in column.tolist()]
+            for line in gcs_syntax.wave_points(number, points):
+                client.set(line)
+        for number, one in numbered:
+            client.set(command("WSL", one._generator, number))
+            client.set(command("WGC", one._generator, 1))
+            client.set(command("WTR", one._generator, divider, 0))
+            if "WOS" in client.commands:
+                # An offset that is set would be added to every voltage.
+                client.set(command("WOS", one._generator, 0))
+        client.set(command("RTR", divider))
+        for number, one in numbered:
+            client.set(command("DRC", 2 * number - 1, one.axis, options.position))
+            client.set(command("DRC", 2 * number, one._channel, options.voltage))
+        if "DRT" in client.commands:
+            # The default: the start of a wave starts the record.
+            client.set(command("DRT", 0, 0, 0))
+        for number, _ in numbered if "WAV?" in client.commands else ():
+            length = client.parameter(command("WAV?", number, 1), str(number), 1)
+            if length != len(voltage):
+                raise DeviceError(
+                    f"{client.name}: its wave table holds {length:g} points, need {len(voltage)}; nothing was played"
+                )
 
-    def _values(self, word: str, *keys: str) -> list[float]:
-        return self._client.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.values(lines, keys))
+    def _recorded(self, count: int, interval: float) -> Iterator[tuple[int, Array, Array]]:
+        """Yield rows as they are recorded: the first one's number, positions [um] and voltages [V] (m, axes)."""
+        client = self._client
+        # The recorder's tables: position and voltage of each axis.
+        keys = [str(number + 1) for number in range(2 * len(self._pi_rigs))]
+        got, most = 0, max(1, _NUMBERS // len(keys))
+        poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _POLLS))
+        patience = max(self._patience, _PATIENT_SAMPLES * interval)
+        latest = time.monotonic()
+        while got < count:
+            client.set()
+            ready = min(*client.counts("DRL?", *keys), count)
+            number, quiet = min(ready - got, most), time.monotonic() - latest
+            if number > 0:
+                query = command("DRR?", got + 1, number, *keys)
+                array = client.query(query, partial(gcs_syntax.table, rows=number, columns=len(keys)))
+                if abs(array.sample_time / interval - 1) > 1e-3:
+                    raise DeviceError(
+                        f"{client.name}: records every {array.sample_time:g} s, need {interval:g} s; check its servo "
+                        "update time"
+                    )
+                yield got, *gcs_syntax.positions_and_voltages(array)
+                got, latest = got + number, time.monotonic()
+            elif quiet > patience and not any(client.counts("WGO?", *(one._generator for one in self._pi_rigs))):
+                raise DeviceError(f"{client.name}: its wave generator stopped; {got} of {count} samples were recorded")
+            elif quiet > patience:
+                raise LinkError(
+                    f"{client.name}: no new sample for {quiet:.3g} s, {got} of {count} came; check the data recorder "
+                    "and its trigger"
+                )
+            if got >= ready and got < count:
+                self._pi_rigs[0]._wait(poll)
+
+
+def _device_limits(client: GcsClient, channel: str, given: tuple[float, float] | None) -> VoltageLimits:
+    """Return the limits that a controller reports of a channel, or else those `given`."""
+    slew_rate = None
+    if {"HPA?", "SPA?"} <= client.commands:
+        # The largest abs(dv/dt) [V/s] in open loop, if a parameter has such a description.
+        listed = client.query("HPA?", gcs_syntax.parameters)
+        numbers = [number for number, text in listed.items() if "slew" in text.lower() and "open" in text.lower()]
+        rate = _parameter(client, numbers[0]) if numbers else None
+        slew_rate = rate if rate is not None and rate > 0 else None
+    absent = [word for word in ("VMI?", "VMA?") if word not in client.commands]
+    if absent and given is None:
+        raise DeviceError(f"{client.name}: lacks the commands {', '.join(absent)}; give the allowed voltages (limits)")
+    if absent and given is not None:
+        return VoltageLimits(*given, slew_rate)
+    low, high = (client.numbers(word, channel)[0] for word in ("VMI?", "VMA?"))
+    if not low < high:
+        raise LinkError(f"{client.name}: reports limits of {low:g} to {high:g} V, need a range; check its settings")
+    return VoltageLimits(low, high, slew_rate)
+
+
+def _wave_traits(client: GcsClient) -> tuple[WaveTraits | None, str]:
+    """Return the properties of wave generator and recorder, or what is missing, as a part of a sentence."""
+    absent = [word for word in _FOR_WAVES if word not in client.commands]
+    if absent:
+        return None, f"lacks the commands {', '.join(absent)}"
+    options = client.query("HDR?", gcs_syntax.options)
+    if options is None:
+        return None, "cannot record both position and voltage (HDR?)"
+    tables = client.query("TNR?", lambda lines: gcs_syntax.integer(gcs_syntax.single(lines)))
+    if tables < 2:
+        return None, f"has {tables} recorder tables (TNR?), need 2"
+    values = {number: _parameter(client, number) for number in (_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS)}
+    absent = [f"{number:#010x}" for number, value in values.items() if not value]
+    if absent:
+        return None, f"does not report the parameters {', '.join(absent)} (SPA?)"
+    period, points, recorded = (value or 0.0 for value in values.values())
+    longest = int(min(points, recorded // tables))
+    if not (0 < period <= 1 and longest >= 2):
+        return None, f"has a servo update time of {period:g} s and tables of {longest} points (SPA?)"
+    return WaveTraits(period, longest, options, tables), ""
+
+
+def _parameter(client: GcsClient, number: int) -> float | None:
+    """Return a parameter's value; None if the controller does not answer with one."""
+    try:
+        return client.parameter(command("SPA?", 1, f"0x{number:08X}"), "1", number)
+    except LinkError:
+        # A controller does not answer a query of an unknown parameter.
+        client.clear()
+        return None

@@ -20,23 +20,10 @@ _BATCHES = 100
 class SimulatedRig(AbstractRig):
     """A virtual actuator behind a virtual amplifier, generator, recorder and sensor.
 
-    Parameters
-    ----------
-    truth : VirtualActuator or Actuator
-        The driven actuator, at rest at 0 V; the rig's identity is its `dehyst.virtual.modelled.fingerprint`.
-    limits : (float, float), optional
-        Voltages that the user allows [V].
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] that the user allows.
-    device_limits : (float, float), optional
-        Output range of the amplifier [V]; default: the actuator's limits, or 0 V to its highest voltage.
-    options : optional
-        Of `VirtualBench`, except its limits, slew rate, clock and speed.
-
-    Attributes
-    ----------
-    instrument : VirtualBench
-        The bench itself; the `log` of its axis records the output.
+    The actuator is a `truth`, virtual or a model, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and
+    `slew_rate` [V/s] are those that the user allows, `device_limits` [V] the range of the amplifier, by default the
+    actuator's limits, or 0 V to its highest voltage. Other `options` are those of `VirtualBench`, which is the
+    `instrument`.
     """
 
     def __init__(
@@ -65,21 +52,21 @@ class SimulatedRig(AbstractRig):
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` with a whole number of servo periods between samples."""
-        return 1.0 / (self._divider(sample_rate) * self.instrument.servo_period)
-
-    def _divider(self, rate: float) -> int:
-        return max(1, round(1.0 / (rate * self.instrument.servo_period)))
+        period = self.instrument.servo_period
+        return 1.0 / (max(1, round(1.0 / (sample_rate * period))) * period)
 
     def _read(self) -> Reading:
         bench = self.instrument
         return Reading(bench.now, bench.axis.voltage, bench.axis.displacement())
 
     def _put(self, voltage: float) -> None:
-        if not self.instrument.axis.set_voltage(voltage):
-            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {self.instrument.axis.limits} V")
+        axis = self.instrument.axis
+        if not axis.set_voltage(voltage):
+            raise DeviceError(f"{self.name}: refused {voltage:.6g} V; its limits are {axis.limits} V")
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        bench, divider = self.instrument, self._divider(rate)
+        bench = self.instrument
+        divider = round(1.0 / (rate * bench.servo_period))
         period = divider * bench.servo_period
         # The last sample of the wave before may have been taken at this instant.
         self._wait(period)

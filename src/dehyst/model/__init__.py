@@ -1,13 +1,37 @@
 """The model: an actuator, its parts and its state."""
 
+from dehyst.model import serialization
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.dynamics import Creep, Dynamics
-from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
-from dehyst.model.identification import Identification
+from dehyst.model.checks import ANYWAY, Range, voltage_error
+from dehyst.model.dynamics import Creep, Dynamics, clock
+from dehyst.model.elements import (
+    GradedSlip,
+    MaxwellSlip,
+    SmoothSlip,
+    Spring,
+    Transformer,
+    on_curve,
+    parts_in_segments,
+    segment_of,
+)
+from dehyst.model.evaluator import PathData
+from dehyst.model.identification import Identification, Outcome
 from dehyst.model.physical import Physical
-from dehyst.model.stage import Stage
-from dehyst.model.states import simulated
+from dehyst.model.python_control import compensator_block, labels
+from dehyst.model.serialization import DESCRIPTION, FORMAT
+from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
+from dehyst.model.states import (
+    NEAR,
+    beginning,
+    looped,
+    simulated,
+    state_after_loops,
+    state_at,
+    state_within_limits,
+    timed,
+)
+from dehyst.model.summary import Slopes, bend, parts_of, step_response
 
 __all__ = [
     "AbstractModel",

@@ -1,7 +1,38 @@
 """Records: measurements of an actuator, and their files."""
 
-from dehyst.records.files import read, read_table, write_columns, write_hdf5, write_record
+from dehyst.records.files import (
+    named_and_joined,
+    read,
+    read_table,
+    record_of,
+    time_of,
+    write_columns,
+    write_record,
+)
+from dehyst.records.formats.columns import Column, Table, listed, without_groups
+from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
+from dehyst.records.formats.file_content import MOST
+from dehyst.records.formats.reader_process import LOADERS
+from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
+from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
+from dehyst.records.hdf5 import sha256_of
+from dehyst.records.quality import guesses
 from dehyst.records.record import Record
-from dehyst.records.recording import Recording
+from dehyst.records.recording import Recording, SampleBlock, demand_disk_space, salvage, unused_path
+from dehyst.records.signals import (
+    NOISE_PEAK,
+    bandwidth,
+    energy_share,
+    largest,
+    noise_span,
+    percent,
+    recorded_slew_rate,
+    resolution,
+    rms,
+    turning_points,
+    white_noise,
+)
+from dehyst.records.tables import RATE, Choice, ColumnsError, axis_columns, chosen, notes_on
+from dehyst.records.transients import settled, transients
 
-__all__ = ["Record", "Recording", "read", "read_table", "write_columns", "write_hdf5", "write_record"]
+__all__ = ["Record", "read", "read_table", "write_columns", "write_record"]

@@ -1,12 +1,15 @@
 """Reports: HTML pages, and plots of objects; the only room that uses matplotlib."""
 
+from dehyst.report import html, plots
+from dehyst.report.charts import Axis, Chart, Series
 from dehyst.report.comparison_section import write_comparison
+from dehyst.report.html import MINUS, Row, bullets, document, table
 from dehyst.report.pages import write_check_history, write_record_page, write_stage_report
-from dehyst.report.report import render, write_calibration, write_report
+from dehyst.report.plots import COLUMN, INK, PAGE, Drawing
+from dehyst.report.report import write_calibration, write_report
 from dehyst.report.trust_section import write_insight
 
 __all__ = [
-    "render",
     "write_calibration",
     "write_check_history",
     "write_comparison",

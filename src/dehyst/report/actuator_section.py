@@ -14,13 +14,23 @@ from dehyst._types import Array, Mask
 from dehyst.control import Compensator, PossibleStart
 from dehyst.exports import wasm_module
 from dehyst.identification import Fit
-from dehyst.model import Actuator, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
-from dehyst.model.summary import Slopes, bend, parts_of, step_response
-from dehyst.records.signals import largest, turning_points
+from dehyst.model import (
+    Actuator,
+    GradedSlip,
+    MaxwellSlip,
+    Slopes,
+    SmoothSlip,
+    Spring,
+    Transformer,
+    bend,
+    parts_of,
+    step_response,
+)
+from dehyst.records import largest, turning_points
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Kind, Series, stems, steps
 from dehyst.report.html import MINUS, Applet, Charts, Part, Row, length, length_unit, number
-from dehyst.trust.turn_plane import turn_plane
+from dehyst.trust import turn_plane
 
 if TYPE_CHECKING:
     from dehyst.calibration import TrackedPath

@@ -6,9 +6,7 @@ from os import PathLike
 
 from dehyst._io import write_atomically
 from dehyst._views.html import escape
-from dehyst.baselines import ModelComparison
-from dehyst.baselines.comparison import OURS, RecordScore
-from dehyst.baselines.tracking_trials import TrackingErrors
+from dehyst.baselines import OURS, ModelComparison, RecordScore, TrackingErrors
 from dehyst.report.html import Row, bullets, document, folded, length, number, reproduction, table
 
 _NONE = "–"

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
-from dehyst.identification import Fit, Readiness, RecordErrors, Trace
-from dehyst.identification.fit import label
+from dehyst.identification import Fit, Readiness, RecordErrors, Trace, label
 from dehyst.model import Actuator
-from dehyst.records.signals import largest, white_noise
+from dehyst.records import largest, white_noise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words

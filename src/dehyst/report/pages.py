@@ -8,18 +8,16 @@ import numpy as np
 
 from dehyst._errors import IdentifyError
 from dehyst._io import PathLike, write_atomically
-from dehyst.identification import StageFit
-from dehyst.identification.coupling.matrix import AxisTraces
+from dehyst.identification import AxisTraces, StageFit
 from dehyst.records import Record
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Series, thinned
 from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
-from dehyst.trust import CheckHistory
-from dehyst.trust.history import ControlChart
+from dehyst.trust import CheckHistory, ControlChart
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
-    """Write a record to one HTML file that loads nothing from outside.
+    """Write a `record` to one HTML file that loads nothing from outside.
 
     `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
@@ -108,7 +106,7 @@ def _control(history: CheckHistory, chart: ControlChart) -> Chart:
 
 
 def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:
-    """Write a report of several axes to one HTML file that loads nothing from outside.
+    """Write a report of several axes, whose identification is `fit`, to one HTML file that loads nothing from outside.
 
     `records` are those of the identification, training first. `path`, `command` and errors are as in `write_report`.
     """

@@ -18,8 +18,7 @@ from dehyst.report.actuator_section import followed_sections, made_of, numbers, 
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.html import Part, bullets, document, length, number, table, words
 from dehyst.report.trust_section import sections, turned
-from dehyst.trust import Insight
-from dehyst.trust.turn_plane import turn_plane
+from dehyst.trust import Insight, turn_plane
 
 if TYPE_CHECKING:
     from dehyst.calibration import Calibration, TrackedPath

@@ -10,15 +10,11 @@ import numpy as np
 from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
 from dehyst.control import Homing
-from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.identification import Identifiability
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series, stems
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
-from dehyst.trust import Insight
-from dehyst.trust.identifiability import SHARP
-from dehyst.trust.precision import NOISE_BIAS
-from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
-from dehyst.trust.turn_plane import TurnPlane
+from dehyst.trust import ERRORS, NOISE_BIAS, SHARP, Insight, MajorLoopWidth, PredictionBand, TurnPlane
 
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5

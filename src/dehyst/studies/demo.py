@@ -13,11 +13,9 @@ from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_json
 from dehyst._types import Array
 from dehyst.control import Compensator
 from dehyst.identification import Fit, identify
-from dehyst.records import Record, write_columns, write_record
-from dehyst.records.signals import largest, percent, rms
+from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms import Sampling, descending_tops, raised_cosine
-from dehyst.waveforms.standard import wanted_path
+from dehyst.waveforms import Sampling, descending_tops, raised_cosine, wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES

@@ -2,26 +2,27 @@
 
 from dehyst.trust.assessment import insight
 from dehyst.trust.changes import Change
-from dehyst.trust.history import CheckHistory
+from dehyst.trust.history import DECISION, CheckHistory, ControlChart, demand_folder
+from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.judgement import Judgement, judge
-from dehyst.trust.recheck import Recheck, Standing, check
+from dehyst.trust.precision import NOISE_BIAS
+from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
+from dehyst.trust.recheck import Recheck, check
 from dehyst.trust.stage_assessment import StageInsight, StageRecheck, check_stage, stage_insight
 from dehyst.trust.start import start_of
+from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 __all__ = [
     "Change",
     "CheckHistory",
     "Insight",
-    "Judgement",
     "Recheck",
     "StageInsight",
     "StageRecheck",
-    "Standing",
     "check",
     "check_stage",
     "insight",
     "judge",
     "stage_insight",
-    "start_of",
 ]

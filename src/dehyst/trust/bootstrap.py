@@ -22,12 +22,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification import Norm
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.validation import RecordComparison
+from dehyst.identification import Coefficients, Norm, RecordComparison
 from dehyst.model import Actuator, State
-from dehyst.records import Record
-from dehyst.records.signals import turning_points
+from dehyst.records import Record, turning_points
 from dehyst.trust.evidence import Evidence
 
 # Fewer models have no tails.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Trace
-from dehyst.records.signals import percent
+from dehyst.records import percent
 
 # A change counts from so many standard errors on.
 SIGMAS = 3.0

@@ -10,17 +10,24 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification import Structure
-from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probes
-from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
-from dehyst.identification.preprocessing.regressors import Rows, RowSource
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.regression import Regression
-from dehyst.identification.structure import Grid
-from dehyst.identification.validation import MOST_ROWS, RecordComparison, compare_all
+from dehyst.identification import (
+    MOST_ROWS,
+    Coefficients,
+    Grid,
+    Identifiability,
+    RecordComparison,
+    Regression,
+    Rows,
+    RowSource,
+    Structure,
+    compare_all,
+    identifiability,
+    probes,
+    remove_dynamics,
+    remove_jitter,
+)
 from dehyst.model import Actuator
-from dehyst.records import Record
-from dehyst.records.signals import largest, rms
+from dehyst.records import Record, largest, rms
 
 # Of a structured model: a row has a column for each coefficient, of which there may be hundreds.
 _FEWER_ROWS = 8000

@@ -11,7 +11,7 @@ from dehyst._errors import ModelError
 from dehyst._threads import one_thread
 from dehyst._validation import interval
 from dehyst._views.fields import json_values
-from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification import cycle_time
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
 from dehyst.waveforms import Excitation, Sampling, descending_tops, minor_loop, raised_cosine, reversal_curves

@@ -18,12 +18,9 @@ from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.highs import linear_programs
-from dehyst.model import Actuator, State
-from dehyst.model.elements import parts_in_segments
-from dehyst.records.signals import turning_points
+from dehyst.identification import Coefficients, Regression, linear_programs
+from dehyst.model import Actuator, State, parts_in_segments
+from dehyst.records import turning_points
 from dehyst.trust.evidence import Evidence
 
 # Rows are means of neighbours on one leg, so that noise does not make the tolerance.

@@ -16,14 +16,10 @@ import numpy as np
 
 from dehyst._types import Array, Mask
 from dehyst._views.fields import json_values
-from dehyst.control import StateBounds
-from dehyst.control.planning.states import first_known_by_displacement, least_width, time_dependence
-from dehyst.identification.regression.regression import Regression
-from dehyst.identification.solvers.least_squares import triangle_of
-from dehyst.identification.validation import RecordComparison
+from dehyst.control import StateBounds, first_known_by_displacement, least_width, time_dependence
+from dehyst.identification import RecordComparison, Regression, triangle_of
 from dehyst.model import Actuator, GradedSlip, MaxwellSlip
-from dehyst.records import Record
-from dehyst.records.signals import rms, turning_points
+from dehyst.records import Record, rms, turning_points
 from dehyst.trust.evidence import Evidence
 
 # A combination is known if its standard deviation is at most this part of the range of the voltages.

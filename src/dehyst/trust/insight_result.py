@@ -14,7 +14,7 @@ from dehyst._views import html, tables
 from dehyst._views.fields import json_value, json_values
 from dehyst._views.pictures import plotted
 from dehyst.control import Homing, PossibleStart, StartError
-from dehyst.identification.diagnostics.identifiability import Identifiability
+from dehyst.identification import Identifiability
 from dehyst.model import Actuator
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence

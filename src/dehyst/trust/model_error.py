@@ -17,10 +17,9 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
-from dehyst.identification import Structure
-from dehyst.identification.validation import RecordComparison
+from dehyst.identification import RecordComparison, Structure
 from dehyst.model import Actuator
-from dehyst.records.signals import rms, turning_points
+from dehyst.records import rms, turning_points
 from dehyst.trust.bootstrap import Intervals, open_combinations
 from dehyst.trust.evidence import Evidence
 

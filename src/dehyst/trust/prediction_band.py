@@ -11,9 +11,9 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.control import Command, shortest_homing
-from dehyst.identification.preprocessing.cleaning import cycle_time
+from dehyst.identification import cycle_time
 from dehyst.model import Actuator, State
-from dehyst.records.signals import largest
+from dehyst.records import largest
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.feasible_set import FeasibleSet

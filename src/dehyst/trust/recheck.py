@@ -15,15 +15,9 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
-from dehyst.identification import Trace
-from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.validation import compare, errors_of, prepare_for
-from dehyst.model import Actuator, Identification
-from dehyst.model.serialization import DESCRIPTION
-from dehyst.records import Record
-from dehyst.records.hdf5 import sha256_of
-from dehyst.records.signals import NOISE_PEAK, largest, percent, rms
+from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
+from dehyst.model import DESCRIPTION, Actuator, Identification
+from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
 from dehyst.trust.changes import Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
 

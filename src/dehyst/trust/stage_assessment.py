@@ -12,9 +12,8 @@ from scipy.stats import norm
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.identification.coupling.matrix import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
-from dehyst.model import Stage
-from dehyst.model.stage import apply, by_axis, matrix_lines
+from dehyst.identification import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
+from dehyst.model import Stage, apply, by_axis, matrix_lines
 from dehyst.records import Record
 from dehyst.trust.assessment import insight
 from dehyst.trust.insight_result import Insight

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst.control import PossibleStart
-from dehyst.control.limits import outside_identified
-from dehyst.control.planning.start import model_error
+from dehyst.control import PossibleStart, model_error, outside_identified
 from dehyst.identification import initial_state, state_after
 from dehyst.model import Actuator
 from dehyst.records import Record

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.records.signals import turning_points
+from dehyst.records import turning_points
 
 # Cells of the plane on each side, and how many cells around a passed one count as tested: 5 % of the range.
 _CELLS, _AROUND = 40, 2

@@ -1,8 +1,8 @@
-"""The interface of virtual actuators, and the clock and the sensor that they share."""
+"""The base class of virtual actuators, with their clock and their sensor."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,18 @@ from dehyst._types import Array
 from dehyst._validation import vector
 
 
-class VirtualActuator(Protocol):
-    """A simulated actuator that keeps its state from one voltage to the next."""
+class VirtualActuator(ABC):
+    """A simulated actuator that keeps its state from one voltage to the next.
+
+    `stroke` [m] is its displacement at the `highest` voltage [V] on the major loop, `noise` [m] the standard deviation
+    of its sensor, with a `seed`.
+    """
 
     stroke: float
     highest: float
+    _sensor: Sensor
 
+    @abstractmethod
     def relax(self) -> None:
         """Reset to rest at 0 V, without residual strain."""
 
@@ -29,13 +35,23 @@ class VirtualActuator(Protocol):
         after the last call. With `measured` the sensor's noise is added. Raise `ModelError` if the voltage is not
         finite, or a time that is needed is missing or does not increase.
         """
-        ...
+        v = vector(voltage, "voltage")
+        y = self._moved(v, time) if v.size else v
+        return self._sensor.read(y) if measured else y
+
+    @abstractmethod
+    def _moved(self, v: Array, time: ArrayLike | None) -> Array:
+        """Move by a voltage (n,) [V], n > 0, and return the displacement (n,) [m]."""
 
 
 class Clock:
-    """Converter of the times of successive calls into time steps."""
+    """Converter of the times of successive calls into time steps.
+
+    `times`: those of the last call (n,) [s], and before them the time one step earlier: (n + 1,).
+    """
 
     def __init__(self) -> None:
+        self.times: Array = np.zeros(1)
         self._last: float | None = None
 
     def steps(self, time: ArrayLike | None, count: int, why: str) -> Array:
@@ -57,15 +73,15 @@ class Clock:
             raise ModelError(
                 f"time: does not increase at sample {int(np.argmax(gaps <= 0)) + 1}; need seconds, in order"
             )
-        if not count:
-            return at
         last, self._last = self._last, float(at[-1])
         if last is not None and at[0] > last:
+            self.times = np.concatenate([[last], at])
             return np.concatenate([[at[0] - last], gaps])
         if count < 2:
             raise ModelError(
                 "got one sample that does not go on from an earlier one", argument="time", hint="need two at least"
             )
+        self.times = np.concatenate([[2 * at[0] - at[1]], at])
         return np.concatenate([gaps[:1], gaps])
 
 

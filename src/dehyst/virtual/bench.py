@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,11 +15,11 @@ from dehyst._types import Array
 from dehyst._validation import interval, vector
 from dehyst.control import VoltageLimits
 from dehyst.model import Actuator
-from dehyst.virtual.amplifier import Amplifier
 from dehyst.virtual.base import Sensor, VirtualActuator
-from dehyst.virtual.modelled import fingerprint
-from dehyst.virtual.stage import AxisPort, VirtualStage
+from dehyst.virtual.stage import VirtualStage
 
+# Share of a servo period that a jump of the voltage takes. A ramp is played in parts of this share of the range.
+_JUMP, _PART = 1e-3, 0.01
 # Period of the servo [s], its time constant [s], and the most updates after a pause.
 _UPDATE_PERIOD, _TIME_CONSTANT, _MOST_UPDATES = 1e-3, 0.02, 400
 # The servo corrects this share of its error at once: no actuator's loop is twice as steep as its end points' line.
@@ -29,54 +30,63 @@ _ARRIVED = 1e-3
 _LATE = 0.1
 
 
+@dataclass
+class Extremes:
+    """The extremes of all voltages that an amplifier has put out.
+
+    `lowest`, `highest`: voltages [V]. `largest_step`: largest change from one voltage to the next [V]. `steepest`:
+    largest change over the device's time between the two voltages [V/s], a servo period at least. `refused`: requests
+    outside the limits; none was put out.
+    """
+
+    lowest: float
+    highest: float
+    largest_step: float = 0.0
+    steepest: float = 0.0
+    refused: int = 0
+
+    def update(self, voltage: Array, seconds: Array) -> None:
+        """Include voltages (n + 1,) [V], from the present one on, and the seconds (n,) between them."""
+        steps = np.abs(np.diff(voltage))
+        self.lowest = min(self.lowest, float(voltage.min()))
+        self.highest = max(self.highest, float(voltage.max()))
+        self.largest_step = max(self.largest_step, float(steps.max(initial=0.0)))
+        self.steepest = max(self.steepest, float((steps / seconds).max(initial=0.0)))
+
+
 class BenchAxis:
     """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is that of the bench.
 
-    Attributes
-    ----------
-    limits : (float, float)
-        Lowest and highest voltage [V] of the amplifier.
-    log : Extremes
-        Extremes of the output so far.
-    stroke : float
-        Stroke of the actuator [m].
-    sensor_range : (float, float) or None
-        Lowest and highest displacement [m] of the sensor; it saturates beyond them.
-    unplugged : bool
-        Whether the sensor's cable is disconnected: the reading is constant.
-    stalled : bool
-        Whether the wave generator has stalled: it plays nothing more, and does not end.
-    planned, played : int
-        Samples of the present or last wave, which ends where it was stopped, and those put out so far.
+    `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: its present output, and the voltage
+    that it moves to [V]. `log`: extremes of the output so far. `stroke`: of the actuator [m]. `sensor_range`: lowest
+    and highest displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is
+    constant. `stalled`: the wave generator plays nothing more, and does not end. `played`: samples of the present or
+    last wave that were put out so far.
     """
 
     def __init__(
         self,
-        port: AxisPort,
-        place: Callable[[], float],
+        stage: VirtualStage,
+        index: int,
         limits: VoltageLimits,
         servo_period: float,
         sensor_range: tuple[float, float] | None,
         noise: float,
         seed: int,
     ) -> None:
-        self._amplifier, self._place = Amplifier(port, limits, servo_period), place
-        self.limits, self.stroke, self.log = (limits.low, limits.high), self._amplifier.stroke, self._amplifier.log
+        self._stage, self._index, self._limits, self._servo_period = stage, index, limits, servo_period
+        self.limits, self.stroke = (limits.low, limits.high), float(stage.strokes[index])
+        self._gain = self.stroke / float(stage.highest[index])
+        self.voltage = self.target = limits.nearest(0.0)
+        self.log = Extremes(self.voltage, self.voltage)
+        # Time of the present state, and of the last voltage that was put out [s].
+        self._at = self._put_at = -servo_period
+        stage.drive(index, np.array([0.0, self.voltage]), [-2 * servo_period, -servo_period])
         self.sensor_range = None if sensor_range is None else interval(sensor_range)
         self._deviation, self._sensor = noise, Sensor(noise, seed)
         self.unplugged = self.stalled = False
         self._servo, self._wanted, self._error = False, 0.0, 0.0
         self._wave, self.played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
-
-    @property
-    def voltage(self) -> float:
-        """Present output of the amplifier [V]."""
-        return self._amplifier.voltage
-
-    @property
-    def target(self) -> float:
-        """Voltage that the output moves to [V]."""
-        return self._amplifier.target
 
     @property
     def planned(self) -> int:
@@ -91,7 +101,7 @@ class BenchAxis:
     @property
     def moving(self) -> bool:
         """Whether the output is moving, or the servo is off its target."""
-        return self.playing or self._amplifier.moving or not self.arrived
+        return self.playing or self.voltage != self.target or not self.arrived
 
     @property
     def arrived(self) -> bool:
@@ -109,14 +119,13 @@ class BenchAxis:
             return
         if on and self.playing:
             raise DeviceError("servo: a wave is being played, which needs the servo off; stop it first")
-        self._servo = on
-        self._amplifier.rest()
+        self._servo, self.target = on, self.voltage
         if on:
             self._wanted, self._error = self.displacement(), 0.0
 
     def displacement(self) -> float:
         """Return the sensor's reading [m]: the present one, or while a wave is played that of the last sample."""
-        return float(self.sensed(np.array([self._place()]))[0])
+        return float(self.sensed(self._stage.present()[self._index : self._index + 1])[0])
 
     def set_voltage(self, voltage: float) -> bool:
         """Put out a `voltage` [V], at the slew rate; return False, and do nothing, if it is outside the limits.
@@ -124,9 +133,11 @@ class BenchAxis:
         Raise `DeviceError` if the servo is on or a wave is played.
         """
         self._demand_open("set_voltage")
-        if not self._amplifier.allows(np.array([voltage])):
+        if not self._allows(np.array([voltage])):
             return False
-        self._amplifier.aim(float(voltage))
+        self.target = float(voltage)
+        if self._limits.slew_rate is None:
+            self._put_out(np.array([self.target]), np.array([self._at]))
         return True
 
     def move(self, target: float) -> None:
@@ -142,8 +153,7 @@ class BenchAxis:
 
     def stop(self) -> None:
         """Stop the wave, or the moving output; the voltage stays. A servo holds the present displacement."""
-        self._wave = self._wave[: self.played]
-        self._amplifier.rest()
+        self._wave, self.target = self._wave[: self.played], self.voltage
         if self._servo:
             self._wanted = self.displacement()
 
@@ -165,15 +175,13 @@ class BenchAxis:
             raise DeviceError(
                 argument="start", got=f"{v.size} samples and divider {divider}", need=f"1 to {most} and 1 or more"
             )
-        if not self._amplifier.allows(v):
-            raise DeviceError(
-                argument="start", got=f"{v.min():.6g} to {v.max():.6g} V", need=self._amplifier.limits.words
-            )
+        if not self._allows(v):
+            raise DeviceError(argument="start", got=f"{v.min():.6g} to {v.max():.6g} V", need=self._limits.words)
         return v
 
     def begin(self, wave: Array, period: float) -> None:
         """Play an admitted `wave` (n,) [V] from now on, one voltage each `period` [s]."""
-        self._wave, self.played, self._first, self._period = wave, 0, self._amplifier.at, period
+        self._wave, self.played, self._first, self._period = wave, 0, self._at, period
 
     def times(self, first: int, stop: int) -> Array:
         """Return the times (n,) [s] of samples of the wave, from `first` to the one before `stop`."""
@@ -185,14 +193,18 @@ class BenchAxis:
             # Rounding must not lose a sample that is due now.
             due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
             if due > self.played:
-                self._amplifier.follow(self._wave[self.played : due], self.times(self.played, due))
+                self._follow(self._wave[self.played : due], self.times(self.played, due))
                 self.played = due
-        if self.playing or now <= self._amplifier.at:
+        if self.playing or now <= self._at:
             return
         if self._servo:
             self._hold(now)
-        else:
-            self._amplifier.pass_time(now)
+            return
+        if self.voltage != self.target:
+            self._ramp(now)
+        if now > self._at:
+            self._stage.drive(self._index, np.array([self.voltage]), [now])
+            self._at = now
 
     def _demand_open(self, what: str) -> None:
         if self._servo:
@@ -200,18 +212,66 @@ class BenchAxis:
         if self.playing:
             raise DeviceError(f"{what}: a wave is being played; stop it first")
 
+    def _allows(self, voltage: Array) -> bool:
+        """Return whether all voltages (n,) [V] are finite and within the limits; if not, count a refusal."""
+        if bool(np.all((voltage >= self._limits.low) & (voltage <= self._limits.high))):
+            return True
+        self.log.refused += 1
+        return False
+
+    def _put_out(self, voltage: Array, at: Array) -> None:
+        """Put out voltages (n,) [V] at times (n,) [s], in straight lines; nothing else puts out a voltage.
+
+        Raise `DeviceError` if one is outside the limits; none is put out.
+        """
+        if not self._allows(voltage):
+            raise DeviceError(f"amplifier: got {voltage.min():.6g} to {voltage.max():.6g} V, need {self._limits.words}")
+        seconds = np.diff(at, prepend=self._put_at)
+        # Rounding may make times that are one period apart a little closer.
+        self.log.update(np.append(self.voltage, voltage), np.maximum(seconds, self._servo_period * (1 - 1e-6)))
+        times = at.copy()
+        times[0] = max(times[0], self._at + _JUMP * self._servo_period)
+        self._stage.drive(self._index, voltage, times)
+        self.voltage = self.target = float(voltage[-1])
+        self._at, self._put_at = float(times[-1]), float(at[-1])
+
+    def _follow(self, wave: Array, at: Array) -> None:
+        """Put out a wave (n,) [V] at times (n,) [s], within the slew rate."""
+        voltage = wave
+        if self._limits.slew_rate is not None:
+            largest = self._limits.slew_rate * np.diff(at, prepend=self._at)
+            out, v = [], self.voltage
+            for wanted, most in zip(wave.tolist(), largest.tolist(), strict=True):
+                v = min(max(wanted, v - most), v + most)
+                out.append(v)
+            voltage = np.array(out)
+        self._put_out(voltage, at)
+        self.target = float(wave[-1])
+
+    def _ramp(self, now: float) -> None:
+        """Move the output towards its target at the slew rate, until `now` [s]."""
+        target, start, begin = self.target, self.voltage, self._at
+        arrival = begin + abs(target - start) / float(self._limits.slew_rate or math.inf)
+        share = 1.0 if now >= arrival else (now - begin) / (arrival - begin)
+        until, end = min(now, arrival), start + share * (target - start) if share < 1 else target
+        parts = math.ceil(abs(end - start) / (_PART * (self._limits.high - self._limits.low)))
+        part = np.linspace(0.0, 1.0, 1 + max(1, parts if until - begin > self._servo_period else 1))[1:]
+        path = start + part * (end - start)
+        path[-1] = end
+        self._put_out(path, begin + part * (until - begin))
+        self.target = target
+
     def _hold(self, now: float) -> None:
         """Integrate the servo's error: in longer periods after a pause, so that an idle hour costs little."""
-        amplifier = self._amplifier
-        begin, span = amplifier.at, now - amplifier.at
+        begin, span = self._at, now - self._at
         updates = min(_MOST_UPDATES, max(1, math.ceil(span / _UPDATE_PERIOD)))
         period = span / updates
-        gain = _CORRECTION * -math.expm1(-period / _TIME_CONSTANT) / amplifier.gain
-        most = (amplifier.limits.slew_rate or math.inf) * period
+        gain = _CORRECTION * -math.expm1(-period / _TIME_CONSTANT) / self._gain
+        most = self._limits.largest_step(period)
         for update in range(1, updates + 1):
             error = self._wanted - self.displacement()
-            voltage = amplifier.voltage + min(max(gain * error, -most), most)
-            amplifier.play(np.array([amplifier.limits.nearest(voltage)]), np.array([begin + update * period]))
+            voltage = self.voltage + min(max(gain * error, -most), most)
+            self._put_out(np.array([self._limits.nearest(voltage)]), np.array([begin + update * period]))
             self._error = abs(error)
 
 
@@ -221,15 +281,16 @@ class VirtualBench:
     Every method and property of the bench first brings it up to the present. Between them time stands still: what is
     done on several of its `axes` happens at one instant. It is not thread-safe: a server must hold a lock.
 
+    Raise `ModelError` if limits are no interval, or the slew rate is not positive.
+
     Parameters
     ----------
     device : VirtualActuator, Actuator or VirtualStage
-        The connected actuator, or the body with one an axis, at rest at 0 V.
+        The connected actuator, or the body with one an axis, at rest at 0 V; its fingerprint is the `serial` number.
     limits : (float, float) or sequence of (float, float), optional
-        Lowest and highest voltage [V] of the amplifiers, for all axes or for each; default: 0 V to its actuator's
-        highest.
+        Of the amplifiers [V], for all axes or for each; default: 0 V to its actuator's highest.
     slew_rate : float, optional
-        Slew rate of the amplifiers [V/s], for voltages and waves. Default: a voltage is reached at once.
+        Of the amplifiers [V/s], for voltages and waves; default: a voltage is reached at once.
     servo_period : float, optional
         [s]; samples of a wave are whole numbers of it apart.
     wave_points, record_points : int, optional
@@ -242,19 +303,6 @@ class VirtualBench:
         Seconds of the device in each second of the clock.
     noise, seed : float, int, optional
         Standard deviation [m] and seed of the sensors' noise; default: those of the device, or no noise.
-
-    Attributes
-    ----------
-    axes : tuple of BenchAxis
-    stage : VirtualStage
-        The body.
-    serial : str
-        Serial number: the device's `fingerprint`, which depends on neither its name nor the server.
-
-    Raises
-    ------
-    ModelError
-        If limits are no interval, or the slew rate is not positive.
     """
 
     def __init__(
@@ -272,23 +320,18 @@ class VirtualBench:
         noise: float | None = None,
         seed: int | None = None,
     ) -> None:
-        self.serial = device.serial if isinstance(device, VirtualStage) else fingerprint(device)
-        self.stage = device if isinstance(device, VirtualStage) else VirtualStage.of_one(device)
+        self._stage = stage = device if isinstance(device, VirtualStage) else VirtualStage.of_one(device)
+        self.serial = stage.serial
         self.slew_rate, self.servo_period = slew_rate, servo_period
         self.wave_points, self.record_points = wave_points, record_points
-        ranges = [(0.0, top) for top in self.stage.highest.tolist()] if limits is None else limits
-        pairs = np.broadcast_to(np.asarray(ranges, dtype=np.float64), (len(self.stage), 2)).tolist()
+        ranges = [(0.0, top) for top in stage.highest.tolist()] if limits is None else limits
+        pairs = np.broadcast_to(np.asarray(ranges, dtype=np.float64), (len(stage), 2)).tolist()
+        deviation, first_seed = stage.noise if noise is None else noise, stage.seed if seed is None else seed
         self.axes = tuple(
             BenchAxis(
-                port,
-                lambda j=j: float(self.stage.present()[j]),  # type: ignore[misc]
-                VoltageLimits(low, high, slew_rate),
-                servo_period,
-                sensor_range,
-                self.stage.noise if noise is None else noise,
-                (self.stage.seed if seed is None else seed) + j,
+                stage, j, VoltageLimits(low, high, slew_rate), servo_period, sensor_range, deviation, first_seed + j
             )
-            for j, (port, (low, high)) in enumerate(zip(self.stage.ports, pairs, strict=True))
+            for j, (low, high) in enumerate(pairs)
         )
         self._clock, self._speed, self._began, self._now = clock, speed, clock(), 0.0
         self._lead: BenchAxis | None = None
@@ -359,26 +402,19 @@ class VirtualBench:
         return self._times[rows].copy(), self._columns[0, axis, rows].copy(), self._columns[1, axis, rows].copy()
 
     def advance(self) -> None:
-        """Bring all axes up to the clock's time, and record."""
+        """Bring all axes up to the clock's time, and record what they did at the samples of the longest wave."""
         self._now = max(self._now, (self._clock() - self._began) * self._speed)
         for axis in self.axes:
             axis.advance(self._now)
-        self._record()
-
-    def _record(self) -> None:
-        """Record what the axes did at the samples of the longest wave."""
-        motions = [port.take() for port in self.stage.ports]
+        motions = self._stage.take()
         span = slice(self._recorded, 0 if self._lead is None else min(self._lead.played, self._times.size))
         if self._lead is None or span.stop <= span.start:
             return
         self._times[span] = at = self._lead.times(span.start, span.stop)
         late = at + _LATE * self.servo_period
-        rows = [np.searchsorted(motion.time, late, side="right") - 1 for motion in motions]
-        y = self.stage.joined(
-            [motion.own[row] for motion, row in zip(motions, rows, strict=True)],
-            [motion.second[row] for motion, row in zip(motions, rows, strict=True)],
-        )
-        for j, (axis, motion, row) in enumerate(zip(self.axes, motions, rows, strict=True)):
-            self._columns[0, j, span] = motion.voltage[row]
+        sampled = [motion[:, np.searchsorted(motion[0], late, side="right") - 1] for motion in motions]
+        y = self._stage.joined(sampled)
+        for j, (axis, motion) in enumerate(zip(self.axes, sampled, strict=True)):
+            self._columns[0, j, span] = motion[1]
             self._columns[1, j, span] = axis.sensed(y[:, j])
         self._recorded = span.stop

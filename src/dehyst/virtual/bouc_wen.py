@@ -15,15 +15,14 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import vector
-from dehyst.virtual.base import Clock, Sensor, cubic_map, refuse_falling_map
+from dehyst.virtual.base import Clock, Sensor, VirtualActuator, cubic_map, refuse_falling_map
 
 # Largest step of the Runge-Kutta rule, as a share of the highest voltage.
 _FINEST = 1e-3
 
 
 @dataclass(eq=False)
-class BoucWenActuator:
+class BoucWenActuator(VirtualActuator):
     """A lagging variable z of the voltage, a cubic map, a resonance and a delay; u is v / highest.
 
     ``dz/du = slope (1 - |z / lag|^power (closing sgn(z du) + 1 - closing))``, w = u - z scaled to 0 and 1 at the ends
@@ -32,10 +31,6 @@ class BoucWenActuator:
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage, reached slowly.
-    highest : float
-        Highest voltage [V].
     lag, slope, power, closing : float
         Largest z, its initial slope, the sharpness of its levelling off, and the share that a reversal undoes;
         2 slope closing < 1.
@@ -47,10 +42,6 @@ class BoucWenActuator:
         zeta, above 0 and below 1.
     delay : float
         Of the voltage [s], 0 or more.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     """
 
     stroke: float = 16.0e-6
@@ -68,36 +59,6 @@ class BoucWenActuator:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        self._check()
-        self._sensor = Sensor(self.noise, self.seed)
-        self._ends = (0.0, 1.0)
-        self._lagging = 0.0
-        turns = np.concatenate([np.linspace(a, b, 1001)[1:] for a, b in pairwise([0.0, 1.0] * 4 + [0.0])])
-        w = self._follow(np.concatenate([[0.0], turns]))
-        self._ends = float(w[-1]), float(w[-1001])
-        self.relax()
-
-    def relax(self) -> None:
-        """Reset to rest at 0 V, without residual strain."""
-        self._lagging = 0.0
-        self._motion = self.stroke * float(self._map(self._follow(np.zeros(2)))[0]), 0.0
-        self._now = 0.0
-        self._sent = np.array([self.delay]), np.zeros(1)
-        self._clock = Clock()
-
-    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a `voltage` at its `time`, which is required, `measured` or not; see `VirtualActuator.play`."""
-        v = vector(voltage, "voltage")
-        at = self._now + np.cumsum(self._clock.steps(time, v.size, "swings"))
-        if not v.size:
-            return v
-        grid, u = self._delayed(at, v / self.highest)
-        target = self.stroke * self._map(self._follow(u))
-        y = self._respond(grid, target)[np.searchsorted(grid, at)]
-        self._now = float(at[-1])
-        return self._sensor.read(y) if measured else y
-
-    def _check(self) -> None:
         refuse_falling_map(self.asymmetry, self.bend)
         if min(self.lag, self.slope, self.closing) <= 0 or self.power < 1 or 2 * self.slope * self.closing >= 1:
             raise ModelError(
@@ -109,6 +70,29 @@ class BoucWenActuator:
                 f"resonance {self.resonance}, damping {self.damping}, delay {self.delay}: need hertz above 0, a "
                 "damping between 0 and 1, and seconds, 0 or more"
             )
+        self._sensor = Sensor(self.noise, self.seed)
+        self._ends = (0.0, 1.0)
+        self._lagging = 0.0
+        turns = np.concatenate([np.linspace(a, b, 1001)[1:] for a, b in pairwise([0.0, 1.0] * 4 + [0.0])])
+        w = self._follow(np.concatenate([[0.0], turns]))
+        self._ends = float(w[-1]), float(w[-1001])
+        self.relax()
+
+    def relax(self) -> None:
+        """Reset to rest at 0 V, without residual strain."""
+        self._lagging = 0.0
+        self._motion = float(self._mapped(self._follow(np.zeros(2)))[0]), 0.0
+        self._now = 0.0
+        self._sent = np.array([self.delay]), np.zeros(1)
+        self._clock = Clock()
+
+    def _moved(self, v: Array, time: ArrayLike | None) -> Array:
+        """Move at the `time`, which is required."""
+        at = self._now + np.cumsum(self._clock.steps(time, v.size, "swings"))
+        grid, u = self._delayed(at, v / self.highest)
+        y = self._respond(grid, self._mapped(self._follow(u)))[np.searchsorted(grid, at)]
+        self._now = float(at[-1])
+        return y
 
     def _delayed(self, at: Array, u: Array) -> tuple[Array, Array]:
         """Return times from now to the last of `at`, and the delayed voltage at them, in small steps of voltage."""
@@ -144,8 +128,8 @@ class BoucWenActuator:
         forward = self.closing if z * h > 0 else -self.closing
         return self.slope * (1 - float(abs(z / self.lag) ** self.power) * (forward + 1 - self.closing))
 
-    def _map(self, w: Array) -> Array:
-        return cubic_map(w, self.asymmetry, self.bend)
+    def _mapped(self, w: Array) -> Array:
+        return self.stroke * cubic_map(w, self.asymmetry, self.bend)
 
     def _respond(self, times: Array, target: Array) -> Array:
         """Return the displacement (n,) at the times, exact if `target` is linear between them."""

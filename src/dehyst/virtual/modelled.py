@@ -14,10 +14,8 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import untimely, vector
-from dehyst.model import Actuator, State
-from dehyst.model.serialization import DESCRIPTION
-from dehyst.virtual.base import VirtualActuator
+from dehyst.model import DESCRIPTION, Actuator, State
+from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
@@ -29,71 +27,38 @@ _NOT_THE_ACTUATOR = DESCRIPTION | {"state", "limits"}
 _DIGITS = 12
 
 
-class ModelledActuator:
-    """An identified actuator as a `VirtualActuator`, which keeps its state from call to call.
+class ModelledActuator(VirtualActuator):
+    """An identified `actuator` as a virtual one, without noise.
 
-    Parameters
-    ----------
-    actuator : Actuator
-
-    Attributes
-    ----------
-    highest : float
-        Upper limit of the actuator [V], or the voltage at the end of its spring.
-    stroke : float
-        Displacement between 0 V and `highest` on the major loop [m].
+    Its `highest` voltage [V] is the upper limit of the actuator, or the voltage at the end of its spring.
     """
 
     def __init__(self, actuator: Actuator) -> None:
         self.actuator = actuator
-        spring = actuator.spring.displacement
-        end = actuator.voltage(actuator.turned(float(spring[-1])))
+        end = actuator.voltage(actuator.turned(float(actuator.spring.displacement[-1])))
         self.highest = float(end if actuator.limits is None else actuator.limits[1])
         if not self.highest > 0:
             raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
         swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
         slowly = 1e3 * np.arange(swing.size) if actuator.needs_time else None
         y = actuator.simulate(swing, time=slowly, state=actuator.relaxed(), extrapolate=True).displacement
-        self.stroke = float(y[3] - y[4])
+        self.stroke, self._sensor = float(y[3] - y[4]), Sensor(0.0, 0)
         self.relax()
 
     def relax(self) -> None:
         """Reset to rest at 0 V, without residual strain."""
         self._state: State = self.actuator.relaxed()
-        self._voltage, self._time = 0.0, -np.inf
+        self._voltage, self._clock = 0.0, Clock()
 
-    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a `voltage` (n,) [V] as `VirtualActuator.play`; without a sensor, `measured` has no effect.
-
-        `time` (n,) [s] is needed by models that move in time. Raise `ModelError` if the voltage is not finite, or an
-        actuator that needs the time lacks it, or it does not fit.
-        """
-        v = vector(voltage, "voltage")
-        if not v.size:
-            return v
-        if not self.actuator.needs_time:
-            motion = self.actuator.simulate(v, state=self._state, extrapolate=True)
-            self._state = motion.state
-            return motion.displacement
-        if time is None:
-            raise ModelError("this actuator needs the time of each sample; give the time [s]")
-        at = vector(time, "time")
-        if at.size != v.size:
-            raise ModelError(untimely(at, v.size))
-        if not np.isfinite(self._time) or not at[0] > self._time:
-            if at.size < 2:
-                raise ModelError(
-                    "got one sample that does not go on from an earlier one", argument="time", hint="need two at least"
-                )
-            self._time = float(2 * at[0] - at[1])
-        motion = self.actuator.simulate(
-            np.concatenate([[self._voltage], v]),
-            time=np.concatenate([[self._time], at]),
-            state=self._state,
-            extrapolate=True,
-        )
-        self._state, self._voltage, self._time = motion.state, float(v[-1]), float(at[-1])
-        return motion.displacement[1:]
+    def _moved(self, v: Array, time: ArrayLike | None) -> Array:
+        """Move; only an actuator that moves in time needs the `time`."""
+        path, at = v, None
+        if self.actuator.needs_time:
+            self._clock.steps(time, v.size, "moves in time")
+            path, at = np.concatenate([[self._voltage], v]), self._clock.times
+        motion = self.actuator.simulate(path, time=at, state=self._state, extrapolate=True)
+        self._state, self._voltage = motion.state, float(v[-1])
+        return motion.displacement[-v.size :]
 
 
 VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {

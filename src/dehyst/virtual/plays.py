@@ -9,15 +9,14 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import vector
-from dehyst.virtual.base import Clock, Sensor, cubic_map, refuse_falling_map
+from dehyst.virtual.base import Clock, Sensor, VirtualActuator, cubic_map, refuse_falling_map
 
 # Times [s] of the first-order branches that together creep by a logarithm of time.
 _CREEP_TIMES = np.geomspace(0.05, 1000.0, 12)
 
 
 @dataclass(eq=False)
-class PlayActuator:
+class PlayActuator(VirtualActuator):
     """Play operators of the voltage, summed and mapped asymmetrically.
 
     ``w = (1 - width) v / highest + width sum_j p_j play_{r_j}[v]``, 0 and 1 at the ends of the major loop, then
@@ -27,20 +26,12 @@ class PlayActuator:
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage.
-    highest : float
-        Highest voltage [V]; displacement is 0 at 0 V after a long descent.
     width : float
         Share of the plays in w, 0 to 1.
     asymmetry, bend : float
         Of the map; it must stay increasing.
     plays : int
         Number of play operators, thresholds uniform up to half of `highest`.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     creep : float
         Share of a step that is added in each decade of time; 0.01 is 1 %. With creep, `play` needs the time.
     """
@@ -73,14 +64,14 @@ class PlayActuator:
         self._before = 0.0
         self._clock = Clock()
 
-    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a `voltage`, `measured` or not; see `VirtualActuator.play`. Only creep needs the `time`."""
-        v = vector(voltage, "voltage")
+    def _moved(self, v: Array, time: ArrayLike | None) -> Array:
+        """Move; only creep needs the `time`."""
         steps = self._clock.steps(time, v.size, "creeps") if self.creep else None
-        y = self.stroke * self._map(self._sum_plays(v))
-        if steps is not None:
-            y = y + self._creep(y - self.stroke * self._map(self._level(np.zeros(1))), steps)
-        return self._sensor.read(y) if measured else y
+        y = self._mapped(self._sum_plays(v))
+        return y if steps is None else y + self._creep(y - self._mapped(self._level(np.zeros(1))), steps)
+
+    def _mapped(self, w: Array) -> Array:
+        return self.stroke * cubic_map(w, self.asymmetry, self.bend)
 
     def _sum_plays(self, v: Array) -> Array:
         outputs, low, high = self._outputs, -self._thresholds, self._thresholds
@@ -102,16 +93,12 @@ class PlayActuator:
         kept = np.exp(-ratio)
         # The share of a linear rise over the step that a branch has followed at the step's end.
         followed = 1 + np.expm1(-ratio) / ratio
-        start = np.concatenate([[self._before], y[:-1]]) if y.size else y
+        start = np.concatenate([[self._before], y[:-1]])
         pushed = start[:, None] * -np.expm1(-ratio) + (y - start)[:, None] * followed
         added, state = np.empty(y.size), self._crept
         for t in range(y.size):
             state = kept[t] * state + pushed[t]
             added[t] = state.sum()
-        if y.size:
-            self._crept, self._before = state, float(y[-1])
+        self._crept, self._before = state, float(y[-1])
         decades = np.log10(_CREEP_TIMES[1] / _CREEP_TIMES[0])
         return np.asarray(self.creep * decades * added)
-
-    def _map(self, w: Array) -> Array:
-        return cubic_map(w, self.asymmetry, self.bend)

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import vector
-from dehyst.virtual.base import Sensor
+from dehyst.virtual.base import Sensor, VirtualActuator
 
 # The relays' plane, in units of the highest voltage: beyond it only the reversible share moves.
 _LOWEST, _UPPERMOST = -0.5, 1.5
@@ -22,7 +21,7 @@ _CYCLES_TO_RELAX = 60
 
 
 @dataclass(eq=False)
-class PreisachActuator:
+class PreisachActuator(VirtualActuator):
     """Relays that switch up at alpha and down at beta <= alpha, and a reversible share; u is v / highest.
 
     Their density is ``exp(-(d / ridge)^2 / 2) exp(-((m - centre) / spread)^2 / 2) + uniform`` with d = alpha - beta and
@@ -31,20 +30,12 @@ class PreisachActuator:
 
     Parameters
     ----------
-    stroke : float
-        Displacement [m] at the highest voltage.
-    highest : float
-        Highest voltage [V].
     reversible : float
         Share of the stroke without relays, above 0 and below 1.
     bend : float
         Curvature of the reversible share.
     ridge, centre, spread, uniform : float
         Of the density, in units of the highest voltage; `uniform` relative to its peak.
-    noise : float
-        Standard deviation of the sensor [m].
-    seed : int
-        Of the noise.
     """
 
     stroke: float = 16.0e-6
@@ -80,13 +71,12 @@ class PreisachActuator:
         decay = 0.5 * (1 - np.arange(2 * _CYCLES_TO_RELAX + 1) / (2 * _CYCLES_TO_RELAX))
         self._relays(decay * (-1.0) ** np.arange(decay.size))
 
-    def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
-        """Play a `voltage`, `measured` or not; see `VirtualActuator.play`. Relays ignore the `time`."""
-        u = vector(voltage, "voltage") / self.highest
+    def _moved(self, v: Array, time: ArrayLike | None) -> Array:
+        """Move; relays ignore the `time`."""
+        u = v / self.highest
         relays = (self._relays(np.clip(u, _LOWEST, _UPPERMOST)) - self._bottom) / self._span
         free = u + self.bend * np.where((u > 0) & (u < 1), u * (u - 1), np.where(u > 0, u - 1, -u))
-        y = self.stroke * (self.reversible * free + (1 - self.reversible) * relays)
-        return self._sensor.read(y) if measured else y
+        return self.stroke * (self.reversible * free + (1 - self.reversible) * relays)
 
     def _relays(self, u: Array) -> Array:
         """Return the integral of the density over the relays that are up, for each voltage of a path (n,).

@@ -1,15 +1,25 @@
 """Waveforms: voltages that excite an actuator, and scans that it is to follow."""
 
-from dehyst.waveforms.excitation import Excitation, Leg, Sampling
+from dehyst.waveforms import standard
+from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, refuse_long, volts
+from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
 from dehyst.waveforms.one_axis import Steps, Triangle
-from dehyst.waveforms.scan import MotionLimits, Scan, ScanPath
-from dehyst.waveforms.several_axes import stage_excitation
-from dehyst.waveforms.standard import descending_tops, homing, minor_loop, raised_cosine, reversal_curves, staircase
+from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanOption, ScanPath, whole
+from dehyst.waveforms.several_axes import RATIO, stage_excitation
+from dehyst.waveforms.standard import (
+    TURNS,
+    descending_tops,
+    homing,
+    minor_loop,
+    raised_cosine,
+    reversal_curves,
+    staircase,
+    wanted_path,
+)
 from dehyst.waveforms.two_axes import Lissajous, Raster, Spiral
 
 __all__ = [
     "Excitation",
-    "Leg",
     "Lissajous",
     "MotionLimits",
     "Raster",

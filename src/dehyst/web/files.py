@@ -6,7 +6,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-from dehyst.exports.naming import shipped
+from dehyst.exports import shipped
 
 # The compensator in WebAssembly comes with each export.
 COMPENSATOR = "dehyst.js"

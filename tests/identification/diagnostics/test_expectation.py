@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst.identification import Check, Expectation, Outcome, Readiness, RecordErrors, RemainingError, Verdict
-from dehyst.identification.expectation import HeldOutErrors, expectation
+from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Verdict
+from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation
+from dehyst.identification.results import RemainingError
 
 STROKE = 1e-5
 ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)

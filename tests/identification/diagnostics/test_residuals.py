@@ -9,7 +9,7 @@ import structured_records
 from dehyst import identify
 from dehyst.identification import RecordErrors, Structure, Trace, Verdict
 from dehyst.identification.diagnostics.checks import model_checks
-from dehyst.report import render
+from dehyst.report.report import render
 
 STROKE = 10e-6
 PLANT = structured_records.plant(structured_records.STRUCTURES["graded, transformer"])

@@ -23,7 +23,8 @@ import scipy.io
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.records import Record, read, read_table, write_hdf5
+from dehyst.records import Record, read, read_table
+from dehyst.records.files import write_hdf5
 from dehyst.records.formats import reader_process
 from dehyst.records.formats.columns import Column
 

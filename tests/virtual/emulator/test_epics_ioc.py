@@ -13,7 +13,7 @@ from ioc_process import IocProcess  # noqa: E402
 
 from dehyst.instruments import RigError  # noqa: E402
 from dehyst.virtual import PlayActuator, VirtualBench  # noqa: E402
-from dehyst.virtual.emulator import serve_ioc  # noqa: E402
+from dehyst.virtual.emulator.epics_ioc import serve_ioc  # noqa: E402
 
 LOOP = asyncio.new_event_loop()
 

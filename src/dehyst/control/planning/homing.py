@@ -29,9 +29,8 @@ from dehyst.control.planning.states import (
     time_dependence,
 )
 from dehyst.model import Actuator, GradedSlip, State
-from dehyst.waveforms import Excitation, Leg, Sampling
+from dehyst.waveforms import Excitation, Leg, Sampling, volts
 from dehyst.waveforms import homing as homing_through
-from dehyst.waveforms.excitation import volts
 
 # Least duration of a leg of a homing [s].
 FASTEST_LEG = 0.5

@@ -28,10 +28,7 @@ from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
 from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
 from dehyst.control.trajectory import Command
-from dehyst.model import Actuator, Stage, State
-from dehyst.model.checks import ANYWAY
-from dehyst.model.stage import apply
-from dehyst.model.states import state_at
+from dehyst.model import ANYWAY, Actuator, Stage, State, apply, state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
 
 HOMING, WAY, PATH = 0, 1, 2

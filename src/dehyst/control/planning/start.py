@@ -16,8 +16,7 @@ from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import shortest_homing
 from dehyst.control.planning.states import StateBounds, possible_states
-from dehyst.model import Actuator, State
-from dehyst.model.states import state_within_limits
+from dehyst.model import Actuator, State, state_within_limits
 from dehyst.waveforms import Sampling
 
 StartName = Literal["top", "bottom", "relaxed", "homed"]

@@ -23,8 +23,7 @@ from dehyst._errors import ModelError
 from dehyst._native import slip_elongations
 from dehyst._types import Array
 from dehyst._validation import interval, number, vector
-from dehyst.model import Actuator, GradedSlip, State
-from dehyst.model.elements import on_curve
+from dehyst.model import Actuator, GradedSlip, State, on_curve
 from dehyst.waveforms import Sampling
 
 _ROUNDING = 1e-12

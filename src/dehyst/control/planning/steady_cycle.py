@@ -12,8 +12,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.trajectory import Command
-from dehyst.model import Actuator, State
-from dehyst.model.evaluator import PathData
+from dehyst.model import Actuator, PathData, State
 from dehyst.waveforms import ScanPath
 
 # Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.

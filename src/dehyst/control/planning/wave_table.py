@@ -16,9 +16,18 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.planning.steady_cycle import MOST_SAMPLES, StartUp, SteadyCycle, timed
 from dehyst.model import Actuator, State
-from dehyst.waveforms import Excitation, MotionLimits, Sampling, Scan, ScanPath
-from dehyst.waveforms.excitation import positive, refuse_long
-from dehyst.waveforms.scan import Bridge, PathPoint, whole
+from dehyst.waveforms import (
+    Bridge,
+    Excitation,
+    MotionLimits,
+    PathPoint,
+    Sampling,
+    Scan,
+    ScanPath,
+    positive,
+    refuse_long,
+    whole,
+)
 
 # Share of the stroke: deviation of the first steady cycle from the later ones.
 _TOLERANCE = 1e-4

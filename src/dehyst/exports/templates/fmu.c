@@ -1,4 +1,5 @@
 #include "fmu.h"
+#include "fmu_block.h"
 
 #include <float.h>
 #include <stdio.h>
@@ -8,24 +9,29 @@
 #define REFUSE(f, ...) (snprintf((f)->message, sizeof(f)->message, __VA_ARGS__), 0)
 
 /* The compensator's output keeps to its limits even before the first step. */
-static double within(double v)
+static double within(const fmu *f, double v)
 {
     if (FMU_ACTUATOR) return v;
-    return v < MODEL_LOW ? MODEL_LOW : v > MODEL_HIGH ? MODEL_HIGH : v;
+    return v < f->model.low ? f->model.low : v > f->model.high ? f->model.high : v;
 }
+
+static double displacement(const fmu *f) { return dehyst_loop_displacement(&f->model, &f->now.loop); }
 
 int fmu_begin(fmu *f)
 {
-    const dehyst_status status = piezo_begin(&f->piezo);
-    const dehyst_loop *loop = &f->piezo.loop;
-    const double y = piezo_displacement(&f->piezo), v = within(loop->sent);
+    dehyst_status status = dehyst_model_load(fmu_block, sizeof fmu_block, f->numbers, FMU_ROOM, &f->model);
+    double y, v;
+    if (status == DEHYST_OK) status = dehyst_loop_begin(&f->model, &f->now.loop, f->now.memory);
+    if (status != DEHYST_OK) return REFUSE(f, "the model's numbers are refused (%d): export it again", (int)status);
+    y = displacement(f);
+    v = within(f, f->now.loop.sent);
     f->phase = FMU_MADE;
     f->time = 0;
     f->reported = 0;
     f->message[0] = 0;
     f->input = FMU_ACTUATOR ? v : y;
     f->output = FMU_ACTUATOR ? y : v;
-    return status == DEHYST_OK ? 1 : REFUSE(f, "the model's numbers are refused (%d): export it again", (int)status);
+    return 1;
 }
 
 int fmu_demand(fmu *f, int holds, const char *why) { return holds ? 1 : REFUSE(f, "%s", why); }
@@ -70,7 +76,7 @@ int fmu_count(fmu *f, uint32_t reference, uint64_t *value)
 {
     if (FMU_ACTUATOR || (reference != FMU_LIMITED && reference != FMU_SLEWED))
         return REFUSE(f, "variable %u: it is no whole number", (unsigned)reference);
-    *value = reference == FMU_LIMITED ? f->piezo.loop.limited : f->piezo.loop.slewed;
+    *value = reference == FMU_LIMITED ? f->now.loop.limited : f->now.loop.slewed;
     return 1;
 }
 
@@ -82,27 +88,29 @@ static int alike(double a, double b, double from, double by)
 }
 
 /* The periods in a step, or 0. */
-static uint32_t periods(double from, double by)
+static uint32_t periods(double period, double from, double by)
 {
-    const double ratio = MODEL_PERIOD > 0 ? by / MODEL_PERIOD : 1;
+    const double ratio = period > 0 ? by / period : 1;
     uint32_t n;
     if (!fmu_finite(from) || !(by > 0) || !(ratio < 1e9)) return 0;
-    if (!(MODEL_PERIOD > 0)) return 1;
+    if (!(period > 0)) return 1;
     n = (uint32_t)(ratio + 0.5);
-    return alike(by, n * MODEL_PERIOD, from, by) ? n : 0;
+    return alike(by, n * period, from, by) ? n : 0;
 }
 
 static int sample(fmu *f)
 {
-    piezo *p = &f->piezo;
+    const dehyst_model *model = &f->model;
+    dehyst_loop *loop = &f->now.loop;
 #if FMU_ACTUATOR
-    const unsigned long refused = p->loop.refused;
-    f->output = piezo_simulate(p, f->input);
-    if (p->loop.refused == refused && fmu_finite(f->output)) return 1;
+    const unsigned long refused = loop->refused;
+    dehyst_loop_play(model, loop, f->now.memory, f->input);
+    f->output = displacement(f);
+    if (loop->refused == refused && fmu_finite(f->output)) return 1;
 #else
-    f->output = piezo_offer(p, f->input);
-    if (p->loop.offer != DEHYST_REFUSED) {
-        piezo_commit(p, f->output);
+    f->output = dehyst_loop_offer(model, loop, f->now.memory, f->input);
+    if (loop->offer != DEHYST_REFUSED) {
+        dehyst_loop_commit(model, loop, f->now.memory, f->output);
         return 1;
     }
 #endif
@@ -111,21 +119,21 @@ static int sample(fmu *f)
 
 int fmu_step(fmu *f, double from, double by)
 {
-    uint32_t n = periods(from, by);
-    const piezo before = f->piezo;
-    const double output = f->output;
+    const double period = f->model.period, output = f->output;
+    uint32_t n = periods(period, from, by);
+    const fmu_loop before = f->now;
     if (f->phase != FMU_RUNNING) return REFUSE(f, "DoStep: not allowed now; end the initialization first");
     if (n == 0) {
-        if (MODEL_PERIOD > 0)
+        if (period > 0)
             return REFUSE(f, "communication step: got %.17g s at %.17g s, need a whole multiple of %.17g s", by, from,
-                          MODEL_PERIOD);
+                          period);
         return REFUSE(f, "communication step: got %.17g s at %.17g s, need a positive number", by, from);
     }
     if (!alike(from, f->time, from, by))
         return REFUSE(f, "communication point: got %.17g s, need %.17g s, where the last step ended", from, f->time);
     while (n-- > 0)
         if (!sample(f)) {
-            f->piezo = before;
+            f->now = before;
             f->output = output;
             return 0;
         }
@@ -135,7 +143,7 @@ int fmu_step(fmu *f, double from, double by)
 
 int fmu_clamped(fmu *f)
 {
-    const dehyst_loop *loop = &f->piezo.loop;
+    const dehyst_loop *loop = &f->now.loop;
     const int now = (loop->limited > 0) + 2 * (loop->slewed > 0), news = now & ~f->reported;
     f->reported |= now;
     if (FMU_ACTUATOR || !news) return 0;
@@ -152,13 +160,14 @@ void fmu_save(const fmu *f, fmu_memory *memory)
     memory->number[FMU_SHOWN] = f->output;
     memory->number[FMU_NOW] = f->time;
     memory->state = (uint64_t)f->phase * 4 + (uint64_t)f->reported;
-    piezo_save(&f->piezo, memory->loop);
+    dehyst_loop_save(&f->model, &f->now.loop, f->now.memory, memory->loop, FMU_SNAPSHOT);
 }
 
 /* Nothing is ever on offer between two steps. */
 int fmu_restore(fmu *f, const fmu_memory *memory)
 {
-    if (piezo_restore(&f->piezo, memory->loop) != DEHYST_OK) return fmu_demand(f, 0, "state: it is damaged");
+    if (dehyst_loop_restore(&f->model, &f->now.loop, f->now.memory, memory->loop, FMU_SNAPSHOT) != DEHYST_OK)
+        return fmu_demand(f, 0, "state: it is damaged");
     f->input = memory->number[FMU_GIVEN];
     f->output = memory->number[FMU_SHOWN];
     f->time = memory->number[FMU_NOW];
@@ -177,15 +186,17 @@ static uint64_t checksum(const fmu_memory *memory)
 }
 
 /* What no FMU of this model has written, though its checksum may fit. */
-static const char *flaw(const fmu_memory *memory)
+static const char *flaw(const fmu *f, const fmu_memory *memory)
 {
-    piezo found;
+    const double shown = memory->number[FMU_SHOWN];
+    fmu_loop found;
     int i;
     for (i = 0; i < FMU_NUMBERS; i++)
         if (!fmu_finite(memory->number[i])) return "state: a number of it is not finite";
     if (memory->state / 4 > FMU_ENDED) return "state: it is in no phase of an FMU's life";
-    if (piezo_restore(&found, memory->loop) != DEHYST_OK) return "state: the actuator cannot be in it";
-    if (within(found.loop.sent) != found.loop.sent || (!FMU_ACTUATOR && within(memory->number[FMU_SHOWN]) != memory->number[FMU_SHOWN]))
+    if (dehyst_loop_restore(&f->model, &found.loop, found.memory, memory->loop, FMU_SNAPSHOT) != DEHYST_OK)
+        return "state: the actuator cannot be in it";
+    if (within(f, found.loop.sent) != found.loop.sent || (!FMU_ACTUATOR && within(f, shown) != shown))
         return "state: its voltage lies outside the limits";
     return NULL;
 }
@@ -205,6 +216,6 @@ int fmu_deserialize(fmu *f, const void *bytes, size_t size, fmu_memory *memory)
     memcpy(memory, bytes, sizeof *memory);
     if (memory->check != checksum(memory))
         return fmu_demand(f, 0, "state: its checksum does not fit; it is not what was serialized");
-    why = flaw(memory);
+    why = flaw(f, memory);
     return fmu_demand(f, why == NULL, why);
 }

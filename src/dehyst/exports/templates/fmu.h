@@ -2,8 +2,8 @@
 #ifndef FMU_H
 #define FMU_H
 
+#include "dehyst_model.h"
 #include "fmu_model.h"
-#include "piezo.h"
 
 #include <stddef.h>
 #include <stdint.h>
@@ -22,11 +22,19 @@ typedef struct fmu_memory {
     uint64_t check; /* of what follows; only in a serialised state */
     uint64_t state; /* phase and what was reported */
     double number[FMU_NUMBERS];
-    unsigned char loop[MODEL_SNAPSHOT]; /* a multiple of 8 */
+    unsigned char loop[FMU_SNAPSHOT]; /* a multiple of 8 */
 } fmu_memory;
 
+/* All of a loop that changes. */
+typedef struct fmu_loop {
+    dehyst_loop loop;
+    dehyst_real memory[FMU_MEMORY];
+} fmu_loop;
+
 typedef struct fmu {
-    piezo piezo;
+    dehyst_model model;
+    dehyst_real numbers[FMU_ROOM]; /* of the model */
+    fmu_loop now;
     fmu_phase phase;
     double input, output, time;
     int reported; /* of limits 1, of the slew rate 2 */

@@ -2,14 +2,13 @@
 
 #include "dehyst_model.h"
 
-/* axes */
 /* numbers */
 
 /* Return where a voltage on offer leads: it is committed on a copy, number by number, which needs no library. */
 static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
 {
-    const dehyst_loop *from = piezo_loop(p, axis);
-    const dehyst_real *numbers = memory_of(p, axis);
+    const dehyst_loop *from = &p->loop[axis];
+    const dehyst_real *numbers = p->memory + begins[axis];
     const unsigned long size = dehyst_memory_size(models[axis]);
     dehyst_loop loop;
     unsigned long i;
@@ -71,6 +70,17 @@ static void solve_reachable(const int known[MODEL_AXES], const dehyst_real reach
     for (p = 0; p < size; p++) y[axes[p]] = right[p];
 }
 
+dehyst_status piezo_begin(piezo *p)
+{
+    dehyst_status status = DEHYST_OK;
+    int j;
+    for (j = 0; j < MODEL_AXES && status == DEHYST_OK; j++) {
+        status = dehyst_loop_begin(models[j], &p->loop[j], p->memory + begins[j]);
+        p->clamped[j] = 0;
+    }
+    return status;
+}
+
 void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
 {
     dehyst_real corrected[MODEL_AXES], reached[MODEL_AXES];
@@ -83,9 +93,9 @@ void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_re
     do {
         fresh = left = 0;
         for (j = 0; j < MODEL_AXES; j++) {
-            dehyst_loop *loop = piezo_loop(p, j);
+            dehyst_loop *loop = &p->loop[j];
             if (offered[j]) continue;
-            voltage[j] = dehyst_loop_offer(models[j], loop, memory_of(p, j), dot(decoupling[j], corrected));
+            voltage[j] = dehyst_loop_offer(models[j], loop, p->memory + begins[j], dot(decoupling[j], corrected));
             if (loop->offer == DEHYST_LIMITED || loop->offer == DEHYST_SLEWED) {
                 reached[j] = reached_by(p, j, voltage[j]);
                 p->clamped[j] = offered[j] = 1;
@@ -104,7 +114,7 @@ void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_re
 void piezo_commit(piezo *p, const dehyst_real voltage[MODEL_AXES])
 {
     int j;
-    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], piezo_loop(p, j), memory_of(p, j), voltage[j]);
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_commit(models[j], &p->loop[j], p->memory + begins[j], voltage[j]);
 }
 
 void piezo_step(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
@@ -117,20 +127,20 @@ void piezo_hold(piezo *p)
 {
     int j;
     for (j = 0; j < MODEL_AXES; j++)
-        dehyst_loop_commit(models[j], piezo_loop(p, j), memory_of(p, j), piezo_loop(p, j)->sent);
+        dehyst_loop_commit(models[j], &p->loop[j], p->memory + begins[j], p->loop[j].sent);
 }
 
 void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES])
 {
     dehyst_real moved[MODEL_AXES];
     int j;
-    for (j = 0; j < MODEL_AXES; j++) moved[j] = moved_by(p, j);
+    for (j = 0; j < MODEL_AXES; j++) moved[j] = p->loop[j].w;
     for (j = 0; j < MODEL_AXES; j++) displacement[j] = dot(coupling[j], moved);
 }
 
 void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES])
 {
     int j;
-    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], piezo_loop(p, j), memory_of(p, j), voltage[j]);
+    for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], &p->loop[j], p->memory + begins[j], voltage[j]);
     piezo_displacement(p, displacement);
 }

@@ -10,15 +10,16 @@
 
 /* sizes */
 
-/* axes */
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 /* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
-/* members */
-    int clamped[MODEL_AXES]; /* whether each voltage on offer was changed by limits or slew rate */
+    dehyst_loop loop[MODEL_AXES];      /* their counts: how many samples were limited, slewed and refused */
+    dehyst_real memory[MODEL_MEMORY];  /* of the axes, one after the other */
+    dehyst_real spare[MODEL_SPARE];    /* to try where a clamped voltage leads */
+    int clamped[MODEL_AXES];           /* whether each voltage on offer was changed by limits or slew rate */
 } piezo;
 
 /* Start from the exported states. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
@@ -36,8 +37,6 @@ void piezo_hold(piezo *p);
 void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES]);
 /* Compute the displacements of the body from all voltages that were sent; without the delay of a mass. */
 void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES]);
-/* Return the loop of an axis, 0 to MODEL_AXES - 1: its counts of samples that were limited, slewed and refused. */
-dehyst_loop *piezo_loop(piezo *p, int axis);
 #ifdef __cplusplus
 }
 #endif

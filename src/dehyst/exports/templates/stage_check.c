@@ -19,7 +19,7 @@ static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real g
     case TRACE_OFFER: piezo_offer(loop, given, got); return;
     case TRACE_COMMIT: piezo_commit(loop, given); piezo_displacement(loop, got); return;
     case TRACE_ACCEPT:
-        for (j = 0; j < MODEL_AXES; j++) given[j] = piezo_loop(loop, j)->voltage;
+        for (j = 0; j < MODEL_AXES; j++) given[j] = loop->loop[j].voltage;
         piezo_commit(loop, given);
         piezo_displacement(loop, got);
         return;
@@ -29,11 +29,11 @@ static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real g
     }
 }
 
-static int counts_differ(piezo *loop)
+static int counts_differ(const piezo *loop)
 {
     int j, differing = 0;
     for (j = 0; j < MODEL_AXES; j++) {
-        const dehyst_loop *l = piezo_loop(loop, j);
+        const dehyst_loop *l = &loop->loop[j];
         if (l->limited == trace_limited[j] && l->slewed == trace_slewed[j]) continue;
         printf("axis %d: got %lu limited, %lu slewed; want %lu, %lu\n", j, l->limited, l->slewed, trace_limited[j],
                trace_slewed[j]);

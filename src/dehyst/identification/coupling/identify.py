@@ -19,8 +19,7 @@ from dehyst.identification.coupling.cross_talk import CrossTalk, cross_talk
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
-from dehyst.model import Stage
-from dehyst.model.stage import apply, by_axis, inverse, matrix_lines
+from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
 from dehyst.records import Record
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.

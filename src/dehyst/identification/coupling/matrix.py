@@ -18,7 +18,7 @@ from dehyst._errors import IdentifyError, RecordError
 from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
 from dehyst.identification.fit import Fit
-from dehyst.model.stage import apply, inverse
+from dehyst.model import apply, inverse
 from dehyst.records import Record
 
 # Of the energy of the columns: a ridge against columns that the record hardly moves.

@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.rules import RULES
-from dehyst.records import Record
-from dehyst.records.signals import white_noise
+from dehyst.records import Record, white_noise
 
 # Turning points closer to each other than this part of the stroke are the same.
 _SAME = 0.02

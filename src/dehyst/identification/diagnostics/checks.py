@@ -17,9 +17,8 @@ from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, may_creep
 from dehyst.identification.rules import RULES
-from dehyst.model import Actuator, GradedSlip, MaxwellSlip, Spring
-from dehyst.model.summary import Slopes
-from dehyst.records.signals import turning_points, white_noise
+from dehyst.model import Actuator, GradedSlip, MaxwellSlip, Slopes, Spring
+from dehyst.records import turning_points, white_noise
 
 _OF_RANGE = "% of range"
 _HELD_UP = " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."

@@ -18,8 +18,7 @@ from dehyst.identification.solvers.highs import minimum
 from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.solvers.problem import spread
 from dehyst.identification.structure import Grid
-from dehyst.records import Record
-from dehyst.records.signals import turning_points
+from dehyst.records import Record, turning_points
 
 _MOST_ROWS = 20_000
 # Number of Maxwell-slip elements with which turning points are probed.

@@ -16,8 +16,8 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors
 from dehyst.identification.rules import RULES
-from dehyst.model.identification import Outcome
-from dehyst.records.signals import turning_points
+from dehyst.model import Outcome
+from dehyst.records import turning_points
 from dehyst.waveforms import Sampling
 
 # Fewer turns are no protocol.

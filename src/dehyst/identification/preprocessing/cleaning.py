@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records import Record
-from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
-from dehyst.records.signals import noise_span
-from dehyst.records.transients import settled, transients
+from dehyst.records import Glitch, Record, glitch_sentences, glitches, noise_span, settled, spikes, transients
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.

@@ -12,8 +12,7 @@ from dehyst._types import Array
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.rules import RULES
 from dehyst.model import Dynamics
-from dehyst.records import Record
-from dehyst.records.signals import turning_points, white_noise
+from dehyst.records import Record, turning_points, white_noise
 
 
 def local_polynomial(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:

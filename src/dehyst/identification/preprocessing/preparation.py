@@ -16,8 +16,7 @@ from dehyst.identification.preprocessing.denoising import disturbs, local_polyno
 from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import Creep
-from dehyst.records import Record
-from dehyst.records.signals import bandwidth
+from dehyst.records import Record, bandwidth
 
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
 # the shortest cycle, and this many of all training records.

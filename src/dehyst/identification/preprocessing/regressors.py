@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from dehyst._native import slip_elongations, smooth_elongations, strains
 from dehyst._types import Array, Mask
 from dehyst.identification.structure import Grid
-from dehyst.model import Creep
-from dehyst.model.dynamics import clock
-from dehyst.records import Record
-from dehyst.records.signals import white_noise
+from dehyst.model import Creep, clock
+from dehyst.records import Record, white_noise
 
 _SHORTEST_EPOCH = 16
 # Samples whose elongations are in memory at a time, those of a lead, and those whose voltages are compared.

@@ -23,8 +23,7 @@ from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.regressors import NumberedEpoch
 from dehyst.identification.solvers.program import Solution
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
-from dehyst.model.elements import parts_in_segments
+from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, parts_in_segments
 
 # A branch or smooth element that holds less of the voltage than this over the whole range is left out.
 _NOTHING = 1e-9

@@ -14,7 +14,7 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers.least_squares import ActiveSet, NormalEquations
 from dehyst.identification.solvers.program import Solution
-from dehyst.records.signals import rms, turning_points
+from dehyst.records import rms, turning_points
 
 # Least number of blocks of a record, so that a staircase of two long legs can be held out in parts.
 _BLOCKS = 12

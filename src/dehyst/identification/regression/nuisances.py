@@ -15,8 +15,8 @@ from dehyst.identification.regression.fold_sums import training_errors
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.solvers.program import solve
-from dehyst.model.elements import segment_of
-from dehyst.records.signals import turning_points
+from dehyst.model import segment_of
+from dehyst.records import turning_points
 
 _SEARCH_ROWS = 4000
 _STEPS = 20

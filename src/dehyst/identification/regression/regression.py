@@ -32,8 +32,8 @@ from dehyst.identification.preprocessing.regressors import NumberedEpoch, Rows, 
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
 from dehyst.identification.solvers.program import Norm, Solution, Table, solve, solve_blocks
 from dehyst.identification.structure import Grid
-from dehyst.model.elements import parts_in_segments, segment_of
-from dehyst.records.signals import rms
+from dehyst.model import parts_in_segments, segment_of
+from dehyst.records import rms
 
 TRANSFORMER_FLOOR = 0.2
 _ROUNDS = 12

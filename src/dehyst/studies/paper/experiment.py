@@ -11,11 +11,9 @@ import numpy as np
 from dehyst._types import Array, Progress
 from dehyst.baselines import GoldfarbCelanovic
 from dehyst.control import Compensator
-from dehyst.identification import Method, Norm, identify
-from dehyst.identification.paper_methods import BreakPointLoop, loops_of
+from dehyst.identification import BreakPointLoop, Method, Norm, identify, loops_of
 from dehyst.model import Actuator, State
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent
+from dehyst.records import Record, largest, percent
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from dehyst._types import Array, Progress
-from dehyst.report import plots
-from dehyst.report.plots import COLUMN, INK, PAGE, Drawing
+from dehyst.report import COLUMN, INK, PAGE, Drawing, plots
 from dehyst.studies.paper.experiment import CYCLE, ELEMENTS, ENERGISED, PEAKS, RELAXED, Experiment
 from dehyst.studies.paper.tables import physical
 

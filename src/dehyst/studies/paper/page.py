@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from dehyst._views.html import escape
-from dehyst.report.html import MINUS, Row, bullets, document, table
+from dehyst.report import MINUS, Row, bullets, document, table
 from dehyst.studies.paper import tables
 from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
 from dehyst.studies.paper.figures import Plate

@@ -56,11 +56,42 @@ class Ioc:
         self._records: dict[str, Any] = {}
 
     def build(self, builder: Any) -> None:
-        """Create the records. `builder` is softioc's."""
+        """Create the records with softioc's `builder`.
+
+        Read-only ones are output records, which are set at once and not at the next scan.
+        """
+        bench, axis = self._instrument, self._instrument.axis
+        low, high = axis.limits
+
+        def add(make: Any, name: str, unit: str = "", digits: int = 0, **options: Any) -> None:
+            self._records[name] = make(name, **({"EGU": unit, "PREC": digits} if unit else {}), **options)
+
         builder.SetDeviceName(self.prefix)
-        self._settable(builder)
-        self._readable(builder)
-        self._texts(builder)
+        # A command that is put twice is done twice, and its callback comes when it is done.
+        command = {"always_update": True, "blocking": True}
+        handled = {"on_update": self._handler(self._set_voltage), **command}
+        add(builder.aOut, "VOLTAGE", "V", 4, DRVL=low, DRVH=high, initial_value=axis.voltage, **handled)
+        add(builder.WaveformOut, "WAVE:VOLTAGE", "V", 4, length=bench.wave_points, datatype=float)
+        handled = {"on_update": self._handler(self._set_period), **command}
+        add(builder.aOut, "WAVE:PERIOD", "s", 6, initial_value=100 * bench.servo_period, **handled)
+        for name, act in (("WAVE:START", self._start), ("WAVE:STOP", self._stop)):
+            add(builder.Action, name, on_update=self._handler(act), blocking=True)
+        for name, unit, digits, value in (
+            ("VOLTAGE:RBV", "V", 4, axis.voltage),
+            ("POSITION", "um", 5, _MICRO * axis.displacement()),
+            ("TIME", "s", 4, 0.0),
+            ("LIMIT:LOW", "V", 4, low),
+            ("LIMIT:HIGH", "V", 4, high),
+            ("SLEW", "V/s", 4, bench.slew_rate or 0.0),
+        ):
+            add(builder.aOut, name, unit, digits, initial_value=value, DISP=1)
+        for name, unit, digits in (("REC:TIME", "s", 4), ("REC:VOLTAGE", "V", 4), ("REC:POSITION", "um", 5)):
+            add(builder.WaveformOut, name, unit, digits, length=bench.record_points, datatype=float, DISP=1)
+        add(builder.longOut, "REC:COUNT", initial_value=0, DISP=1)
+        add(builder.boolOut, "WAVE:BUSY", ZNAM="idle", ONAM="playing", initial_value=0, DISP=1)
+        identity = f"dehyst {__version__} virtual controller {bench.serial}"
+        add(builder.longStringOut, "IDN", length=_TEXT, initial_value=identity, DISP=1)
+        add(builder.longStringOut, "ERROR", length=_TEXT, initial_value="")
         builder.LoadDatabase()
 
     async def serve(self) -> None:
@@ -68,45 +99,6 @@ class Ioc:
         while True:
             self._refresh()
             await asyncio.sleep(_TICK)
-
-    def _settable(self, builder: Any) -> None:
-        bench, axis = self._instrument, self._instrument.axis
-        low, high = axis.limits
-        # A command that is put twice is done twice, and its callback comes when it is done.
-        command = {"always_update": True, "blocking": True}
-        voltage, sent = {"EGU": "V", "PREC": 4}, {"on_update": self._handler(self._set_voltage)}
-        period = {"initial_value": 100 * bench.servo_period, "on_update": self._handler(self._set_period)}
-        self._records |= {
-            "VOLTAGE": builder.aOut("VOLTAGE", low, high, **voltage, initial_value=axis.voltage, **sent, **command),
-            "WAVE:VOLTAGE": builder.WaveformOut("WAVE:VOLTAGE", length=bench.wave_points, datatype=float, **voltage),
-            "WAVE:PERIOD": builder.aOut("WAVE:PERIOD", EGU="s", PREC=6, **period, **command),
-            "WAVE:START": builder.Action("WAVE:START", on_update=self._handler(self._start), blocking=True),
-            "WAVE:STOP": builder.Action("WAVE:STOP", on_update=self._handler(self._stop), blocking=True),
-        }
-
-    def _readable(self, builder: Any) -> None:
-        """Create output records, which are set at once and not at the next scan; clients cannot write them."""
-        bench, axis, fixed = self._instrument, self._instrument.axis, {"DISP": 1}
-        for name, unit, digits, value in (
-            ("VOLTAGE:RBV", "V", 4, axis.voltage),
-            ("POSITION", "um", 5, _MICRO * axis.displacement()),
-            ("TIME", "s", 4, 0.0),
-            ("LIMIT:LOW", "V", 4, axis.limits[0]),
-            ("LIMIT:HIGH", "V", 4, axis.limits[1]),
-            ("SLEW", "V/s", 4, bench.slew_rate or 0.0),
-        ):
-            self._records[name] = builder.aOut(name, EGU=unit, PREC=digits, initial_value=value, **fixed)
-        for name, unit, digits in (("REC:TIME", "s", 4), ("REC:VOLTAGE", "V", 4), ("REC:POSITION", "um", 5)):
-            self._records[name] = builder.WaveformOut(
-                name, length=bench.record_points, datatype=float, EGU=unit, PREC=digits, **fixed
-            )
-        self._records["REC:COUNT"] = builder.longOut("REC:COUNT", initial_value=0, **fixed)
-        self._records["WAVE:BUSY"] = builder.boolOut("WAVE:BUSY", ZNAM="idle", ONAM="playing", initial_value=0, **fixed)
-
-    def _texts(self, builder: Any) -> None:
-        identity = f"dehyst {__version__} virtual controller {self._instrument.serial}"
-        self._records["IDN"] = builder.longStringOut("IDN", length=_TEXT, initial_value=identity, DISP=1)
-        self._records["ERROR"] = builder.longStringOut("ERROR", length=_TEXT, initial_value="")
 
     def _handler(self, act: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return the handler of a put: it acts, latches an error, and updates the records."""
@@ -123,21 +115,21 @@ class Ioc:
         return update
 
     def _set_voltage(self, voltage: float) -> None:
+        accepted = False
         try:
             accepted = self._instrument.axis.set_voltage(voltage)
-        except DehystError:
-            self._show("VOLTAGE", self._instrument.axis.voltage)
-            raise
+        finally:
+            if not accepted:
+                self._show("VOLTAGE", self._instrument.axis.voltage)
         if not accepted:
-            self._show("VOLTAGE", self._instrument.axis.voltage)
             raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is outside the amplifier's range; nothing was sent")
 
     def _set_period(self, period: float) -> None:
         servo = self._instrument.servo_period
-        if not (math.isfinite(period) and period > 0):
-            self._show("WAVE:PERIOD", servo)
+        valid = math.isfinite(period) and period > 0
+        self._show("WAVE:PERIOD", max(1, round(period / servo)) * servo if valid else servo)
+        if not valid:
             raise RigError(f"WAVE:PERIOD: got {period} s, need a positive number of seconds")
-        self._show("WAVE:PERIOD", max(1, round(period / servo)) * servo)
 
     def _start(self, value: int) -> None:
         # A put that is no number fails, but the record is still processed with its old value.
@@ -185,32 +177,21 @@ class Ioc:
 
 
 def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
-    """Serve an instrument by EPICS Channel Access, in threads of its own, until the process ends.
+    """Serve an `instrument` by EPICS Channel Access, in threads of its own, until the process ends.
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of
-    EPICS_CAS_SERVER_PORT.
-
-    Parameters
-    ----------
-    instrument : VirtualBench
-    prefix : str
-        Prefix of the names of all process variables, without the colon that follows it.
-    lock : context manager
-        Held around every use of the instrument.
-
-    Returns
-    -------
-    Ioc
-        The process variables, which are already served.
-
-    Raises
-    ------
-    MissingExtraError
-        If softioc is not installed.
-    RigError
-        If this process already serves an instrument, or the prefix cannot begin a name.
+    EPICS_CAS_SERVER_PORT. `prefix`: of the names of all process variables, without the colon that follows it. `lock`:
+    held around every use of the instrument. Raise `MissingExtraError` if softioc is not installed, `RigError` if this
+    process already serves an instrument, or the prefix cannot begin a name.
     """
-    _refuse(prefix)
+    if _running:
+        raise RigError(
+            f"{prefix}: this process serves {_running[0].prefix} already, and EPICS allows one; start another"
+        )
+    if not prefix or len(prefix) > _PREFIX or not all(c.isascii() and (c.isalnum() or c in _SIGNS) for c in prefix):
+        raise RigError(
+            f"prefix: got {prefix!r}, need 1 to {_PREFIX} letters, digits or any of {_SIGNS}, as in BENCH:PIEZO"
+        )
     for name, value in _LOOPBACK.items():
         os.environ.setdefault(name, value)
     try:
@@ -224,14 +205,3 @@ def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManage
     softioc.iocInit(dispatcher, enable_pva=False)
     asyncio.run_coroutine_threadsafe(ioc.serve(), dispatcher.loop)
     return ioc
-
-
-def _refuse(prefix: str) -> None:
-    if _running:
-        raise RigError(
-            f"{prefix}: this process serves {_running[0].prefix} already, and EPICS allows one; start another"
-        )
-    if not prefix or len(prefix) > _PREFIX or not all(c.isascii() and (c.isalnum() or c in _SIGNS) for c in prefix):
-        raise RigError(
-            f"prefix: got {prefix!r}, need 1 to {_PREFIX} letters, digits or any of {_SIGNS}, as in BENCH:PIEZO"
-        )

@@ -10,8 +10,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_errors import GcsError
+from dehyst.virtual.emulator.gcs_controller import Controller, GcsError
 
 FAULTS = {
     "drop": "the connection is lost",
@@ -34,16 +33,10 @@ _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<at>\d+(\.\d*)?)(?P<unit>s?))?")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault, and the time at which it occurs.
+    """A fault by its `name`, one of `FAULTS`, and when it occurs.
 
-    Attributes
-    ----------
-    name : str
-        One of `FAULTS`.
-    seconds : float or None
-        Device time at which it occurs [s].
-    samples : float or None
-        Samples of a wave after which it occurs. Without either it occurs in the middle of the first wave.
+    That is at a device time of `seconds`, or after so many `samples` of a wave; without either in the middle of the
+    first wave.
     """
 
     name: str
@@ -52,10 +45,7 @@ class Fault:
 
     @classmethod
     def parse(cls, text: str) -> Fault:
-        """Read NAME, NAME@SAMPLES or NAME@SECONDSs, such as drop@2000 or unplug@3.5s. `text` has that form.
-
-        Raise `ModelError` if it is none of these.
-        """
+        """Read a `text` NAME, NAME@SAMPLES or NAME@SECONDSs, as drop@2000 or unplug@3.5s; raise `ModelError`."""
         match = _FORM.fullmatch(text.strip())
         if match is None or match["name"] not in FAULTS or (match["name"] == "narrow" and match["at"]):
             raise ModelError(
@@ -66,7 +56,7 @@ class Fault:
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
     def due(self, instrument: VirtualBench) -> bool:
-        """Return whether its time has come. `instrument` has the clock and the wave."""
+        """Return whether its time has come by the clock and the wave of an `instrument`."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
         recorded = instrument.recorded
@@ -74,20 +64,9 @@ class Fault:
 
 
 class Rehearsal:
-    """The faults of one controller, each of which occurs once.
+    """The `faults` of one controller, each of which occurs once.
 
-    Parameters
-    ----------
-    faults : iterable of Fault
-    seed : int, optional
-        Seed of the garbled bytes.
-    report : callable, optional
-        Called with a sentence when a fault occurs.
-
-    Attributes
-    ----------
-    occurred : list of str
-        A sentence for each fault that has occurred.
+    `seed`: of the garbled bytes. `report`: called with a sentence when a fault occurs; all are kept in `occurred`.
     """
 
     def __init__(
@@ -100,23 +79,37 @@ class Rehearsal:
         self._report = report
 
     def trigger(self, controller: Controller) -> set[str]:
-        """Trigger the due faults; return the names of those that concern the connection: drop, refuse.
-
-        `controller` is the one that fails.
-        """
+        """Trigger the due faults of a `controller`; return those that concern the connection: drop, refuse."""
         due = [fault for fault in self._pending if fault.due(controller.instrument)]
         for fault in due:
             self._pending.remove(fault)
             self.occurred.append(f"{fault.name}: {FAULTS[fault.name]}")
             self._report(self.occurred[-1])
-            self._apply(fault.name, controller)
+            # A sensor is that of the first axis.
+            first = controller.axes[0].bench
+            match fault.name:
+                case "silence":
+                    self._silent = True
+                case "garble" | "truncate":
+                    self._corruption = fault.name
+                case "error":
+                    controller.instrument.stop()
+                    controller.error = GcsError.BROKEN_CABLE
+                case "saturate":
+                    present = min(first.displacement(), 0.5 * first.stroke)
+                    first.sensor_range = (present - 2 * first.stroke, present)
+                case "unplug":
+                    first.unplugged = True
+                case "stall":
+                    for one in controller.axes:
+                        one.bench.stalled = True
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer: bytes) -> bytes:
         """Return an `answer` as it leaves the controller: whole, corrupted, or empty."""
+        corruption, self._corruption = self._corruption, ""
         if self._silent:
             return b""
-        corruption, self._corruption = self._corruption, ""
         if corruption == "truncate":
             return answer[: len(answer) // 2]
         if corruption == "garble":
@@ -125,25 +118,6 @@ class Rehearsal:
             hit[-1:] = False
             return bytes(np.where(hit, noise, np.frombuffer(answer, dtype=np.uint8)).astype(np.uint8))
         return answer
-
-    def _apply(self, name: str, controller: Controller) -> None:
-        # A sensor is that of the first axis.
-        first = controller.axes[0].bench
-        if name == "silence":
-            self._silent = True
-        elif name in ("garble", "truncate"):
-            self._corruption = name
-        elif name == "error":
-            controller.instrument.stop()
-            controller.error = GcsError.BROKEN_CABLE
-        elif name == "saturate":
-            present = min(first.displacement(), 0.5 * first.stroke)
-            first.sensor_range = (present - 2 * first.stroke, present)
-        elif name == "unplug":
-            first.unplugged = True
-        elif name == "stall":
-            for one in controller.axes:
-                one.bench.stalled = True
 
 
 def actual_limits(reported: tuple[float, float], faults: Iterable[Fault]) -> tuple[float, float]:

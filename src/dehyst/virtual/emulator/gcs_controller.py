@@ -1,362 +1,566 @@
-"""An emulated piezo controller with the GCS 2.0 protocol: a line in, an answer out, without sockets."""
+"""An emulated piezo controller with the GCS 2.0 protocol: a line in, an answer out, without sockets.
+
+Its axes have an output channel and a wave generator each, and share the wave tables and one data recorder. One table,
+`COMMANDS`, has a row a command.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+import math
+from collections.abc import Callable, Iterable, Sequence
+from enum import IntEnum
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from dehyst._errors import DeviceError
+from dehyst._errors import DehystError, DeviceError
+from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.virtual.bench import BenchAxis, VirtualBench
-from dehyst.virtual.emulator.gcs_errors import CommandError, GcsError, demand, demand_count, lines, numeral, real, whole
-from dehyst.virtual.emulator.gcs_waves import Recorder, WaveGenerators, groups
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
-# Numbers of the parameters that SPA? and HPA? answer.
-_SERVO_PERIOD, _WAVE_POINTS, _RECORD_POINTS, _SLEW_RATE = 0x0E000200, 0x13000004, 0x16000200, 0x07000201
-# The answer to HLP?: a description of each command.
-_DESCRIPTIONS = {
-    "*IDN?": "Get device identification",
-    "CST?": "Get assignment of stages to axes",
-    "CSV?": "Get syntax version",
-    "DRC": "Set data recorder configuration {table source option}",
-    "DRC?": "Get data recorder configuration",
-    "DRL?": "Get number of recorded points",
-    "DRR?": "Get recorded data {[first [count [table]]]}",
-    "DRT": "Set data recorder trigger source {table trigger value}",
-    "DRT?": "Get data recorder trigger source",
-    "ERR?": "Get error number",
-    "HDR?": "Get help for data recording",
-    "HLP?": "Get list of commands",
-    "HLT": "Halt motion",
-    "HPA?": "Get list of parameters",
-    "MOV": "Set target position {axis position}",
-    "MOV?": "Get target position",
-    "MVR": "Set target relative to present target {axis distance}",
-    "ONT?": "Get on-target state",
-    "POS?": "Get real position",
-    "PUN?": "Get unit of position",
-    "RTR": "Set record table rate {divider}",
-    "RTR?": "Get record table rate",
-    "SAI?": "Get list of axes {[ALL]}",
-    "SPA?": "Get parameters {[item parameter]}",
-    "SSN?": "Get serial number",
-    "STP": "Stop all axes",
-    "SVA": "Set open-loop value {axis voltage}",
-    "SVA?": "Get open-loop value",
-    "SVO": "Set servo mode {axis state}",
-    "SVO?": "Get servo mode",
-    "SVR": "Set relative open-loop value {axis voltage}",
-    "TIM?": "Get timer value in ms",
-    "TMN?": "Get lowest position",
-    "TMX?": "Get highest position",
-    "TNR?": "Get number of record tables",
-    "VER?": "Get versions",
-    "VMA?": "Get highest voltage",
-    "VMI?": "Get lowest voltage",
-    "VOL?": "Get voltage of output channel",
-    "WAV": "Set waveform {table X|& shape ...}",
-    "WAV?": "Get wave tables",
-    "WCL": "Clear wave table {table}",
-    "WGC": "Set number of cycles {generator cycles}",
-    "WGC?": "Get number of cycles",
-    "WGO": "Start or stop wave generator {generator mode}",
-    "WGO?": "Get wave generator state",
-    "WSL": "Set connection of wave table {generator table}",
-    "WSL?": "Get connection of wave table",
-    "WTR": "Set wave generator rate {generator divider interpolation}",
-    "WTR?": "Get wave generator rate",
-}
+# Least number of wave tables, points that one command line may bring, and the largest number of most arguments.
+_TABLES, _LONGEST_SEGMENT, _MOST = 4, 4096, 10**6
+# What a recorder table records, by the number of its option.
+_NOTHING, _POSITION, _VOLTAGE = 0, 2, 16
+_RECORDED = {_NOTHING: "Nothing is recorded", _POSITION: "Current Position of axis", _VOLTAGE: "Voltage of output chn"}
+# A target at an end of the range is allowed although micrometres are rounded [m].
+_ROUNDED = 1e-12
 
-_Words = Sequence[str]
-Limits = tuple[float, float]
+_Words: TypeAlias = Sequence[str]
+_Limits: TypeAlias = tuple[float, float]
 
 
-class Parameters:
-    """The read-only parameters of an instrument, by number.
+class GcsError(IntEnum):
+    """The public error numbers of GCS 2.0 that ERR? returns."""
 
-    `instrument`: without a slew rate it has no such parameter. `axes`: share the recorder's memory.
-    """
+    NONE = 0
+    SYNTAX = 1
+    UNKNOWN_COMMAND = 2
+    TOO_LONG = 3
+    SERVO_OFF = 5
+    POSITION = 7
+    STOPPED = 10
+    AXIS = 15
+    PARAMETER_RANGE = 17
+    PARAMETER_COUNT = 24
+    NOT_A_NUMBER = 25
+    MISSING = 26
+    UNKNOWN_PARAMETER = 54
+    RECORD_TABLE = 57
+    RECORD_OPTION = 58
+    WAVE_TOO_LARGE = 67
+    WAVE_RUNNING = 73
+    NO_WAVE_SELECTED = 75
+    NOT_RECORDED = 77
+    SERVO_ON = 79
+    BROKEN_CABLE = 215
+    VOLTAGE = 302
+    WAVE_WITH_SERVO = 303
 
-    def __init__(self, instrument: VirtualBench, axes: int) -> None:
-        self._table = {
-            _SERVO_PERIOD: (numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
-            _WAVE_POINTS: (str(instrument.wave_points), "INT", "Max Wave Points"),
-            _RECORD_POINTS: (str(instrument.record_points * axes), "INT", "Data Recorder Max Points"),
-        }
-        if instrument.slew_rate is not None:
-            self._table[_SLEW_RATE] = (numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
 
-    def values(self, words: Sequence[str]) -> list[str]:
-        """Answer SPA? [item parameter ...]: their values."""
-        demand(len(words) % 2 == 0, GcsError.MISSING)
-        demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
-        numbers = [whole(word) for word in words[1::2]] or list(self._table)
-        demand(all(number in self._table for number in numbers), GcsError.UNKNOWN_PARAMETER)
-        return [f"1 0x{number:08X}={self._table[number][0]}" for number in numbers]
+class CommandError(DehystError):
+    """A refused command; its error number is latched until ERR?."""
 
-    def help(self) -> list[str]:
-        """Answer HPA?: number, command level, items, type, group and name of each."""
-        return [
-            *(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in self._table.items()),
-            "end of help",
-        ]
+    def __init__(self, error: GcsError) -> None:
+        super().__init__(f"error {error.value}: {error.name.lower().replace('_', ' ')}")
+        self.error = error
+
+
+def _demand(holds: bool, error: GcsError) -> None:
+    if not holds:
+        raise CommandError(error)
+
+
+def _real(word: str) -> float:
+    """Read a finite number; Python accepts more as numbers than a controller does."""
+    try:
+        value = float(word)
+    except ValueError:
+        raise CommandError(GcsError.NOT_A_NUMBER) from None
+    _demand(math.isfinite(value) and word.isascii() and "_" not in word, GcsError.NOT_A_NUMBER)
+    return value
+
+
+def _whole(word: str, least: int = 0, most: int | None = None, error: GcsError = GcsError.PARAMETER_RANGE) -> int:
+    """Read a whole number, decimal or with 0x, from `least` to `most`."""
+    try:
+        value = int(word, 16 if word.lower().startswith("0x") else 10)
+    except ValueError:
+        raise CommandError(GcsError.NOT_A_NUMBER) from None
+    _demand(least <= value and (most is None or value <= most), error)
+    return value
+
+
+def _numeral(value: float | str) -> str:
+    """Write a number as controllers do, with enough digits."""
+    return value if isinstance(value, str) else f"{value:.12g}"
+
+
+def _groups(words: _Words, size: int, most: int) -> list[_Words]:
+    """Return arguments in groups of `size`: one group at least, `most` at most."""
+    _demand(len(words) >= size, GcsError.MISSING)
+    _demand(len(words) <= size * most, GcsError.PARAMETER_COUNT)
+    _demand(len(words) % size == 0, GcsError.MISSING)
+    return [words[first : first + size] for first in range(0, len(words), size)]
 
 
 class ControllerAxis:
-    """One axis of a controller: its name, its `bench`, the limits [V] it `reported`, and its `target` [m]."""
+    """One axis: its name, its `bench`, the limits [V] it `reported`, its `target` [m], and its wave generator.
 
-    def __init__(self, name: str, bench: BenchAxis, reported: tuple[float, float]) -> None:
+    `table`: the generator's wave table (0: none). `cycles`, `divider`, `interpolation`: its other settings.
+    """
+
+    def __init__(self, name: str, bench: BenchAxis, reported: _Limits) -> None:
         self.name, self.bench, self.reported, self.target = name, bench, reported, 0.0
+        self.table, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
 
 
 class Controller:
-    """Axes with an output channel and a wave generator each, and one data recorder, around an instrument.
+    """Axes 1, 2, ... with an output channel and a wave generator each, and one data recorder, around an `instrument`.
 
-    Parameters
-    ----------
-    instrument : VirtualBench
-    axis : str, optional
-        Name of the only axis and of its channel; those of several are 1, 2, ...
-    reported_limits : (float, float) or sequence of (float, float), optional
-        Limits [V] that the controller reports, of its only axis or of each; default: its actual limits.
-    serial : str, optional
-        Serial number, in ASCII; default: the instrument's.
-
-    Attributes
-    ----------
-    axes : tuple of ControllerAxis
-    error : GcsError
-        The error that is latched until ERR?.
+    `reported_limits`: those [V] that the controller reports, of its only axis or of each; default: the actual ones.
+    `error`: latched until ERR?. `tables`: the wave tables [V]. `rows_sent`: rows that DRR? has returned so far.
     """
 
-    def __init__(
-        self,
-        instrument: VirtualBench,
-        *,
-        axis: str = "1",
-        reported_limits: Limits | Sequence[Limits] | None = None,
-        serial: str | None = None,
-    ) -> None:
-        self.instrument, self.error = instrument, GcsError.NONE
-        names = [axis] if len(instrument.axes) == 1 else [str(number + 1) for number in range(len(instrument.axes))]
-        own = [one.limits for one in instrument.axes]
-        limits = np.array(own if reported_limits is None else reported_limits).reshape(len(own), 2).tolist()
+    def __init__(self, instrument: VirtualBench, *, reported_limits: _Limits | Sequence[_Limits] | None = None) -> None:
+        self.instrument, self.error, self.rows_sent = instrument, GcsError.NONE, 0
+        count, own = len(instrument.axes), [one.limits for one in instrument.axes]
+        limits = np.array(own if reported_limits is None else reported_limits).reshape(count, 2).tolist()
         self.axes = tuple(
-            ControllerAxis(name, bench, (low, high))
-            for name, bench, (low, high) in zip(names, instrument.axes, limits, strict=True)
+            ControllerAxis(str(j + 1), bench, (low, high))
+            for j, (bench, (low, high)) in enumerate(zip(instrument.axes, limits, strict=True))
         )
-        self.axis = self.axes[0].name
-        self._named = {one.name: one for one in self.axes}
-        self.waves = WaveGenerators(instrument, [one.bench for one in self.axes])
-        self.recorder = Recorder(
-            instrument, {name: partial(instrument.samples, axis=j) for j, name in enumerate(names)}
-        )
-        self._parameters = Parameters(instrument, len(self.axes))
-        self._serial = (serial or instrument.serial).replace(",", " ")
-        self._identity = ",".join((_IDENTITY, self._serial, __version__))
-        self._actions = self._action_table()
-        self._queries = self._query_table()
+        self.named = {one.name: one for one in self.axes}
+        self.serial = instrument.serial.replace(",", " ")
+        self.identity = ",".join((_IDENTITY, self.serial, __version__))
+        self.tables = {number: np.zeros(0) for number in range(1, max(_TABLES, count) + 1)}
+        # Of each recorder table: the name of the axis, and what is recorded.
+        kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
+        self.records = dict(enumerate(kinds, 1))
+        self.trigger, self.record_divider, self.stride = ("1", "0"), 1, 1
+        self.record_period = instrument.servo_period
+        # The read-only parameters by number: value, type and name.
+        self.parameters = {
+            0x0E000200: (_numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
+            0x13000004: (str(instrument.wave_points), "INT", "Max Wave Points"),
+            0x16000200: (str(instrument.record_points * count), "INT", "Data Recorder Max Points"),
+        }
+        if instrument.slew_rate is not None:
+            self.parameters[0x07000201] = (_numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
 
     def answer(self, line: str) -> str | None:
         """Return the answer to a `line`: one line or several, or None; a command that fails latches its error."""
         words = line.split()
         if not words:
             return None
-        command, rest = words[0].upper(), words[1:]
         self.instrument.advance()
         try:
-            demand(len(line) <= _LONGEST_LINE, GcsError.TOO_LONG)
-            if command in self._queries:
-                return self._queries[command](rest)
-            demand(command in self._actions, GcsError.UNKNOWN_COMMAND)
-            self._actions[command](rest)
+            _demand(len(line) <= _LONGEST_LINE, GcsError.TOO_LONG)
+            command = COMMANDS.get(words[0].upper())
+            if command is None:
+                raise CommandError(GcsError.UNKNOWN_COMMAND)
+            least, most = command.arguments
+            _demand(len(words) > least, GcsError.MISSING)
+            _demand(most is None or len(words) <= most + 1, GcsError.PARAMETER_COUNT)
+            lines = command.run(self, words[1:])
         except CommandError as refusal:
             self.error = refusal.error
         except DeviceError:
             self.error = GcsError.PARAMETER_RANGE
+        else:
+            # All lines but the last end with a space.
+            return None if lines is None else " \n".join(lines) + "\n"
         return None
 
     def single(self, byte: int) -> str | None:
         """Return the answer to a command of one `byte`: #5 moving, #7 ready, #9 playing, #24 stop."""
         self.instrument.advance()
-        if byte == 5:
-            return f"{sum(one.bench.moving << number for number, one in enumerate(self.axes)):X}\n"
-        if byte == 7:
-            return "\xb1\n"
-        if byte == 9:
-            return f"{sum(one.bench.playing << number for number, one in enumerate(self.axes)):X}\n"
+        if byte in (5, 9):
+            states = (one.bench.moving if byte == 5 else one.bench.playing for one in self.axes)
+            return f"{sum(state << number for number, state in enumerate(states)):X}\n"
         if byte == 24:
-            self._stop([])
-        return None
+            _stop(self, [])
+        return "\xb1\n" if byte == 7 else None
 
-    def _action_table(self) -> dict[str, Callable[[_Words], None]]:
-        waves, recorder = self.waves, self.recorder
-        return {
-            "DRC": recorder.configure,
-            "DRT": recorder.arm,
-            "HLT": self._stop,
-            "MOV": self._with_values(lambda one, value: _move(one, 1e-6 * value)),
-            "MVR": self._with_values(lambda one, value: _move(one, one.target + 1e-6 * value)),
-            "RTR": recorder.slow,
-            "STP": self._stop,
-            "SVA": self._with_values(_send),
-            "SVO": self._with_values(_close_loop),
-            "SVR": self._with_values(lambda one, value: _send(one, one.bench.voltage + value)),
-            "WAV": waves.write,
-            "WCL": waves.clear,
-            "WGC": waves.repeat,
-            "WGO": self._wgo,
-            "WSL": waves.select,
-            "WTR": waves.slow,
-        }
+    @property
+    def recorded(self) -> int:
+        """Number of recorded rows."""
+        return -(-self.instrument.recorded // self.stride)
 
-    def _query_table(self) -> dict[str, Callable[[_Words], str]]:
-        waves, recorder = self.waves, self.recorder
-        return {
-            "*IDN?": lambda words: self._alone(words, self._identity),
-            "CST?": self._each(lambda _: "DEHYST"),
-            "CSV?": lambda words: self._alone(words, "2.0"),
-            "DRC?": lambda words: lines(*recorder.configured(words)),
-            "DRL?": lambda words: lines(*recorder.lengths(words)),
-            "DRR?": recorder.array,
-            "DRT?": lambda words: lines(*recorder.armed(words)),
-            "ERR?": self._err,
-            "HDR?": lambda words: self._alone(words, *recorder.help()),
-            "HLP?": lambda words: self._alone(words, *_help()),
-            "HPA?": lambda words: self._alone(words, *self._parameters.help()),
-            "MOV?": self._each(lambda one: numeral(1e6 * one.target)),
-            "ONT?": self._each(lambda one: str(int(one.bench.servo and one.bench.arrived))),
-            "POS?": self._each(lambda one: numeral(1e6 * one.bench.displacement())),
-            "PUN?": self._each(lambda _: "um"),
-            "RTR?": lambda words: self._alone(words, str(recorder.divider)),
-            "SAI?": self._sai,
-            "SPA?": lambda words: lines(*self._parameters.values(words)),
-            "SSN?": lambda words: self._alone(words, self._serial),
-            "SVA?": self._each(lambda one: numeral(one.bench.target)),
-            "SVO?": self._each(lambda one: str(int(one.bench.servo))),
-            "TIM?": lambda words: self._alone(words, numeral(1e3 * self.instrument.now)),
-            "TMN?": self._each(lambda _: numeral(0.0)),
-            "TMX?": self._each(lambda one: numeral(1e6 * one.bench.stroke)),
-            "TNR?": lambda words: self._alone(words, str(len(recorder.options))),
-            "VER?": lambda words: self._alone(words, f"FW: {__version__}", f"GCS: {self._identity}"),
-            "VMA?": self._each(lambda one: numeral(one.reported[1])),
-            "VMI?": self._each(lambda one: numeral(one.reported[0])),
-            "VOL?": self._each(lambda one: numeral(one.bench.voltage)),
-            "WAV?": lambda words: lines(*waves.lengths(words)),
-            "WGC?": self._generator(lambda number: str(waves.settings[number].cycles)),
-            "WGO?": self._generator(lambda number: str(int(self.axes[number - 1].bench.playing))),
-            "WSL?": self._generator(lambda number: str(waves.settings[number].selected)),
-            "WTR?": self._generator(lambda number: waves.settings[number].rate),
-        }
+    def chosen(self, words: _Words) -> Sequence[ControllerAxis]:
+        """Return the axes whose names are `words`, or all of them."""
+        _demand(all(word in self.named for word in words), GcsError.AXIS)
+        return [self.named[word] for word in words] or self.axes
 
-    def _each(self, value: Callable[[ControllerAxis], str]) -> Callable[[_Words], str]:
-        """Return a query of axes or channels."""
+    def generator(self, word: str) -> ControllerAxis:
+        """Return the axis whose wave generator has the number `word`."""
+        return self.axes[_whole(word, 1, len(self.axes)) - 1]
 
-        def query(words: _Words) -> str:
-            demand(all(word in self._named for word in words), GcsError.AXIS)
-            return lines(*(f"{axis}={value(self._named[axis])}" for axis in words or self._named))
-
-        return query
-
-    def _generator(self, value: Callable[[int], str]) -> Callable[[_Words], str]:
-        """Return a query of wave generators."""
-
-        def query(words: _Words) -> str:
-            numbers = [whole(word, 1, len(self.axes)) for word in words]
-            return lines(*(f"{number}={value(number)}" for number in numbers or range(1, len(self.axes) + 1)))
-
-        return query
-
-    def _with_values(self, action: Callable[[ControllerAxis, float], None]) -> Callable[[_Words], None]:
-        """Return a command {axis value}; its axes are done in order."""
-
-        def command(words: _Words) -> None:
-            pairs = groups(words, 2, len(self.axes))
-            demand(all(name in self._named for name, _ in pairs), GcsError.AXIS)
-            for name, value in [(name, real(word)) for name, word in pairs]:
-                action(self._named[name], value)
-
-        return command
-
-    @staticmethod
-    def _alone(words: _Words, *answer: str) -> str:
-        """Answer a query without arguments."""
-        demand_count(words, 0)
-        return lines(*answer)
-
-    def _sai(self, words: _Words) -> str:
-        demand(not words or [word.upper() for word in words] == ["ALL"], GcsError.PARAMETER_COUNT)
-        return lines(*self._named)
-
-    def _err(self, words: _Words) -> str:
-        demand_count(words, 0)
-        error, self.error = self.error, GcsError.NONE
-        return lines(str(error.value))
-
-    def _wgo(self, words: _Words) -> None:
-        pairs = groups(words, 2, len(self.axes))
-        modes = {whole(number, 1, len(self.axes)): whole(mode, 0, 1) for number, mode in pairs}
-        for number in [number for number, mode in modes.items() if not mode]:
-            bench = self.axes[number - 1].bench
-            if bench.playing:
-                bench.stop()
-        if started := [number for number, mode in modes.items() if mode]:
-            self._start(started)
-
-    def _start(self, numbers: Sequence[int]) -> None:
-        """Start these wave generators at one instant."""
-        benches = [self.axes[number - 1].bench for number in numbers]
-        demand(not any(bench.servo for bench in benches), GcsError.WAVE_WITH_SERVO)
-        demand(not any(one.bench.playing for one in self.axes), GcsError.WAVE_RUNNING)
-        waves = {number - 1: self.waves.selected_wave(number) for number in numbers}
-        dividers = {self.waves.settings[number].divider for number in numbers}
-        # One recorder records all axes.
-        demand(len(dividers) == 1, GcsError.PARAMETER_RANGE)
-        (divider,) = dividers
-        self.recorder.begin(divider)
-        self.instrument.start(waves, divider)
-
-    def _stop(self, words: _Words) -> None:
-        demand(all(word in self._named for word in words), GcsError.AXIS)
-        for one in [self._named[word] for word in words] or self.axes:
-            one.bench.stop()
-            one.target = one.bench.displacement()
-        self.error = GcsError.STOPPED
+    def record_tables(self, words: _Words) -> list[int]:
+        """Return the numbers of recorder tables in `words`, by default of all."""
+        return [_whole(word, 1, len(self.records), GcsError.RECORD_TABLE) for word in words] or list(self.records)
 
 
-def _send(axis: ControllerAxis, voltage: float) -> None:
-    demand(not axis.bench.servo, GcsError.SERVO_ON)
-    demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
-    demand(axis.bench.set_voltage(voltage), GcsError.VOLTAGE)
+# Commands of axes and channels.
 
 
-def _close_loop(axis: ControllerAxis, on: float) -> None:
-    demand(on in (0, 1), GcsError.PARAMETER_RANGE)
-    demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
+def _set_voltage(axis: ControllerAxis, voltage: float) -> None:
+    _demand(not axis.bench.servo, GcsError.SERVO_ON)
+    _demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
+    _demand(axis.bench.set_voltage(voltage), GcsError.VOLTAGE)
+
+
+def _set_servo(axis: ControllerAxis, on: float) -> None:
+    _demand(on in (0, 1), GcsError.PARAMETER_RANGE)
+    _demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
     if bool(on) != axis.bench.servo:
         axis.bench.servo = bool(on)
         axis.target = axis.bench.displacement()
 
 
 def _move(axis: ControllerAxis, target: float) -> None:
-    demand(axis.bench.servo, GcsError.SERVO_OFF)
-    # A target at the end of the range is allowed although micrometres are rounded.
-    demand(-1e-12 <= target <= axis.bench.stroke + 1e-12, GcsError.POSITION)
+    _demand(axis.bench.servo, GcsError.SERVO_OFF)
+    _demand(-_ROUNDED <= target <= axis.bench.stroke + _ROUNDED, GcsError.POSITION)
     axis.bench.move(target)
     axis.target = target
 
 
-def _help() -> list[str]:
+def _stop(controller: Controller, words: _Words) -> None:
+    for one in controller.chosen(words):
+        one.bench.stop()
+        one.target = one.bench.displacement()
+    controller.error = GcsError.STOPPED
+
+
+def _name_axes(controller: Controller, words: _Words) -> list[str]:
+    _demand([word.upper() for word in words] in ([], ["ALL"]), GcsError.PARAMETER_COUNT)
+    return list(controller.named)
+
+
+def _take_error(controller: Controller, _: _Words) -> list[str]:
+    error, controller.error = controller.error, GcsError.NONE
+    return [str(error.value)]
+
+
+def _read_parameters(controller: Controller, words: _Words) -> list[str]:
+    _demand(len(words) % 2 == 0, GcsError.MISSING)
+    _demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
+    numbers = [_whole(word) for word in words[1::2]] or list(controller.parameters)
+    _demand(all(number in controller.parameters for number in numbers), GcsError.UNKNOWN_PARAMETER)
+    return [f"1 0x{number:08X}={controller.parameters[number][0]}" for number in numbers]
+
+
+def _list_parameters(controller: Controller, _: _Words) -> list[str]:
+    """Answer HPA?: number, command level, items, type, group and name of each parameter."""
+    rows = controller.parameters.items()
+    return [*(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in rows), "end of help"]
+
+
+def _list_commands(_controller: Controller, _: _Words) -> list[str]:
     return [
         "The following commands are valid:",
         "#5 Request motion status",
         "#7 Request controller ready status",
         "#9 Get wave generator status",
         "#24 Stop all motion",
-        *(f"{command} {words}" for command, words in _DESCRIPTIONS.items()),
+        *(f"{word} {COMMANDS[word].words}" for word in sorted(COMMANDS)),
         "end of help",
     ]
+
+
+# Wave tables and wave generators.
+
+
+def _write_wave(controller: Controller, words: _Words) -> None:
+    """Do WAV table X|& shape ...: write a table, or append to it."""
+    number, how, kind = _whole(words[0], 1, len(controller.tables)), words[1].upper(), words[2].upper()
+    _demand(how in ("X", "&") and kind in ("PNT", *_CURVES), GcsError.PARAMETER_RANGE)
+    for one in controller.axes:
+        _demand(one.table != number or not one.bench.playing, GcsError.WAVE_RUNNING)
+    segment = _points(words[3:]) if kind == "PNT" else _curve(kind, words[3:])
+    ranges = (one.bench.limits for one in controller.axes)
+    if not any(low <= segment.min() and segment.max() <= high for low, high in ranges):
+        controller.axes[0].bench.log.refused += 1
+        raise CommandError(GcsError.VOLTAGE)
+    table = segment if how == "X" else np.concatenate([controller.tables[number], segment])
+    _demand(table.size <= controller.instrument.wave_points, GcsError.WAVE_TOO_LARGE)
+    controller.tables[number] = table
+
+
+def _points(words: _Words) -> Array:
+    """Read the points of PNT first count point ...."""
+    _demand(len(words) >= 3, GcsError.MISSING)
+    _whole(words[0])
+    size = _whole(words[1], 1, _LONGEST_SEGMENT)
+    _demand(len(words) >= 2 + size, GcsError.MISSING)
+    _demand(len(words) == 2 + size, GcsError.PARAMETER_COUNT)
+    return np.array([_real(word) for word in words[2:]])
+
+
+# The arguments of each shape after its size, amplitude, offset and length.
+_CURVES = {"SIN_P": "start centre", "LIN": "start speed", "RAMP": "start speed centre"}
+
+
+def _curve(kind: str, words: _Words) -> Array:
+    """Read a curve: one raised cosine (SIN_P), a rise (LIN), or up and down with sharp corners (RAMP)."""
+    names = _CURVES[kind].split()
+    _demand(len(words) >= 4 + len(names), GcsError.MISSING)
+    _demand(len(words) == 4 + len(names), GcsError.PARAMETER_COUNT)
+    size, amplitude, offset = _whole(words[0], 1, _MOST), _real(words[1]), _real(words[2])
+    length = _whole(words[3], 1, size)
+    given = {name: _whole(word, 0, size) for name, word in zip(names, words[4:], strict=True)}
+    point = np.arange(size, dtype=np.float64) - given["start"]
+    if kind == "LIN":
+        share = np.clip(point / max(1, length - 1), 0.0, 1.0)
+    else:
+        _demand(0 < given["centre"] < length, GcsError.PARAMETER_RANGE)
+        phase = np.interp(np.clip(point, 0, length), [0.0, given["centre"], length], [0.0, 0.5, 1.0])
+        share = 0.5 * (1 - np.cos(2 * np.pi * phase)) if kind == "SIN_P" else 1 - np.abs(1 - 2 * phase)
+    return np.asarray(offset + amplitude * share)
+
+
+def _clear_wave(controller: Controller, words: _Words) -> None:
+    controller.tables[_whole(words[0], 1, len(controller.tables))] = np.zeros(0)
+
+
+def _wave_lengths(controller: Controller, words: _Words) -> list[str]:
+    """Answer WAV? [table [1]]: number of points of each table."""
+    _demand(len(words) < 2 or _whole(words[1]) == 1, GcsError.PARAMETER_RANGE)
+    numbers = [_whole(words[0], 1, len(controller.tables))] if words else list(controller.tables)
+    return [f"{number} 1={controller.tables[number].size}" for number in numbers]
+
+
+def _select_waves(controller: Controller, words: _Words) -> None:
+    """Do WSL {generator table}, where table 0 is none."""
+    pairs = _groups(words, 2, len(controller.axes))
+    chosen = [(controller.generator(number), _whole(table, 0, len(controller.tables))) for number, table in pairs]
+    for axis, table in chosen:
+        axis.table = table
+
+
+def _repeat_waves(controller: Controller, words: _Words) -> None:
+    """Do WGC {generator cycles}, where 0 is as many cycles as the generator takes."""
+    pairs = _groups(words, 2, len(controller.axes))
+    for axis, cycles in [(controller.generator(number), _whole(cycles)) for number, cycles in pairs]:
+        axis.cycles = cycles
+
+
+def _slow_waves(controller: Controller, words: _Words) -> None:
+    """Do WTR {generator divider interpolation}; generator 0 is all of them."""
+    given = [
+        (
+            [controller.generator(number)] if _whole(number) else controller.axes,
+            _whole(rate, 1, _MOST),
+            _whole(kind, 0, 1),
+        )
+        for number, rate, kind in _groups(words, 3, len(controller.axes))
+    ]
+    for axes, divider, interpolation in given:
+        for axis in axes:
+            axis.divider, axis.interpolation = divider, interpolation
+
+
+def _run_waves(controller: Controller, words: _Words) -> None:
+    """Do WGO {generator mode}; generators that are started together begin at one instant."""
+    pairs = _groups(words, 2, len(controller.axes))
+    modes = {controller.generator(number): _whole(mode, 0, 1) for number, mode in pairs}
+    for axis in (axis for axis, mode in modes.items() if not mode and axis.bench.playing):
+        axis.bench.stop()
+    started = [axis for axis, mode in modes.items() if mode]
+    if not started:
+        return
+    _demand(not any(axis.bench.servo for axis in started), GcsError.WAVE_WITH_SERVO)
+    _demand(not any(axis.bench.playing for axis in controller.axes), GcsError.WAVE_RUNNING)
+    waves = {controller.axes.index(axis): _selected_wave(controller, axis) for axis in started}
+    # One recorder records all axes, each sample or every nth.
+    dividers = {axis.divider for axis in started}
+    _demand(len(dividers) == 1, GcsError.PARAMETER_RANGE)
+    (divider,) = dividers
+    _demand(controller.record_divider % divider == 0, GcsError.PARAMETER_RANGE)
+    controller.stride = controller.record_divider // divider
+    controller.record_period = controller.record_divider * controller.instrument.servo_period
+    controller.instrument.start(waves, divider)
+
+
+def _selected_wave(controller: Controller, axis: ControllerAxis) -> Array:
+    """Return the voltages (n,) [V] that a start of an axis' generator plays."""
+    table = controller.tables.get(axis.table, np.zeros(0))
+    _demand(table.size > 0, GcsError.NO_WAVE_SELECTED)
+    most = controller.instrument.wave_points // table.size
+    _demand(axis.cycles <= most, GcsError.WAVE_TOO_LARGE)
+    return np.tile(table, axis.cycles or most)
+
+
+# The data recorder.
+
+
+def _set_record(controller: Controller, words: _Words) -> None:
+    """Do DRC table source option."""
+    (table,) = controller.record_tables(words[:1])
+    _demand(words[1] in controller.named, GcsError.AXIS)
+    option = _whole(words[2])
+    _demand(option in _RECORDED, GcsError.RECORD_OPTION)
+    controller.records[table] = words[1], option
+
+
+def _set_trigger(controller: Controller, words: _Words) -> None:
+    """Do DRT table trigger value; a wave triggers the recorder in any case."""
+    _whole(words[0], 0, len(controller.records), GcsError.RECORD_TABLE)
+    _whole(words[1], 0, 4)
+    controller.trigger = (words[1], words[2])
+
+
+def _slow_recorder(controller: Controller, words: _Words) -> None:
+    controller.record_divider = _whole(words[0], 1, _MOST)
+
+
+def _recorder_help(controller: Controller, _: _Words) -> list[str]:
+    return [
+        "#RecordOptions",
+        *(f"{option}={name}" for option, name in _RECORDED.items()),
+        "#TriggerOptions",
+        "0=default setting",
+        "1=any command that changes the output, and the start of a wave",
+        "#Additional information",
+        f"{len(controller.records)} record tables",
+        f"{controller.instrument.record_points} datapoints per table",
+        "end of help",
+    ]
+
+
+def _recorded_array(controller: Controller, words: _Words) -> list[str]:
+    """Answer DRR? [first [count [table ...]]]: recorded rows from `first`, which is 1 or more."""
+    available = controller.recorded
+    first = _whole(words[0], 1) if words else 1
+    count = _whole(words[1], 1) if len(words) > 1 else available
+    tables = controller.record_tables(words[2:])
+    _demand(first <= available, GcsError.NOT_RECORDED)
+    names, columns = [], []
+    for axis, option in (controller.records[table] for table in tables):
+        index = controller.axes.index(controller.named[axis])
+        time, voltage, displacement = (
+            column[:: controller.stride] for column in controller.instrument.samples(axis=index)
+        )
+        found = {_POSITION: displacement * 1e6, _VOLTAGE: voltage, _NOTHING: time * 0.0}[option]
+        columns.append(found[first - 1 : min(available, first - 1 + count)].tolist())
+        names.append(_RECORDED[option] + (axis if option else ""))
+    rows = [" ".join(map(_numeral, row)) for row in zip(*columns, strict=True)]
+    controller.rows_sent += len(rows)
+    return [
+        "# REM Recorded by an emulated controller of dehyst",
+        "# VERSION = 1",
+        "# TYPE = 1",
+        "# SEPARATOR = 32",
+        f"# DIM = {len(tables)}",
+        f"# SAMPLE_TIME = {_numeral(controller.record_period)}",
+        f"# NDATA = {len(rows)}",
+        *(f"# NAME{index} = {name}" for index, name in enumerate(names)),
+        "# END_HEADER",
+        *rows,
+    ]
+
+
+class GcsCommand(NamedTuple):
+    """A row of `COMMANDS`: its description in HLP?, what it does, and its least and largest number of arguments.
+
+    `run` returns the lines of the answer, or None where there is none.
+    """
+
+    words: str
+    run: Callable[[Controller, _Words], Iterable[str] | None]
+    arguments: tuple[int, int | None] = (0, 0)
+
+
+def _of_axes(words: str, value: Callable[[ControllerAxis], float | str]) -> GcsCommand:
+    """Return a query of axes or channels, by default of all."""
+    return GcsCommand(
+        words, lambda c, given: [f"{one.name}={_numeral(value(one))}" for one in c.chosen(given)], (0, None)
+    )
+
+
+def _of_generators(words: str, value: Callable[[ControllerAxis], float | str]) -> GcsCommand:
+    """Return a query of wave generators by their numbers, by default of all."""
+
+    def run(controller: Controller, given: _Words) -> list[str]:
+        axes = [controller.generator(word) for word in given] or controller.axes
+        return [f"{controller.axes.index(one) + 1}={_numeral(value(one))}" for one in axes]
+
+    return GcsCommand(words, run, (0, None))
+
+
+def _to_axes(words: str, act: Callable[[ControllerAxis, float], None]) -> GcsCommand:
+    """Return a command {axis value}; its axes are done in order, or none if an argument is wrong."""
+
+    def run(controller: Controller, given: _Words) -> None:
+        pairs = _groups(given, 2, len(controller.axes))
+        axes = controller.chosen([name for name, _ in pairs])
+        for axis, value in list(zip(axes, [_real(word) for _, word in pairs], strict=True)):
+            act(axis, value)
+
+    return GcsCommand(words, run, (2, None))
+
+
+def _of_record_tables(words: str, value: Callable[[Controller, int], str]) -> GcsCommand:
+    """Return a query of recorder tables, by default of all."""
+    return GcsCommand(words, lambda c, given: [f"{n}={value(c, n)}" for n in c.record_tables(given)], (0, None))
+
+
+COMMANDS: dict[str, GcsCommand] = {
+    "*IDN?": GcsCommand("Get device identification", lambda c, _: [c.identity]),
+    "CST?": _of_axes("Get assignment of stages to axes", lambda _: "DEHYST"),
+    "CSV?": GcsCommand("Get syntax version", lambda *_: ["2.0"]),
+    "DRC": GcsCommand("Set data recorder configuration {table source option}", _set_record, (3, 3)),
+    "DRC?": _of_record_tables("Get data recorder configuration", lambda c, n: "{} {}".format(*c.records[n])),
+    "DRL?": _of_record_tables("Get number of recorded points", lambda c, _: str(c.recorded)),
+    "DRR?": GcsCommand("Get recorded data {[first [count [table]]]}", _recorded_array, (0, None)),
+    "DRT": GcsCommand("Set data recorder trigger source {table trigger value}", _set_trigger, (3, 3)),
+    "DRT?": _of_record_tables("Get data recorder trigger source", lambda c, _: " ".join(c.trigger)),
+    "ERR?": GcsCommand("Get error number", _take_error),
+    "HDR?": GcsCommand("Get help for data recording", _recorder_help),
+    "HLP?": GcsCommand("Get list of commands", _list_commands),
+    "HLT": GcsCommand("Halt motion", _stop, (0, None)),
+    "HPA?": GcsCommand("Get list of parameters", _list_parameters),
+    "MOV": _to_axes("Set target position {axis position}", lambda one, value: _move(one, 1e-6 * value)),
+    "MOV?": _of_axes("Get target position", lambda one: 1e6 * one.target),
+    "MVR": _to_axes(
+        "Set target relative to present target {axis distance}",
+        lambda one, value: _move(one, one.target + 1e-6 * value),
+    ),
+    "ONT?": _of_axes("Get on-target state", lambda one: int(one.bench.servo and one.bench.arrived)),
+    "POS?": _of_axes("Get real position", lambda one: 1e6 * one.bench.displacement()),
+    "PUN?": _of_axes("Get unit of position", lambda _: "um"),
+    "RTR": GcsCommand("Set record table rate {divider}", _slow_recorder, (1, 1)),
+    "RTR?": GcsCommand("Get record table rate", lambda c, _: [str(c.record_divider)]),
+    "SAI?": GcsCommand("Get list of axes {[ALL]}", _name_axes, (0, None)),
+    "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
+    "SSN?": GcsCommand("Get serial number", lambda c, _: [c.serial]),
+    "STP": GcsCommand("Stop all axes", _stop, (0, None)),
+    "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
+    "SVA?": _of_axes("Get open-loop value", lambda one: one.bench.target),
+    "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
+    "SVO?": _of_axes("Get servo mode", lambda one: int(one.bench.servo)),
+    "SVR": _to_axes(
+        "Set relative open-loop value {axis voltage}", lambda one, value: _set_voltage(one, one.bench.voltage + value)
+    ),
+    "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
+    "TMN?": _of_axes("Get lowest position", lambda _: 0.0),
+    "TMX?": _of_axes("Get highest position", lambda one: 1e6 * one.bench.stroke),
+    "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
+    "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {__version__}", f"GCS: {c.identity}"]),
+    "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
+    "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
+    "VOL?": _of_axes("Get voltage of output channel", lambda one: one.bench.voltage),
+    "WAV": GcsCommand("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
+    "WAV?": GcsCommand("Get wave tables", _wave_lengths, (0, 2)),
+    "WCL": GcsCommand("Clear wave table {table}", _clear_wave, (1, 1)),
+    "WGC": GcsCommand("Set number of cycles {generator cycles}", _repeat_waves, (2, None)),
+    "WGC?": _of_generators("Get number of cycles", lambda one: one.cycles),
+    "WGO": GcsCommand("Start or stop wave generator {generator mode}", _run_waves, (2, None)),
+    "WGO?": _of_generators("Get wave generator state", lambda one: int(one.bench.playing)),
+    "WSL": GcsCommand("Set connection of wave table {generator table}", _select_waves, (2, None)),
+    "WSL?": _of_generators("Get connection of wave table", lambda one: one.table),
+    "WTR": GcsCommand("Set wave generator rate {generator divider interpolation}", _slow_waves, (3, None)),
+    "WTR?": _of_generators("Get wave generator rate", lambda one: f"{one.divider} {one.interpolation}"),
+}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
-import selectors
+import math
 import socket
 import threading
 import time
-from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -18,89 +18,16 @@ from dehyst.virtual.emulator.gcs_controller import Controller
 PORT = 50000
 # Seconds between updates of the instrument, and until a client that takes no answers is disconnected.
 _TICK, _PATIENCE = 0.02, 10.0
-# Bytes of the longest line, and of waiting answers beyond which no further commands are read.
-_LONGEST_LINE, _MOST_WAITING = 65536, 1 << 20
-_SINGLE = frozenset((5, 7, 9, 24))
-
-
-class _Client:
-    """A connection: the bytes received, and those that wait to be sent."""
-
-    def __init__(self, link: socket.socket) -> None:
-        link.setblocking(False)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        # A client that vanished without closing must not block the next one for hours.
-        for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 2)):
-            if hasattr(socket, option):
-                link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
-        self.link, self.received, self.waiting = link, bytearray(), bytearray()
-        self.overlong, self.ended, self.last_sent = False, False, time.monotonic()
-
-    def receive(self) -> None:
-        """Read what has arrived; raise OSError if the connection broke."""
-        with suppress(BlockingIOError):
-            data = self.link.recv(_LONGEST_LINE)
-            self.ended = not data
-            self.received += data
-
-    def send(self) -> None:
-        """Send what the connection takes; raise OSError if it broke, or takes nothing for long."""
-        if not self.waiting:
-            self.last_sent = time.monotonic()
-            return
-        with suppress(BlockingIOError):
-            sent = self.link.send(self.waiting)
-            del self.waiting[:sent]
-            self.last_sent = time.monotonic()
-        if time.monotonic() - self.last_sent > _PATIENCE:
-            raise ConnectionAbortedError("takes no answers")
-
-    @property
-    def ready(self) -> bool:
-        """Whether a command is waiting, and there is room for its answer."""
-        whole = self.received[:1] and (self.received[0] in _SINGLE or b"\n" in self.received)
-        return bool(whole) and len(self.waiting) < _MOST_WAITING
-
-    def command(self) -> bytes:
-        """Remove the first command from the received bytes: a command of one byte, or else a line."""
-        size = 1 if self.received[0] in _SINGLE and not self.overlong else self.received.index(b"\n") + 1
-        command = bytes(self.received[:size])
-        del self.received[:size]
-        if self.overlong:
-            self.overlong = False
-            return b"\0" * (_LONGEST_LINE + 1)
-        return command
-
-    def forget_overlong(self) -> None:
-        """Drop the beginning of a line that does not end."""
-        if len(self.received) > _LONGEST_LINE and b"\n" not in self.received:
-            self.overlong = True
-            self.received.clear()
+# Bytes of the longest line, and commands of one byte.
+_LONGEST_LINE, _SINGLE = 65536, frozenset((5, 7, 9, 24))
 
 
 class Server:
-    """A TCP server of a controller; as a context manager it runs in a thread of its own.
+    """A TCP server of a `controller`; as a context manager it runs in a thread of its own.
 
-    Parameters
-    ----------
-    controller : Controller
-    host, port : str, int, optional
-        Address to listen at; port 0 is any free port.
-    lock : threading.Lock, optional
-        Held while the controller is used: share it with every other user of its instrument.
-    rehearsal : Rehearsal, optional
-        Faults to trigger.
-
-    Attributes
-    ----------
-    host, port : str, int
-        Address at which it listens.
-
-    Raises
-    ------
-    LinkError
-        If it cannot listen at this address.
+    It listens at `host` and `port`, where 0 is any free one, and triggers the faults of a `rehearsal`. The `lock` is
+    held while the controller is used: share it with every other user of its instrument. Raise `LinkError` if it cannot
+    listen there.
     """
 
     def __init__(
@@ -122,14 +49,13 @@ class Server:
             foreign = number < 0 or number == errno.EADDRNOTAVAIL
             advice = "give an address of this machine (127.0.0.1)" if foreign else "give another port, or 0 for any"
             raise LinkError(f"{host}:{port}: cannot listen there ({error}); {advice}") from error
-        self._listening.setblocking(False)
         self.host, self.port = host, int(self._listening.getsockname()[1])
-        self._client: _Client | None = None
-        self._refusing, self._stopped = False, threading.Event()
-        self._thread: threading.Thread | None = None
+        self._client: asyncio.StreamWriter | None = None
+        self._server: asyncio.Server | None = None
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self.serve, name=f"pi://{self.host}:{self.port}", daemon=True)
 
     def __enter__(self) -> Self:
-        self._thread = threading.Thread(target=self.serve, name=f"pi://{self.host}:{self.port}", daemon=True)
         self._thread.start()
         return self
 
@@ -137,8 +63,7 @@ class Server:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def stop(self) -> None:
         """Make `serve` return; from any thread, or from a signal."""
@@ -146,71 +71,17 @@ class Server:
 
     def serve(self, seconds: float | None = None) -> None:
         """Serve until `stop`, or for so many `seconds`; close all connections at the end."""
-        end = None if seconds is None else time.monotonic() + seconds
+        asyncio.run(self._serve(time.monotonic() + (math.inf if seconds is None else seconds)))
+
+    async def _serve(self, end: float) -> None:
+        self._server = await asyncio.start_server(self._attend, sock=self._listening, limit=_LONGEST_LINE)
         try:
-            while not self._stopped.is_set() and (end is None or time.monotonic() < end):
-                self._turn()
+            while not self._stopped.is_set() and time.monotonic() < end:
+                self._update()
+                await asyncio.sleep(_TICK)
         finally:
             self._disconnect()
-            self._listening.close()
-
-    def _turn(self) -> None:
-        """Wait for an event, for a tick at most, and handle it."""
-        with selectors.DefaultSelector() as selector:
-            if not self._refusing:
-                selector.register(self._listening, selectors.EVENT_READ)
-            client = self._client
-            if client is not None:
-                wanted = selectors.EVENT_WRITE if client.waiting else 0
-                if len(client.waiting) < _MOST_WAITING and not client.ready:
-                    wanted |= selectors.EVENT_READ
-                if wanted:
-                    selector.register(client.link, wanted)
-            tick = 0.0 if client is not None and client.ready else _TICK
-            ready = {key.fileobj for key, _ in selector.select(tick)} if selector.get_map() else set()
-            if self._refusing and client is None:
-                self._stopped.wait(_TICK)
-        if self._listening in ready:
-            self._accept()
-        if client is not None:
-            self._attend(client, readable=client.link in ready)
-        self._update()
-
-    def _accept(self) -> None:
-        """Accept a client; if there is one already, close the new connection at once."""
-        try:
-            link, _ = self._listening.accept()
-        except OSError:
-            return
-        if self._client is None:
-            try:
-                self._client = _Client(link)
-                return
-            except OSError:
-                pass
-        link.close()
-
-    def _attend(self, client: _Client, *, readable: bool) -> None:
-        try:
-            if readable and not client.ready and len(client.waiting) < _MOST_WAITING:
-                client.receive()
-            end = time.monotonic() + _TICK
-            while client.ready and time.monotonic() < end:
-                client.waiting += self._answer(client.command())
-            client.forget_overlong()
-            client.send()
-        except OSError:
-            client.ended = True
-        if client.ended:
-            self._disconnect()
-
-    def _answer(self, command: bytes) -> bytes:
-        with self.lock:
-            if len(command) == 1 and command[0] in _SINGLE:
-                answer = self.controller.single(command[0])
-            else:
-                answer = self.controller.answer(command.decode("latin-1"))
-        return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
+            self._server.close()
 
     def _update(self) -> None:
         """Bring the instrument up to now, and trigger faults."""
@@ -219,11 +90,58 @@ class Server:
             faults = self.rehearsal.trigger(self.controller)
         if faults:
             self._disconnect()
-        if "refuse" in faults:
-            self._refusing = True
-            self._listening.close()
+        if "refuse" in faults and self._server is not None:
+            self._server.close()
 
     def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
-            client.link.close()
+            client.transport.abort()
+
+    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer the commands of a client; if there is one already, close the new connection at once."""
+        if self._client is not None:
+            writer.close()
+            return
+        self._client, link = writer, writer.get_extra_info("socket")
+        try:
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            # A client that vanished without closing must not block the next one for hours.
+            for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 2)):
+                if hasattr(socket, option):
+                    link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+            while self._client is writer:
+                writer.write(self._answer(await _command(reader)))
+                if writer.transport.get_write_buffer_size():
+                    await asyncio.wait_for(writer.drain(), _PATIENCE)
+                self._update()
+                # Many commands that wait must not keep others waiting.
+                await asyncio.sleep(0)
+        except (OSError, EOFError, asyncio.CancelledError):
+            # The client has gone, or takes no answers, or the server ends.
+            pass
+        finally:
+            if self._client is writer:
+                self._disconnect()
+
+    def _answer(self, command: bytes) -> bytes:
+        with self.lock:
+            single = len(command) == 1 and command[0] in _SINGLE
+            text = command.decode("latin-1")
+            answer = self.controller.single(command[0]) if single else self.controller.answer(text)
+        return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
+
+
+async def _command(reader: asyncio.StreamReader) -> bytes:
+    """Read a command: one byte, or else a line. One that is too long is replaced by a line that is too long."""
+    first = await reader.readexactly(1)
+    if first[0] in _SINGLE or first == b"\n":
+        return first
+    overlong = False
+    while True:
+        try:
+            line = await reader.readuntil(b"\n")
+            return b"\0" * (_LONGEST_LINE + 1) if overlong else first + line
+        except asyncio.LimitOverrunError as error:
+            overlong = True
+            await reader.readexactly(error.consumed)

@@ -19,7 +19,7 @@ from dehyst.workbench.rig.messages import Request, number, path
 
 if TYPE_CHECKING:
     from dehyst.calibration import Plan
-    from dehyst.calibration.protocol import WantedVoltage
+    from dehyst.calibration.plan import WantedVoltage
 
 # Seconds between two messages, and between two changes of the state.
 _PERIOD, _STATE_PERIOD = 0.1, 1.0
@@ -228,7 +228,7 @@ def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) 
     stopped is marked incomplete. Raise `RecordError` or `FileFormatError` if the file cannot be played; nothing was
     sent.
     """
-    from dehyst.calibration.protocol import read_voltage
+    from dehyst.calibration.plan import read_voltage
     from dehyst.records.recording import demand_disk_space
 
     voltage, target = read_voltage(path(request, "file")), path(request, "record")

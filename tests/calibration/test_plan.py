@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dehyst import FileFormatError
-from dehyst.calibration.protocol import read_voltage
+from dehyst.calibration.plan import read_voltage
 
 
 def written(path, time):

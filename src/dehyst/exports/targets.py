@@ -1,0 +1,87 @@
+"""The kinds of export, one row each: how `dehyst export` chooses and writes it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dehyst.control import Compensator
+from dehyst.exports.firmware import export
+from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+from dehyst.exports.golden_trace import Loop
+from dehyst.exports.wasm import export_wasm, wasm_files
+
+
+class Written(NamedTuple):
+    """What an export wrote: its numbers as JSON values, a line about it, a table below that, and remarks."""
+
+    values: dict[str, Any]
+    line: str
+    table: list[str]
+    remarks: list[str]
+
+
+class Target(NamedTuple):
+    """A kind of export.
+
+    `words`: it, in messages. `suffix`: of its path; empty for a folder. `options`: those of the command that have an
+    effect on it alone. `write`: writes a loop to a path by these options. `files`: all that it writes to a path;
+    None for a folder, which looks after itself.
+    """
+
+    words: str
+    suffix: str
+    options: tuple[str, ...]
+    write: Callable[[Loop, Path, Mapping[str, Any]], Written]
+    files: Callable[[Path], list[Path]] | None = None
+
+
+def _write_c(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
+    number, measured = options["number"], options["measure"]
+    made = export(loop, path, number, force=options["force"], measure=measured, name=options["name"])
+    remarks = []
+    if measured and made.unmeasured is not None:
+        remarks.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
+    table = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if made.footprints else []
+    for name, size in made.footprints.items():
+        table.append(f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}")
+    if made.error is not None:
+        table.append(f"floats: errors up to {made.error:.1e} of the range")
+    values = {
+        "directory": str(path),
+        "number": number,
+        "bytes": {name: size._asdict() for name, size in made.footprints.items()},
+        "error_of_range": made.error,
+        "unmeasured": made.unmeasured,
+    }
+    of_axes = "" if isinstance(loop, Compensator) else f" of the axes {', '.join(loop.stage.axes)},"
+    return Written(values, f"{path}: a compensator{of_axes} of {number}s", table, remarks)
+
+
+def _write_wasm(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
+    export_wasm(loop, path)  # type: ignore[arg-type]
+    _, script, types = wasm_files(path)
+    size = path.stat().st_size
+    values = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size}
+    line = f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
+    return Written(values, line, [], [])
+
+
+def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
+    version, kind = options["fmu"], options["kind"] or "compensator"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SourceOnlyWarning)
+        export_fmu(loop, path, version, kind)  # type: ignore[arg-type]
+    remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
+    content = "sources" if remarks else "sources and a binary for Linux x86-64"
+    values = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks}
+    return Written(values, f"{path}: an FMU {version} of the {kind}, {content}", [], remarks)
+
+
+TARGETS = {
+    "c": Target("C for one axis", "", ("preview", "number", "name", "measure"), _write_c),
+    "wasm": Target("WebAssembly", ".wasm", ("preview",), _write_wasm, wasm_files),
+    "fmu": Target("an FMU", ".fmu", ("preview", "fmu", "kind"), _write_fmu, lambda path: [path]),
+}
