@@ -6,9 +6,10 @@ FACES = {
         "dehyst": """
             Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError Dynamics
             FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome
-            Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit State
-            Structure Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm
-            identify identify_stage insight read shortest_homing update wave_table write_record
+            Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator
+            StageFit State Structure Trace Transformer VoltageLimits __version__ calibrate check compare export
+            export_fmu export_wasm identify identify_stage insight read shortest_homing update wave_table
+            write_record
         """,
         "adaptation": """
             AdaptiveCompensator AdaptiveSnapshot Exchange Update update
