@@ -10,7 +10,7 @@ import pytest
 
 from dehyst import Compensator
 from dehyst.control import PossibleStart
-from dehyst.identification import Fit, Outcome
+from dehyst.identification import Fit, Outcome, Trace
 from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import write_report
 from dehyst.report.actuator_section import SAMPLES, path_trial
@@ -198,6 +198,24 @@ def test_it_fits_a_telephone_and_paper(browser, file):
     assert all(box["width"] >= 24 for box in (points(page).nth(i).bounding_box() for i in range(3)))
     page.emulate_media(media="print")
     assert not points(page).nth(0).is_visible() and not page.get_by_label("Path", exact=True).is_visible()
+    page.close()
+
+
+def test_the_path_lies_among_the_turning_points_of_the_records(browser, tmp_path):
+    time = np.linspace(0, 10, 501)
+    voltage = 10 - 10 * np.cos(0.4 * np.pi * time)
+    moved = ACTUATOR.simulate(voltage).displacement
+    fit = Fit(ACTUATOR, Outcome.IDENTIFIED, traces=(Trace("loops", "training", time, voltage, moved, moved),))
+    write_report(tmp_path / "report.html", fit)
+    page = browser.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    page.locator("#path-trial.ready").wait_for()
+    plane = page.locator("figure", has=page.get_by_role("heading", name="Turning points"))
+    assert plane.count() == 1 and page.locator("#path-trial figure").count() == 3
+    assert [one.strip() for one in plane.locator(".legend button").all_inner_texts()] == ["records", "your path"]
+    assert re.search(r"[1-9] of 7 branches of this path begin where no record turned", words(page))
+    page.get_by_label("Path", exact=True).select_option("scan")
+    assert "7 of 7 branches" in words(page)
     page.close()
 
 

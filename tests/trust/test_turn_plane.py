@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from dehyst.trust.turn_plane import turn_plane
+from dehyst.trust.turn_plane import Turn, turn_plane
 
 RATE = 100.0
 
@@ -27,9 +27,7 @@ def plane(*ends, **options):
 
 def branch(found, begin, end):
     """Whether a rise or fall between two voltages is tested."""
-    voltage = np.array([0.0, 100.0, begin, end] if end > begin else [100.0, 0.0, begin, end])
-    alone = found.untested(voltage)[0] - found.untested(voltage[:3])[0]
-    return alone == 0
+    return found.tests(Turn("path", begin, end, 1.0, 0.0, 1))
 
 
 def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
@@ -39,8 +37,9 @@ def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
         assert branch(found, upper, 0) and branch(found, upper, upper / 2)
     assert not branch(found, 30, 70)
     assert not branch(found, 50, 90)
-    assert found.sentence(played(0, 100, 0, 60, 0)[1]) == "This path turns where records turned."
-    assert found.untested(played(0, 100, 40, 80, 40, 100)[1]) == (2, 5)
+    assert found.untested(found.path(played(0, 100, 0, 60, 0)[1])) == 0
+    path = found.path(played(0, 100, 40, 80, 40, 100)[1])
+    assert found.untested(path) == 2 and sum(turn.times for turn in path) == 5
 
 
 def test_a_branch_is_tested_as_far_as_a_record_went():
@@ -60,16 +59,27 @@ def test_speed_hold_and_number_of_turns_are_counted():
     found = plane(*[0, 100] * 5, 0, speed=20.0, hold=3.0)
     assert sorted(turn.times for turn in found.turns) == [5, 5]
     assert found.longest_hold == pytest.approx(3.0, abs=0.2)
-    assert found.speeds == pytest.approx((12.5, 20.0), rel=0.4)
+    assert found.speeds == pytest.approx((20.0, 20.0), rel=1e-3)
     assert all("5 times" in turn.words for turn in found.turns)
     assert plane(0, 100, 0, 100).longest_hold == 0
+
+
+def test_a_path_that_is_faster_or_holds_longer_is_said():
+    found = plane(0, 100, 0, 100, 0, speed=20.0, hold=3.0)
+    usual = found.path(*reversed(played(0, 100, 0, speed=10.0, hold=1.0)))
+    assert found.sentence(usual) == found.sentence(found.path(played(0, 100, 0)[1]))
+    time, voltage = played(0, 100, 0, speed=30.0, hold=6.0)
+    path = found.path(voltage, time)
+    assert max(turn.speed for turn in path) == pytest.approx(30, rel=2e-3)
+    assert max(turn.held for turn in path) == pytest.approx(6, abs=0.2)
+    assert all(number in found.sentence(path) for number in ("30 V/s", "20 V/s", "for up to 6", "for 3"))
 
 
 def test_the_values_can_be_stored():
     found = plane(0, 100, 0, 50, 0)
     stored = json.loads(json.dumps(found.as_dict()))
     cells = np.array([int(one) for one in stored["cells"]]).reshape(found.rising.shape)
-    assert np.array_equal(cells & 1, found.rising) and np.array_equal(cells >> 1, found.falling)
+    assert np.array_equal(cells & 1, found.falling) and np.array_equal(cells >> 1, found.rising)
     assert len(stored["names"]) == len(stored["lower_V"]) == len(found.turns)
     assert (stored["edges_V"][0], stored["edges_V"][-1]) == (0, 100)
 

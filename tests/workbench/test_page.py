@@ -235,8 +235,11 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     assert colours(person.page.locator("#model .figure").first) > 3
     person.sees("Read the report", within="#model")
     person.step("Trust")
+    # At once, and once only after the assessment.
+    person.sees("Where the records turned", within="#trust-turns")
     person.click("button", "Assess the model")
-    person.sees("Where the records turned", within="#trust-insight")
+    person.sees("When the state becomes known", within="#trust-insight")
+    assert person.page.get_by_text("Where the records turned").locator("visible=true").count() == 1
     person.step("Export")
     assert person.download("link", "Model (JSON)")[1].lstrip().startswith(b"{")
     assert list((bench.folder / "calibrations").glob("*/report.html"))

@@ -1,5 +1,6 @@
 """Modules that draw and compute, run by node: thinning, inking, paths, numbers; and how they become one script."""
 
+import itertools
 import json
 import re
 import shutil
@@ -9,6 +10,9 @@ import numpy as np
 import places
 import pytest
 
+from dehyst.report.charts import ChartData
+from dehyst.report.trust_section import turned
+from dehyst.trust.turn_plane import turn_plane
 from dehyst.web import files
 
 FOLDERS = places.SOURCES / "web", places.SOURCES / "workbench" / "page"
@@ -18,10 +22,14 @@ import { readFileSync } from "node:fs";
 import { before, inkLines, nearest, thinPath, thinTime } from "./thinning.js";
 import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
 import { parsedPath } from "./path_file.js";
+globalThis.document = { getElementById: () => null, createElement: () => ({}) };
+globalThis.window = { addEventListener() {} };
+const { column } = await import("./report.js");
+const { turnsOf } = await import("./path_figures.js");
 import { inPage } from "./labels.js";
 import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
 import { limitsFrom, numberFrom, ticks, whole } from "./numbers.js";
-const column = (name) => {
+const floats = (name) => {
   const bytes = readFileSync(new URL(name, import.meta.url));
   return new Float32Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
 };
@@ -66,7 +74,7 @@ def loops(samples, noise, cycles=40):
 
 
 COVERAGE = """
-const [x, y] = [column("x"), column("y")];
+const [x, y] = [floats("x"), floats("y")];
 const all = { px: x.map((v) => v * 4), py: y.map((v) => (v - 12) * -12.5), count: x.length };
 all.pen = new Uint8Array(x.length).fill(1);
 all.pen[0] = 0;
@@ -101,7 +109,7 @@ def test_a_thinned_path_inks_the_pixels_of_the_entireone(run, samples, noise):
 
 def test_a_path_that_repeats_itself_costs_no_more(run):
     x, y = loops(20_000, 0.0, cycles=4)
-    program = 'const [x, y] = [column("x"), column("y")]; print(thinPath(x, y, frame).count);'
+    program = 'const [x, y] = [floats("x"), floats("y")]; print(thinPath(x, y, frame).count);'
     once = run(program, x=x, y=y)
     assert run(program, x=np.tile(x, 20), y=np.tile(y, 20)) < 1.5 * once
 
@@ -121,7 +129,7 @@ def test_a_curve_over_time_keeps_the_extremes_of_each_column(run):
     y = np.random.default_rng(3).normal(0, 2, time.size)
     drawn = run(
         """
-        const [x, y] = [column("x"), column("y")];
+        const [x, y] = [floats("x"), floats("y")];
         const thin = thinTime(x, y, frame);
         print({ px: [...thin.px.slice(0, thin.count)], py: [...thin.py.slice(0, thin.count)] });
         """,
@@ -159,7 +167,7 @@ def test_the_nearest_sample_is_found(run, rising):
     at = random.uniform([0, 0], [400, 300], (20, 2))
     found = run(
         f"""
-        const [x, y, at] = [column("x"), column("y"), column("at")];
+        const [x, y, at] = [floats("x"), floats("y"), floats("at")];
         const places = Array.from({{ length: 20 }}, (_, k) => ({{ x: at[2 * k], y: at[2 * k + 1] }}));
         assert.equal(nearest([1e9], [0], frame, {{ x: 0, y: 0 }}, 40, {str(rising).lower()}), null);
         print(places.map((one) => nearest(x, y, frame, one, 40, {str(rising).lower()})?.index ?? -1));
@@ -202,14 +210,53 @@ def test_points_stay_in_their_order(run):
 @pytest.mark.parametrize(
     ("values", "turns"),
     [
-        ([0, 5, 9, 3, 7, 0], [0, 9, 3, 7, 0]),
-        ([4, 9, 0, 9], [9, 0, 9]),
-        ([9, 9, 4, 4.05, 4, 6], [9, 4, 6]),
-        ([2, 2, 2], [2, 2]),
+        ([0, 5, 9, 3, 7, 0], [0, 2, 3, 4, 5]),
+        ([4, 9, 0, 9], [1, 2, 3]),
+        ([9, 9, 4, 4.05, 4, 6], [0, 2, 5]),
+        ([2, 2, 2], [0, 2]),
     ],
 )
 def test_turning_points_are_where_a_voltage_goes_back(run, values, turns):
     assert run(f"print(turningPoints({values}, 0.1));") == turns
+
+
+def test_branches_of_a_path_are_tested_as_python_says(run):
+    rng = np.random.default_rng(3)
+    time, record = path(rng, 60)
+    plane = turn_plane([("record", time, record)], (0.0, 100.0))
+    seconds, voltage = path(rng, 200)
+    data = ChartData()
+    data.add(turned(plane)[0].charts[0])
+    stored = json.loads(data.json())
+    found = run(
+        f"""
+        const spec = {json.dumps(stored["charts"][0])};
+        const columns = {json.dumps(stored["columns"])}.map(column);
+        for (const one of spec.series) for (const name of ["x", "y", "values"]) one[name] = columns[one[name]];
+        const [time, voltage] = ["time", "voltage"].map(floats);
+        const {{ branches, open }} = turnsOf(spec, time, voltage);
+        print({{ branches, open }});
+        """,
+        time=seconds,
+        voltage=voltage,
+    )
+    # Float32 as in the page; branches that are alike are one in Python.
+    steps = plane.path(voltage.astype("<f4").astype(float), seconds)
+    assert found["open"] == plane.untested(steps) > 10
+    assert len(found["branches"]) == sum(turn.times for turn in steps)
+    fastest = max(one["speed"] for one in found["branches"])
+    assert fastest == pytest.approx(max(turn.speed for turn in steps), rel=1e-3)
+    longest = max(one["held"] for one in found["branches"])
+    assert longest == pytest.approx(max(turn.held for turn in steps), rel=1e-3) and longest > 0
+
+
+def path(rng, legs):
+    """Voltages from turn to turn, held at some."""
+    ends = rng.uniform(0, 100, legs + 1)
+    parts = [np.linspace(a, b, 20, endpoint=False) for a, b in itertools.pairwise(ends)]
+    parts = [np.append(one, np.full(rng.choice([0, 15]), one[-1])) for one in parts]
+    voltage = np.concatenate(parts)
+    return 0.1 * np.arange(voltage.size), voltage
 
 
 def test_modules_become_one_script_without_two_names_that_are_equal(modules):
@@ -309,7 +356,7 @@ def test_a_million_samples_are_thinned_in_a_frame(run):
     x, y = loops(1_000_000, 0.02, cycles=300)
     best = run(
         """
-        const [x, y] = [column("x"), column("y")];
+        const [x, y] = [floats("x"), floats("y")];
         const times = Array.from({ length: 8 }, () => {
           const began = performance.now();
           inkLines(thinPath(x, y, frame), 400, 300, 1, 1.4);

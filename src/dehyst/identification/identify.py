@@ -246,10 +246,13 @@ def _structured(run: IdentificationRun, frame: TrainingData, structure: Structur
             lambda norm: StructuredFit.solve(frame, wanted, norm), lambda: StructuredFit.solve_quickly(frame, wanted)
         )
 
-    def judge(made: StructuredFit) -> Outcome:
-        return Outcome.WIDER if made.actuator.wide else Outcome.IDENTIFIED
-
-    return _completed(run, solve, judge, longer=structure.reach == 1 and frame.grows(), refine=refine)
+    return _completed(
+        run,
+        solve,
+        lambda made: Outcome.WIDER if made.actuator.wide else Outcome.IDENTIFIED,
+        longer=structure.reach == 1 and frame.grows(),
+        refine=refine,
+    )
 
 
 def _maxwell_slip(run: IdentificationRun, data: TrainingData) -> Fit:
@@ -298,7 +301,14 @@ def _completed(
         made = run.deadline.attempt(partial(_longer, run, solve, made), made, "the trial of longer elements")
     if made.frame.lagging.dynamics is not None:
         made = run.deadline.attempt(partial(made.tune_dynamics, run.report), made, "the tuning of the resonance")
-    refined = _refined(run, made) if refine else made.actuator
+    attempt = partial(refine_by_simulation, made, run.report)
+    found = run.deadline.attempt(attempt, None, "the refinement") if refine else None
+    refined = made.actuator if found is None else found.actuator
+    if found is not None:
+        run.remarks.append(
+            f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
+            f"{found.before * 1e9:.4g} nm; {'kept' if found.kept else 'not better, and left out'}."
+        )
     run.delay = refined.delay + refined.lag
     actuator = run.named(refined)
     run.report("simulating every record")
@@ -370,18 +380,6 @@ def _unsupported(
         "the prediction of time that was not trained on (plain elements stood in for the rest of the structure)",
     )
     return judged[0] if judged else unsupported(frame, still, Structure(creep=structure.creep), run.report)
-
-
-def _refined(run: IdentificationRun, made: StructuredFit) -> Actuator:
-    found = run.deadline.attempt(lambda: refine_by_simulation(made, run.report), None, "the refinement")
-    if found is None:
-        return made.actuator
-    what = "kept" if found.kept else "not better, and left out"
-    run.remarks.append(
-        f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
-        f"{found.before * 1e9:.4g} nm; {what}."
-    )
-    return found.actuator
 
 
 def _identify_at_breakpoints(run: IdentificationRun) -> Fit:

@@ -30,7 +30,6 @@ from dehyst.records import largest, turning_points
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Kind, Series, stems, steps
 from dehyst.report.html import MINUS, Applet, Charts, Part, Row, length, length_unit, number
-from dehyst.trust import turn_plane
 
 if TYPE_CHECKING:
     from dehyst.calibration import TrackedPath
@@ -239,28 +238,19 @@ def path_trial(fit: Fit) -> Applet | str:
     made = _compensator(actuator, _duration(fit))
     if made is None:
         return ""
-    (compensator, seconds), share = made, None
-    # The largest error on records that were not trained on, or else on all.
-    judged = [one for one in fit.errors if one.role == "validation"] or fit.errors
-    shares = [one.largest / one.stroke for one in judged if one.stroke > 0]
-    if shares and np.isfinite(max(shares)):
-        share = max(shares)
-    own = "the error on the actuator itself is that of the model"
-    if share is not None:
-        own = f"on the records the model itself was wrong by up to {number(100 * share)} % of the stroke"
+    compensator, seconds = made
     moving = ", or where inertia or a delay is not compensated" if actuator.dynamics is not None or actuator.lag else ""
+    expected = fit.expectation
     caption = (
         "Drag the points, or change the limits: this page computes the voltage itself. The model stands for the "
-        f"actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; {own}. The last "
-        "picture shows between which voltages records and path turn: elsewhere the model is not tested."
+        f"actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; the band is the "
+        "error of the model to expect. The path is drawn among the turning points of the records, too."
     )
-    tested = turn_plane([(one.record, one.time, one.voltage) for one in fit.traces], actuator.limits)
     data = {
         "module": base64.b64encode(wasm_module(compensator)).decode("ascii"),
         "samples": SAMPLES,
         "duration": seconds,
-        "band": None if share is None else 1e6 * share * fit.errors[0].stroke,
-        "tested": None if tested is None else tested.as_dict(),
+        "band": None if expected is None or not math.isfinite(expected.largest) else 1e6 * expected.largest,
     }
     body = (
         f'<div class="applet">\n<h2>Try a path</h2>\n<p class="caption">{html.escape(caption)}</p>\n'

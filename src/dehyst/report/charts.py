@@ -47,8 +47,8 @@ class Series:
     """A curve, points, an area or cells: x and y (n,), in the units of the axes; NaN breaks a curve.
 
     `top` (n,) is the other edge of an area; `values` (m, k) are those of cells between m + 1 edges y and k + 1 edges x,
-    the larger, the darker; `names` those of single points. An `exact` x needs more than 16 bits, as the time of a long
-    record does.
+    the larger, the darker, up to `darkest`, by default the largest; `names` those of single points. An `exact` x needs
+    more than 16 bits, as the time of a long record does.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Series:
     hollow: bool = False
     top: Array | None = None
     values: Array | None = None
+    darkest: float | None = None
 
 
 def stems(
@@ -99,7 +100,7 @@ class Chart:
 
     `right` is a second axis, of the numbers of y times a factor: (factor, quantity, unit). Parts of the abscissa are
     `shaded`, a part of the ordinate is the `band`, `zero` is marked if set; `notes` are words of the legend that belong
-    to no series, with their colours.
+    to no series, with their colours. `about` are further values for scripts of the page.
     """
 
     title: str
@@ -112,6 +113,7 @@ class Chart:
     band: tuple[float, float] | None = None
     zero: bool = False
     notes: Sequence[tuple[str, str]] = ()
+    about: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -137,6 +139,7 @@ class ChartData:
             "shaded": [list(ends) for ends in chart.shaded],
             "levels": [{"value": 0}] if chart.zero else [],
             "notes": [[colour, words] for words, colour in chart.notes],
+            "about": chart.about,
         }
         if chart.right is not None:
             factor, quantity, unit = chart.right
@@ -166,7 +169,8 @@ class ChartData:
             stored["top"] = self._column(chart.y.scaled(one.top), False)
         if one.values is not None:
             stored["values"] = self._column(one.values.ravel(), False)
-        flags = {"rising": rising, "hollow": one.hollow, "names": list(one.names), "dash": [5, 4] * one.dashed}
+        flags: dict[str, Any] = {"rising": rising, "hollow": one.hollow, "darkest": one.darkest}
+        flags |= {"names": list(one.names), "dash": [5, 4] * one.dashed}
         return stored | {key: value for key, value in flags.items() if value}
 
     def _column(self, values: Array, exact: bool) -> int:

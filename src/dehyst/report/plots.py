@@ -185,4 +185,4 @@ def _draw_series(ax: Axes, one: Series, label: str) -> None:
     elif one.top is not None:
         ax.fill_between(one.x, one.y, one.top, lw=0, **style)
     elif one.values is not None:
-        ax.pcolormesh(one.x, one.y, one.values, cmap="Blues", lw=0, rasterized=True)
+        ax.pcolormesh(one.x, one.y, one.values, cmap="Blues", vmax=one.darkest, lw=0, rasterized=True)

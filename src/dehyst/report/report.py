@@ -92,12 +92,10 @@ def render(
     """
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
     name = actuator.name if actuator else "Actuator not identified"
-    trust: list[Part] = []
+    limits = actuator.limits if actuator else None
+    trust = turned(turn_plane(((one.record, one.time, one.voltage) for one in fit.traces), limits))
     if insight is not None:
-        trust = ["<h2>Insight: what the records determine</h2>", *sections(insight)]
-    elif fit.traces:
-        limits = actuator.limits if actuator else None
-        trust = turned(turn_plane([(one.record, one.time, one.voltage) for one in fit.traces], limits))
+        trust += ["<h2>Insight: what the records determine</h2>", *sections(insight, None)]
     parts: list[Part] = [
         f"<h1>{escape(name)}</h1>",
         _facts(fit, actuator),

@@ -14,7 +14,7 @@ from dehyst.identification import Identifiability
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series, stems
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
-from dehyst.trust import ERRORS, NOISE_BIAS, SHARP, Insight, MajorLoopWidth, PredictionBand, TurnPlane
+from dehyst.trust import ERRORS, NOISE_BIAS, SHARP, Insight, MajorLoopWidth, PredictionBand, Turn, TurnPlane
 
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
@@ -35,18 +35,22 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
     parts = [
         f"<h1>{name}: how far to trust the model</h1>",
         f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
-        *sections(found),
+        *sections(found, found.turns),
         html.reproduction(command),
     ]
     write_atomically(path, html.document(f"{found.actuator.name}: insight", parts))
 
 
-def sections(found: Insight) -> list[Part]:
-    """Return the page's sections, which the report can contain too: the answer first, single numbers folded."""
+def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
+    """Return the sections of a page or of the report: the answer first, single numbers folded.
+
+    `plane` is where the records turned; without it that is not shown.
+    """
+    band = found.band
     return [
         _verdict(found),
         *_trajectory(found),
-        *turned(found.turns, None if found.band is None else found.band.voltage),
+        *turned(plane, () if plane is None or band is None else plane.path(band.voltage, band.time)),
         _next(found),
         _state(found),
         "<details>\n<summary>Which numbers of the model the records determine</summary>",
@@ -87,14 +91,21 @@ def _trajectory(found: Insight) -> list[Part]:
     beside = f"<div><h3>Largest error to expect</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
     caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
     factor, unit = length_unit(float(np.ptp(band.displacement)))
-    sample = np.arange(band.wanted.size, dtype=np.float64)
+    axis, x = _clock(band)
     path = [
-        _area("may be reached", sample, (band.lowest * factor, band.highest * factor), "measured", 0.25),
-        Series("wanted", sample, band.wanted * factor, "measured", width=1.8),
+        _area("may be reached", x, (band.lowest * factor, band.highest * factor), "measured", 0.25),
+        Series("wanted", x, band.wanted * factor, "measured", width=1.8),
     ]
-    charts = Chart("Path", Axis("sample"), Axis("displacement", unit), path), band_chart(band, stroke)
+    charts = Chart("Path", axis, Axis("displacement", unit), path), band_chart(band, stroke)
     caption = f"{caption} {band.sentence(stroke)}".strip()
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
+
+
+def _clock(band: PredictionBand) -> tuple[Axis, Array]:
+    """Return time, or the number of the sample where no time was given."""
+    if band.time is None:
+        return Axis("sample"), np.arange(band.wanted.size, dtype=np.float64)
+    return Axis("time", "s"), band.time
 
 
 def _area(name: str, x: Array, edges: Sequence[Array] | Array, colour: Colour, opacity: float = 0.6) -> Series:
@@ -104,7 +115,7 @@ def _area(name: str, x: Array, edges: Sequence[Array] | Array, colour: Colour, o
 
 def band_chart(band: PredictionBand, stroke: float) -> Chart:
     """Return the error to expect along a path, part by part [% of a stroke in m]."""
-    sample = np.arange(band.displacement.size, dtype=np.float64)
+    axis, x = _clock(band)
     kinds: tuple[tuple[str, Sequence[Array] | Array | None, Colour, float], ...] = (
         ("all", (band.lowest, band.highest), _FREE, 0.3),
         (f"{100 * band.level:g} %", band.likely, "measured", 0.35),
@@ -112,50 +123,62 @@ def band_chart(band: PredictionBand, stroke: float) -> Chart:
         ("noise", band.noise, _NOISE, 0.8),
     )
     series = [
-        _area(name, sample, [100 * (edge - band.wanted) / stroke for edge in edges], colour, opacity)
+        _area(name, x, [100 * (edge - band.wanted) / stroke for edge in edges], colour, opacity)
         for name, edges, colour, opacity in kinds
         if edges is not None
     ]
-    return Chart("Error", Axis("sample"), Axis("error", "% of stroke"), series, zero=True)
+    return Chart("Error", axis, Axis("error", "% of stroke"), series, zero=True)
 
 
-def turned(plane: TurnPlane | None, voltage: Array | None = None) -> list[Part]:
-    """Return where the records turned, how fast and how long they held, and where a `voltage` [V] turns."""
+def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
+    """Return where the records turned, how fast and how long they held, and the same of a path."""
     if plane is None:
         return []
     caption = (
-        "Between which voltages the records turned (dots). Shaded: loops whose rising and falling branch begin where "
-        "a record turned, and do not go beyond it; there the model is tested, elsewhere it is not. "
-        f"{'' if voltage is None else plane.sentence(voltage)}"
+        "Between which voltages the records turned (dots; rings: the voltage was held there). Shaded: loops whose "
+        "rising and falling branch begin where a record turned, and do not go beyond it; there the model is tested, "
+        f"elsewhere it is not. {plane.sentence(path) if path else ''}"
     )
     rows: list[Row] = []
-    for record in dict.fromkeys(turn.record for turn in plane.turns):
-        own = [turn for turn in plane.turns if turn.record == record]
+    turns = [*plane.turns, *path]
+    for name in dict.fromkeys(turn.record for turn in turns):
+        own = [turn for turn in turns if turn.record == name]
         speeds, held = [turn.speed for turn in own], max(turn.held for turn in own)
-        times, ends = sum(turn.times for turn in own), f"{number(min(speeds))} to {number(max(speeds))}"
-        rows.append((record, str(times), ends, number(held) if held else "none"))
-    head = ("Record", "Rises and falls", "Speed (V/s)", "Longest hold (s)")
+        speed = f"{number(min(speeds))} to {number(max(speeds))}" if np.isfinite(speeds).all() else "not known"
+        rows.append((name, str(sum(turn.times for turn in own)), speed, number(held) if held else "none"))
+    head = ("Record", "Branches", "Speed (V/s)", "Hold (s)")
     beside = f"<div><h3>How fast, and how long they held</h3>\n{html.table(head, rows, 1)}</div>"
-    return [Charts("Where the records turned", caption.strip(), [_turns_chart(plane, voltage)], beside=(beside,))]
+    return [Charts("Where the records turned", caption.strip(), [_turns_chart(plane, path)], beside=(beside,))]
 
 
-def _turns_chart(plane: TurnPlane, voltage: Array | None) -> Chart:
-    """Return the plane of turning points with the tested cells, and where a `voltage` [V] turns."""
-    ends = plane.edges[[0, -1]]
-    lower, upper = np.sort([(turn.begin, turn.end) for turn in plane.turns]).T
-    tested, names = 0.5 * plane.rising + 0.5 * plane.falling, tuple(turn.words for turn in plane.turns)
+def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
+    """Return the plane of turning points with the tested cells, and where a path turns."""
+    ends, cells = plane.edges[[0, -1]], plane.cells.astype(np.float64)
     series = [
-        Series("", plane.edges, plane.edges, "tested", "cells", values=tested),
+        Series("", plane.edges, plane.edges, "tested", "cells", values=cells, darkest=3.0, exact=True),
         Series("", ends, ends, "without", width=1),
-        Series("records", lower, upper, "measured", "points", 5, names=names),
+        *_dots("records", plane.turns, "measured", 5),
+        *_dots("this path", path, "simulated", 8),
     ]
-    if voltage is not None:
-        lower, upper = np.sort(plane.legs(voltage)).T
-        series.append(Series("this path", lower, upper, "simulated", "points", 8))
     edge = 0.03 * float(np.ptp(ends))
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
-    return Chart("Turning points", x, y, series, notes=[("tested, paler: one branch of the loop only", "tested")])
+    notes = [("tested, paler: one branch of the loop only", "tested")]
+    about = {"fastest": plane.speeds[1], "held": plane.longest_hold}
+    return Chart("Turning points", x, y, series, notes=notes, about=about)
+
+
+def _dots(name: str, turns: Sequence[Turn], colour: Colour, width: float) -> list[Series]:
+    """Return a dot for each turn, and a ring where the voltage was held."""
+    series = []
+    for held in (False, True):
+        some = [turn for turn in turns if turn.held > 0 or not held]
+        if some:
+            lower, upper = np.sort([(turn.begin, turn.end) for turn in some]).T
+            words = tuple(turn.words for turn in some)
+            size = width + 4 if held else width
+            series.append(Series(name, lower, upper, colour, "points", size, names=words, hollow=held))
+    return series[::-1]
 
 
 def _next(found: Insight) -> str:

@@ -11,7 +11,7 @@ from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
 from dehyst.trust.recheck import Recheck, check
 from dehyst.trust.stage_assessment import StageInsight, StageRecheck, check_stage, stage_insight
 from dehyst.trust.start import start_of
-from dehyst.trust.turn_plane import TurnPlane, turn_plane
+from dehyst.trust.turn_plane import Turn, TurnPlane, turn_plane
 
 __all__ = [
     "Change",

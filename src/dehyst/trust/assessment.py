@@ -167,7 +167,7 @@ class _WantedPath(NamedTuple):
             free,
             self.state,
             misfit=evidence.misfit,
-            time=self.time if evidence.actuator.needs_time else None,
+            time=self.time,
             held_out=HeldOut.of(evidence, intervals),
         )
 

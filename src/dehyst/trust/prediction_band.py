@@ -52,6 +52,8 @@ class PredictionBand:
         Of `likely`.
     class_error : ClassError or None
         The error of the model class on this path; None where it was not judged.
+    time : (n,) array or None
+        Of the path [s], if it was given.
     """
 
     wanted: Array
@@ -63,6 +65,7 @@ class PredictionBand:
     warnings: tuple[str, ...]
     level: float = 0.9
     class_error: ClassError | None = None
+    time: Array | None = None
 
     @classmethod
     def of(
@@ -79,10 +82,10 @@ class PredictionBand:
     ) -> PredictionBand:
         """Play a command on every model that might be the true one, from its own `state`.
 
-        With the command's `time` [s], where time matters. With `held_out`, models of parts of the records, the error of
-        the model class is judged as well.
+        With the command's `time` [s], which counts where time matters. With `held_out`, models of parts of the records,
+        the error of the model class is judged as well.
         """
-        noise = intervals.prediction(command.voltage, state, time)
+        noise = intervals.prediction(command.voltage, state, time if intervals.actuator.needs_time else None)
         free_ = None if free is None else free.prediction(command.voltage, state)
 
         def play(model: Actuator) -> Array:
@@ -100,6 +103,7 @@ class PredictionBand:
             command.warnings,
             intervals.level,
             None if held_out is None else held_out.on(play, misfit),
+            time,
         )
 
     @property

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +22,18 @@ _CELLS, _AROUND = 40, 2
 # Samples of a record that are looked at, how far a voltage goes back at a turn, as a part of the range, and turns that
 # are shown as one if they differ by less than that.
 _ENOUGH, _BAND = 100_000, 0.01
-# A sine stays near its ends for an eighth of a rise: a longer stay, as a part of the rise before it, is a hold.
-_HOLD = 0.2
+# A sine stays near its ends for an eighth of a rise: a longer stay, as a part of the rise before it, is a hold. And by
+# how much speeds and holds of a path may exceed those of records without a word.
+_HOLD, _MORE = 0.2, 1.05
 # Turns that are kept of all records.
 _MOST = 2000
 
 
 class Turn(NamedTuple):
-    """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and how often."""
+    """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and how often.
+
+    Without time the speed is NaN and the hold 0.
+    """
 
     record: str
     begin: float
@@ -40,9 +45,10 @@ class Turn(NamedTuple):
     @property
     def words(self) -> str:
         """Voltages, speed and hold."""
+        speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
         held = f", held {self.held:.2g} s" if self.held > 0 else ""
         often = f", {self.times} times" if self.times > 1 else ""
-        return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V at {self.speed:.3g} V/s{held}{often}"
+        return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V{speed}{held}{often}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +71,11 @@ class TurnPlane:
     falling: Mask
 
     @property
+    def cells(self) -> NDArray[np.intp]:
+        """What is tested of the loops of each cell (n, n): 1 the falling branch, 2 the rising one, 3 both."""
+        return np.asarray(self.falling + 2 * self.rising, dtype=np.intp)
+
+    @property
     def speeds(self) -> tuple[float, float]:
         """Lowest and highest speed [V/s]."""
         speeds = [turn.speed for turn in self.turns]
@@ -75,32 +86,42 @@ class TurnPlane:
         """Longest hold at a turning point [s]."""
         return max(turn.held for turn in self.turns)
 
-    def legs(self, voltage: Array) -> Array:
-        """Return where each rise or fall of a voltage begins and ends (k, 2) [V]; see `sentence`."""
-        at = _legs(voltage, _BAND * float(np.ptp(self.edges)))
-        return voltage[at]
+    def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
+        """Return the rises and falls of a path with this voltage [V] and time [s]."""
+        clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
+        step = _stride(voltage)
+        turns = _turns(name, clock[::step], voltage[::step], _BAND * float(np.ptp(self.edges)))
+        return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
 
-    def untested(self, voltage: Array) -> tuple[int, int]:
-        """Count the rises and falls of a voltage [V] that no record tests, and all of them."""
-        pairs = self.legs(voltage)
-        place = np.clip(np.searchsorted(self.edges, np.sort(pairs), side="right") - 1, 0, len(self.rising) - 1)
-        upward = pairs[:, 1] > pairs[:, 0]
-        tested = np.where(upward, self.rising[place[:, 1], place[:, 0]], self.falling[place[:, 1], place[:, 0]])
-        return int(np.count_nonzero(~tested)), len(pairs)
+    def tests(self, turn: Turn) -> bool:
+        """Return whether a record tests this branch."""
+        place = np.searchsorted(self.edges, sorted((turn.begin, turn.end)), side="right") - 1
+        lower, upper = np.clip(place, 0, len(self.rising) - 1)
+        return bool((self.rising if turn.end > turn.begin else self.falling)[upper, lower])
 
-    def sentence(self, voltage: Array) -> str:
-        """Return what of a voltage [V] the records do not test."""
-        outside, all_ = self.untested(voltage)
-        if not outside:
-            return "This path turns where records turned."
-        return f"{outside} of {all_} branches of this path begin where no record turned."
+    def untested(self, path: Sequence[Turn]) -> int:
+        """Count the branches of a path that no record tests."""
+        return sum(turn.times for turn in path if not self.tests(turn))
+
+    def sentence(self, path: Sequence[Turn]) -> str:
+        """Return what of a path the records do not test: branches, speed and hold."""
+        number, outside = sum(turn.times for turn in path), self.untested(path)
+        said = ["This path turns where records turned."]
+        if outside:
+            said = [f"{outside} of {number} branches of this path begin where no record turned."]
+        fastest, longest = (max((getattr(turn, name) for turn in path), default=0.0) for name in ("speed", "held"))
+        if fastest > _MORE * self.speeds[1]:
+            said.append(f"It goes at up to {fastest:.3g} V/s, the records at {self.speeds[1]:.3g} V/s.")
+        if longest > _MORE * self.longest_hold:
+            before = f"the records for {self.longest_hold:.2g} s" if self.longest_hold else "the records do not"
+            said.append(f"It holds for up to {longest:.2g} s, {before}.")
+        return " ".join(said)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {
             "edges_V": self.edges.tolist(),
-            # Row by row: 1 for a rising branch that is tested, 2 for a falling one, 3 for both.
-            "cells": "".join(map(str, (self.rising + 2 * self.falling).ravel().tolist())),
+            "cells": "".join(map(str, self.cells.ravel().tolist())),
             "lower_V": [min(turn.begin, turn.end) for turn in self.turns],
             "upper_V": [max(turn.begin, turn.end) for turn in self.turns],
             "names": [turn.words for turn in self.turns],
@@ -151,21 +172,25 @@ def _legs(voltage: Array, band: float) -> NDArray[np.intp]:
     return pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > band]
 
 
-def _stride(time: Array) -> int:
-    return 1 + time.size // _ENOUGH
+def _stride(samples: Array) -> int:
+    return 1 + samples.size // _ENOUGH
 
 
 def _turns(name: str, time: Array, voltage: Array, band: float) -> list[Turn]:
     """Return the turns of a record, those that are alike as one."""
     alike: dict[tuple[int, int], list[Turn]] = {}
-    for begin, end in _legs(voltage, band).tolist():
-        near = np.abs(voltage - voltage[end]) <= band
-        after = end + int(np.argmin(near[end:])) if not near[end:].all() else len(near)
-        arrived = end - int(np.argmin(near[begin : end + 1][::-1])) + 1
-        seconds, volts = float(time[end] - time[begin]), (float(voltage[begin]), float(voltage[end]))
-        held = float(time[after - 1] - time[arrived])
-        turn = Turn(name, *volts, abs(volts[1] - volts[0]) / seconds, held if held > _HOLD * seconds else 0.0, 1)
-        alike.setdefault((round(volts[0] / band), round(volts[1] / band)), []).append(turn)
+    for first, last in _legs(voltage, band).tolist():
+        begin, end = float(voltage[first]), float(voltage[last])
+        # The way is between the last sample near the begin and the first one near the end, where a hold begins.
+        left = first + int(np.argmax(np.abs(voltage[first : last + 1] - begin) > band)) - 1
+        near = np.abs(voltage - end) <= band
+        arrived = last - int(np.argmin(near[first : last + 1][::-1])) + 1
+        after = last + int(np.argmin(near[last:])) if not near[last:].all() else len(near)
+        left, arrived = (left, arrived) if left < arrived else (first, last)
+        seconds, held = float(time[arrived] - time[left]), float(time[after - 1] - time[arrived])
+        speed = abs(float(voltage[arrived] - voltage[left])) / seconds
+        turn = Turn(name, begin, end, speed, held if held > _HOLD * seconds else 0.0, 1)
+        alike.setdefault((round(begin / band), round(end / band)), []).append(turn)
     return [
         max(turns, key=lambda turn: turn.speed)._replace(held=max(turn.held for turn in turns), times=len(turns))
         for turns in alike.values()

@@ -5,14 +5,15 @@ from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, ref
 from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
 from dehyst.waveforms.one_axis import Steps, Triangle
 from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanOption, ScanPath, whole
-from dehyst.waveforms.several_axes import RATIO, stage_excitation
 from dehyst.waveforms.standard import (
+    RATIO,
     TURNS,
     descending_tops,
     homing,
     minor_loop,
     raised_cosine,
     reversal_curves,
+    stage_excitation,
     staircase,
     wanted_path,
 )

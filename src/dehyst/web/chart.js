@@ -26,7 +26,7 @@ for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
 //             "line"    width, dash, opacity; `rising` if x rises; `around` is half the height of a band about it
 //             "points"  width, opacity, hollow, and the `names` of single points
 //             "area"    from y to `top`
-//             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker
+//             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker, up to `darkest`
 //     shaded  [[from, to], ...] of x;  band: [low, high] of y;  levels: [{ value, name, colour }]
 // A series that is `silent` is neither in the legend nor read out. Colours are names of the page's style.
 export class Chart {
@@ -354,9 +354,9 @@ function drawArea(chart, pen, { x, y, top, colour, opacity = 1 }) {
   pen.globalAlpha = 1;
 }
 
-function drawCells(chart, pen, { x, y, values, colour }) {
+function drawCells(chart, pen, { x, y, values, colour, darkest }) {
   const { x0, kx, y0, ky } = chart.frame();
-  const largest = values.reduce((most, one) => Math.max(most, one), 0);
+  const largest = darkest ?? values.reduce((most, one) => Math.max(most, one), 0);
   pen.fillStyle = chart.colour(colour);
   values.forEach((value, k) => {
     const [i, j] = [k % (x.length - 1), Math.floor(k / (x.length - 1))];

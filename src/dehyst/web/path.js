@@ -2,6 +2,7 @@
 // WebAssembly of the model; displacements of the compensator are in metres.
 const MICRO = 1e-6;
 export const MOST_SAMPLES = 2_000_000;
+const HOLD = 0.2; // a longer stay at a turning point, as a part of the way there, is a hold
 
 // Straight lines between points, sampled at `rate` (Hz) as the server does it.
 export function sampled(points, rate) {
@@ -89,23 +90,42 @@ function largestDifference(some, others) {
   return most;
 }
 
-// The turning points of a voltage, where it goes back by more than `band`, and its last value. The first value is one
-// if it is an end of the range: of another it is not known from where the voltage came.
+// The samples at which a voltage turns, where it goes back by more than `band`, and the last one. The first one is among
+// them if its voltage is an end of the range: of another it is not known from where the voltage came.
 export function turningPoints(values, band) {
   const ends = [Math.min, Math.max].map((end) => values.reduce((one, other) => end(one, other)));
-  const turns = ends.some((end) => Math.abs(values[0] - end) <= band) ? [values[0]] : [];
-  let direction = 0;
-  let [low, high] = [values[0], values[0]];
-  for (const value of values) {
-    if (value > high) high = value;
-    if (value < low) low = value;
-    if (direction >= 0 && high - value > band) {
+  const turns = ends.some((end) => Math.abs(values[0] - end) <= band) ? [0] : [];
+  let [direction, low, high] = [0, 0, 0];
+  values.forEach((value, k) => {
+    if (value > values[high]) high = k;
+    if (value < values[low]) low = k;
+    if (direction >= 0 && values[high] - value > band) {
       if (direction) turns.push(high);
-      [direction, low] = [-1, value];
-    } else if (direction <= 0 && value - low > band) {
+      [direction, low] = [-1, k];
+    } else if (direction <= 0 && value - values[low] > band) {
       if (direction) turns.push(low);
-      [direction, high] = [1, value];
+      [direction, high] = [1, k];
     }
-  }
-  return [...turns, values.at(-1)];
+  });
+  return [...turns, values.length - 1];
+}
+
+// The rises and falls of a voltage between its turning points: from where to where, mean speed (V/s), and hold at the
+// end (s), as in trust/turn_plane.py.
+export function branches(time, voltage, band) {
+  const turns = turningPoints(voltage, band);
+  const near = (i, k) => Math.abs(voltage[i] - voltage[k]) <= band;
+  const one = (first, last) => {
+    let [left, arrived, after] = [first, last, last];
+    while (near(left + 1, first)) left += 1;
+    while (near(arrived - 1, last)) arrived -= 1;
+    while (after + 1 < voltage.length && near(after + 1, last)) after += 1;
+    if (left >= arrived) [left, arrived] = [first, last];
+    const seconds = time[arrived] - time[left];
+    const held = time[after] - time[arrived];
+    const speed = Math.abs(voltage[arrived] - voltage[left]) / seconds;
+    return { begin: voltage[first], end: voltage[last], speed, held: held > HOLD * seconds ? held : 0 };
+  };
+  const pairs = turns.slice(1).map((end, k) => [turns[k], end]);
+  return pairs.filter(([first, last]) => !near(first, last)).map((pair) => one(...pair));
 }

@@ -1,28 +1,30 @@
 // The pictures of a plan: the wanted path with its points, the voltage, the error, and where the voltage turns.
 import { h, make } from "./dom.js";
 import { Figure } from "./figure.js";
-import { extent, length, percent, range, short, whole } from "./numbers.js";
-import { turningPoints } from "./path.js";
+import { duration, extent, length, percent, range, short, whole } from "./numbers.js";
+import { branches } from "./path.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
 const SECONDS = { label: "Time (s)", unit: "s" };
 const TURN = 0.01; // how far a voltage goes back at a turning point, of the range
+export const MORE = 1.05; // by how much speeds and holds may exceed those of records without a word
 
 export class PathFigures {
-  // `edited` is called with the points (s, um) after each change by the person.
-  constructor(edited) {
+  // `edited` is called with the points (s, um) after each change by the person. `turns`: the figure in which the page
+  // shows where records turned, if it has one.
+  constructor(edited, turns) {
     this.path = new Figure({ title: "Displacement", keys: HANDLE_KEYS });
     this.voltage = new Figure({ title: "Voltage", help: false });
     this.error = new Figure({ title: "Error", help: false });
-    this.turns = new Figure({ title: "Where the voltage turns", help: false });
+    this.turns = turns ?? new Figure({ title: "Where the voltage turns", help: false });
     this.handles = new PointHandles(this.path.chart, edited);
-    const all = [this.path, this.voltage, this.error, this.turns];
+    const all = [this.path, this.voltage, this.error, ...(turns ? [] : [this.turns])];
     this.element = make(h("div", { class: "figures steady" }, all.map((one) => one.element)));
   }
 
-  // `reach` and `band`, half the height of the trust band, in um; `band` is 0 if it is not known, and without `tested`,
-  // the turning points of the records, there is no picture of those of this voltage.
-  draw({ path, planned, limits, reach, band, points, tested }) {
+  // `reach` and `band`, half the height of the trust band, in um; `band` is 0 if it is not known. `turned` is what
+  // `turnsOf` returns; without it there is no picture of where the voltage turns.
+  draw({ path, planned, limits, reach, band, points, turned }) {
     const { clamps, clamped } = planned;
     const cut = clamps.limited + clamps.slewed > 0;
     const note = band ? [["band", `trust band, \u00b1${length(band)}`]] : [];
@@ -75,55 +77,60 @@ export class PathFigures {
       },
       { keep: true, spoken: "Error over time of a straight gain, and of dehyst where the model is the actuator." },
     );
-    this.turns.element.hidden = !tested;
-    if (tested) this.turns.set(...turnsPicture(tested, planned.voltage));
+    this.turns.element.hidden = !turned;
+    if (turned) this.turns.set(...turnsPicture(turned));
   }
 }
 
-// Do records test a rise or fall between two voltages? Of a grid with these edges (V), its cells row by row: 1 for a
-// rising branch that is tested, 2 for a falling one, 3 for both.
-function isTested({ edges_V: edges, cells }, [begin, end]) {
+// What records test of a voltage. `plane` is the chart of a report with where they turned, whose cells are 1 where a
+// falling branch is tested, 2 for a rising one, 3 for both; nothing without it.
+export function turnsOf(plane, time, voltage) {
+  if (!plane) return null;
+  const { x: edges, values: cells } = plane.series.find((one) => one.kind === "cells");
+  const { held } = plane.about;
   const columns = edges.length - 1;
   const cell = (value) => Math.min(Math.max(edges.findLastIndex((edge) => edge <= value), 0), columns - 1);
-  const [i, j] = [Math.min(begin, end), Math.max(begin, end)].map(cell);
-  return (cells[j * columns + i] & (end > begin ? 1 : 2)) > 0;
-}
-
-// The branches of a voltage, from turning point to turning point, and how many of them records do not test.
-function untested(tested, voltage) {
-  const { edges_V: edges } = tested;
-  const turns = voltage ? turningPoints(voltage, TURN * (edges.at(-1) - edges[0])) : [];
-  const branches = turns.slice(1).map((end, k) => [turns[k], end]);
-  const open = branches.filter((one) => !isTested(tested, one)).length;
-  const sentence = `${open} of ${branches.length} branches of this path begin where no record turned`;
-  return { branches, open, sentence: open ? sentence : "This path turns where records turned" };
-}
-
-// The plane of turning points: where records turned, and where a voltage does. Returns what `Figure.set` takes.
-export function turnsPicture(tested, voltage) {
-  const { edges_V: edges, cells, lower_V: lower, upper_V: upper, names } = tested;
-  const { branches, sentence } = untested(tested, voltage);
-  const range = extent([edges], 0.03);
-  const x = branches.map((one) => Math.min(...one));
-  const y = branches.map((one) => Math.max(...one));
-  return [
-    {
-      x: { label: "Lower turning point (V)", unit: "V", range },
-      y: { label: "Upper turning point (V)", unit: "V", range },
-      series: [
-        { colour: "tested", kind: "cells", x: edges, y: edges, values: [...cells].map((one) => [0, 0.5, 0.5, 1][one]) },
-        { colour: "edge", x: range, y: range, silent: true, width: 1 },
-        { name: "records", colour: "measured", kind: "points", width: 5, x: lower, y: upper, names },
-        ...(branches.length ? [{ name: "this path", colour: "simulated", kind: "points", width: 8, x, y }] : []),
-      ],
-      notes: [["tested", "tested, paler: one branch of the loop only"], ...(branches.length ? [["", sentence]] : [])],
-    },
-    { keep: true, spoken: `Plane of turning points. ${branches.length ? sentence : ""}` },
+  const isTested = ({ begin, end }) => {
+    const [lower, upper] = [Math.min(begin, end), Math.max(begin, end)].map(cell);
+    return (Math.round(cells[upper * columns + lower]) & (end > begin ? 2 : 1)) > 0;
+  };
+  const all = branches(time, voltage, TURN * (edges.at(-1) - edges[0]));
+  const open = all.filter((one) => !isTested(one)).length;
+  const longest = Math.max(0, ...all.map((one) => one.held));
+  const said = [
+    open
+      ? `${open} of ${all.length} branches of this path begin where no record turned: there the error was not tested, and may be larger.`
+      : "This path turns where records turned.",
   ];
+  if (longest > MORE * held) {
+    const before = held ? `the records for ${duration(held)}` : "the records do not";
+    said.push(`It holds for up to ${duration(longest)}, ${before}.`);
+  }
+  return { plane, branches: all, open, sentence: said.join(" ") };
+}
+
+// The plane of turning points with the branches of a path on it. Returns what `Figure.set` takes.
+export function turnsPicture({ plane, branches: all, sentence }) {
+  const dots = (some, width, hollow) => ({
+    name: "your path",
+    colour: "simulated",
+    kind: "points",
+    width,
+    hollow,
+    x: some.map((one) => Math.min(one.begin, one.end)),
+    y: some.map((one) => Math.max(one.begin, one.end)),
+    names: some.map(({ begin, end, speed, held }) => {
+      const ends = `from ${short(begin)} to ${short(end)} V`;
+      return `your path: ${ends} at ${short(speed)} V/s${held ? `, held ${duration(held)}` : ""}`;
+    }),
+  });
+  const rings = all.filter((one) => one.held);
+  const series = [...plane.series, ...(rings.length ? [dots(rings, 12, true)] : []), dots(all, 8, false)];
+  return [{ ...plane, series }, { keep: true, spoken: `Plane of turning points. ${sentence}` }];
 }
 
 // What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
-export function judged(planned, { stroke, band, tested, light = "green", speed = "" }) {
+export function judged(planned, { stroke, band, turned, light = "green", speed = "" }) {
   const { voltage, steepest, missed, straightMissed, clamps } = planned;
   const share = (um) => `${length(um)} (${percent((100 * um) / stroke)} of the stroke)`;
   const cut = [
@@ -132,16 +139,14 @@ export function judged(planned, { stroke, band, tested, light = "green", speed =
   ].filter(Boolean);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
   const followed = `The path can be followed${band ? `: expect it within ${share(band)}` : ""}.`;
-  const { open, sentence } = tested ? untested(tested, voltage) : {};
-  const usual = open && light === "green" ? "amber" : light;
+  const usual = turned?.open && light === "green" ? "amber" : light;
   return {
     light: cut.length ? "red" : usual,
     first: cut.length ? `${cut.join(" and ")}: the path is missed by up to ${length(missed)}.` : followed,
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
       `A straight gain would miss it by up to ${share(straightMissed)}.`,
-      // Always a line, so that the pictures below stay in their places.
-      ...(tested ? [open ? `${sentence}: there the error was not tested, and may be larger.` : `${sentence}.`] : []),
+      ...(turned ? [turned.sentence] : []),
     ],
   };
 }

@@ -2,9 +2,10 @@
 import { Compensator, load } from "./dehyst.js";
 import { fill } from "./dom.js";
 import { Form } from "./forms.js";
-import { limitsFrom, parsed, plain } from "./numbers.js";
+import { limitsFrom, parsed, plain, short } from "./numbers.js";
 import { plan, sampled } from "./path.js";
-import { PathFigures, judged, verdict } from "./path_figures.js";
+import { MORE, PathFigures, judged, turnsOf, verdict } from "./path_figures.js";
+import { isPlane, pageFigures } from "./report.js";
 
 const SHAPES = {
   "shrinking loops": [0.02, 0.92, 0.2, 0.75, 0.34, 0.6, 0.46, 0.5],
@@ -15,8 +16,9 @@ const SHAPES = {
 const MOST_PLANNED = 20_000; // samples of a model that needs its own period
 
 class PathTrial {
-  constructor(root, module, { samples, duration, band, tested }) {
-    Object.assign(this, { root, module, samples, band: band ?? 0, tested, model: new Compensator(module) });
+  // `turns`: the figure with where records turned, if there is one.
+  constructor(root, module, { samples, duration, band }, turns) {
+    Object.assign(this, { root, module, samples, band: band ?? 0, plane: turns?.spec, model: new Compensator(module) });
     const { limits, reach, needsPeriod } = this.model.about;
     this.reach = reach.map((one) => 1e6 * one);
     this.needsPeriod = needsPeriod;
@@ -34,7 +36,7 @@ class PathTrial {
       this.points = points;
       this.form.values.duration = plain(points.at(-1)[0]);
       this.show();
-    });
+    }, turns);
     this.begin();
     root.classList.add("ready");
   }
@@ -61,7 +63,7 @@ class PathTrial {
   // Compute the voltage and draw, the points in proportion to a typed duration; return what to expect. An Error says
   // which number cannot be.
   plan(stretched) {
-    const { form, band, reach, tested } = this;
+    const { form, band, reach, plane } = this;
     const limits = limitsFrom(form.values.low, form.values.high);
     const slewRate = form.number("slew");
     const seconds = form.number("duration");
@@ -72,11 +74,15 @@ class PathTrial {
     this.model = new Compensator(this.module, { limits, slewRate, period });
     const path = sampled(this.points, 1 / period);
     const planned = plan(this.model, path.wanted);
-    this.figures.draw({ path, planned, limits, reach, band, points: this.points, tested });
-    return judged(planned, { stroke: reach[1] - reach[0], band, tested });
+    const turned = turnsOf(plane, path.time, planned.voltage);
+    this.figures.draw({ path, planned, limits, reach, band, points: this.points, turned });
+    const faster = plane && planned.steepest > MORE * plane.about.fastest;
+    const speed = faster ? ` (the records: up to ${short(plane.about.fastest)} V/s)` : "";
+    return judged(planned, { stroke: reach[1] - reach[0], band, turned, speed });
   }
 }
 
 const root = document.getElementById("path-trial");
 const given = JSON.parse(document.getElementById("path-data").textContent);
-new PathTrial(root, await load(Uint8Array.from(atob(given.module), (letter) => letter.charCodeAt(0))), given);
+const code = Uint8Array.from(atob(given.module), (letter) => letter.charCodeAt(0));
+new PathTrial(root, await load(code), given, pageFigures.find(isPlane));

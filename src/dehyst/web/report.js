@@ -5,7 +5,7 @@ import { Figure } from "./figure.js";
 const COLUMNS = ["x", "y", "top", "values"];
 
 // A column is 32-bit floats, or 16-bit steps from its lowest value with one code for a missing value.
-function column(stored) {
+export function column(stored) {
   const bytes = Uint8Array.from(atob(stored.floats ?? stored.steps), (letter) => letter.charCodeAt(0)).buffer;
   if (stored.floats !== undefined) return new Float32Array(bytes);
   const values = (code) => (code === 65535 ? NaN : stored.low + stored.step * code);
@@ -26,21 +26,23 @@ export function drawCharts(root, { columns, charts }) {
   });
 }
 
-// The sections of a report for a place on another page, without its title and its own script; its figures; and where
-// the records turned.
+// The figure with where the records turned.
+export const isPlane = (figure) => figure.spec.series.some((one) => one.colour === "tested");
+
+// The sections of a report for a place on another page, without its title and its own script, and its figures.
 export function reportParts(text) {
   // The policy of this page may allow no style in a text: it is set afterwards.
   const plain = text.replace(/<style>.*?<\/style>/s, "").replaceAll(' style="', ' data-style="');
   const page = new DOMParser().parseFromString(plain, "text/html");
-  const data = (id) => JSON.parse(page.getElementById(id)?.textContent ?? "{}");
-  const charts = data("chart-data");
+  const charts = page.getElementById("chart-data");
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
   for (const one of element.querySelectorAll("h1, nav, .applet")) one.remove();
   for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
-  return { element, figures: charts.charts ? drawCharts(element, charts) : [], tested: data("path-data").tested };
+  return { element, figures: charts ? drawCharts(element, JSON.parse(charts.textContent)) : [] };
 }
 
 const stored = document.getElementById("chart-data");
-if (stored) drawCharts(document, JSON.parse(stored.textContent));
+// Those of this page, if it is a report.
+export const pageFigures = stored ? drawCharts(document, JSON.parse(stored.textContent)) : [];

@@ -165,13 +165,24 @@ def _minimum(program: Problem) -> _Minimum:
         found = _by_nnls(program)
         if found is not None:
             return found
-    triangle, image = program.rows, program.goal
+    triangle, image, p = program.rows, program.goal, program.free
     close = _CLOSE * max(float(image @ image), TINY)
     x, bound, multipliers = interior_point(triangle.T @ triangle, triangle.T @ image, program, close)
     moving = x > bound
-    moving[: program.free] = True
+    moving[:p] = True
     active = program.matrix @ x - program.lower < multipliers
-    return _exchanged(program, _Minimum(x, multipliers, moving, active, "interior point"))
+    inside = _Minimum(x, multipliers, moving, active, "interior point")
+    # Exchange limits until the equations on the active ones meet all others.
+    for _ in range(_ROUNDS):
+        x, multipliers = _on_face(program, moving, active)
+        zero, flat = 1e-13 * np.abs(x).max(initial=1.0), 1e-12 * np.abs(image).max(initial=0.0)
+        gradient = triangle.T @ (triangle @ x - image)
+        wrong = _violated(program, (x, multipliers, gradient), moving, active, zero, flat)
+        if not wrong.any():
+            x[p:] = np.maximum(x[p:], 0.0)
+            return _Minimum(x, np.maximum(multipliers, 0.0), moving, active, "interior point and active set")
+        moving, active = moving ^ wrong[: moving.size], active ^ wrong[moving.size :]
+    return inside
 
 
 def _by_nnls(program: Problem) -> _Minimum | None:
@@ -190,22 +201,6 @@ def _by_nnls(program: Problem) -> _Minimum | None:
         x[:p] = solve_triangular(triangle[:p, :p], image[:p] - triangle[:p, p:] @ x[p:])
     moving = (x > 0) | (np.arange(q) < p)
     return _Minimum(x, np.zeros(0), moving, np.zeros(0, dtype=bool), "non-negative least squares")
-
-
-def _exchanged(program: Problem, first: _Minimum) -> _Minimum:
-    """Exchange limits until the equations on the active ones meet all others; `first` if that does not end."""
-    triangle, image, p = program.rows, program.goal, program.free
-    moving, active = first.moving.copy(), first.active.copy()
-    for _ in range(_ROUNDS):
-        x, multipliers = _on_face(program, moving, active)
-        zero, flat = 1e-13 * np.abs(x).max(initial=1.0), 1e-12 * np.abs(image).max(initial=0.0)
-        gradient = triangle.T @ (triangle @ x - image)
-        wrong = _violated(program, (x, multipliers, gradient), moving, active, zero, flat)
-        if not wrong.any():
-            x[p:] = np.maximum(x[p:], 0.0)
-            return _Minimum(x, np.maximum(multipliers, 0.0), moving, active, "interior point and active set")
-        moving, active = moving ^ wrong[: moving.size], active ^ wrong[moving.size :]
-    return first
 
 
 def _violated(

@@ -7,8 +7,9 @@ import { Form, fold, list } from "./forms.js";
 import { inPage } from "./labels.js";
 import { duration, limitsFrom, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
-import { PathFigures, judged, verdict } from "./path_figures.js";
+import { PathFigures, judged, turnsOf, verdict } from "./path_figures.js";
 import { parsedPath } from "./path_file.js";
+import { isPlane } from "./report.js";
 import { ScanForm } from "./scans.js";
 import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
 import { bandOf, fileLink, jobCards, lightOf, modelChoice, needsModel, remarksOf, reportOf } from "./verdict.js";
@@ -171,12 +172,13 @@ async function planNow(model) {
     const { limits, slew, rate } = choices();
     const period = 1 / rate;
     const compiled = remembered(modules, `${model.id} ${period}`, () => load(wasmAddress(model, period)));
-    const [module, path, { tested }] = await Promise.all([compiled, wantedPath(rate), reportOf(model.report)]);
+    const [module, path, report] = await Promise.all([compiled, wantedPath(rate), reportOf(model.report)]);
     if (asked !== view.asked) return;
     const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
-    view.last = { path, planned, limits, reach: model.range_um, band: bandOf(model), points, tested };
+    const turned = turnsOf(report.figures.find(isPlane)?.spec, path.time, planned.voltage);
+    view.last = { path, planned, limits, reach: model.range_um, band: bandOf(model), points, turned };
     figures.draw(view.last);
     view.took = performance.now() - began;
     view.said = described(model, view.last);
@@ -195,7 +197,7 @@ function cannotPlan(why) {
   redraw();
 }
 
-function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band, tested }) {
+function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band, turned }) {
   const { steepest, clamps } = planned;
   const [light] = lightOf(known);
   let speed = "";
@@ -204,7 +206,7 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach,
   else if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
-  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, tested });
+  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, turned });
   return { ...said, remarks: remarksOf(known) };
 }
 

@@ -1,18 +1,20 @@
-// The third step: how far to trust a model. The assessment with the path of the next step in it: what is promised along
-// it, and where it turns.
+// The third step: how far to trust a model. Where its records turned, with the path of the next step and what is
+// promised along it; and the assessment.
 import { announce, button, problem } from "./acts.js";
 import { assess } from "./api.js";
-import { h } from "./dom.js";
+import { fill, h, make } from "./dom.js";
 import { Figure } from "./figure.js";
 import { length } from "./numbers.js";
 import { turnsPicture } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { MICROMETRES, SECONDS_AXIS } from "./records.js";
+import { isPlane } from "./report.js";
 import { chosenModel, openJobs } from "./state.js";
 import { goTo, jobCards, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
-let drawn = null; // the plan in the pictures
+const turns = make(h("div", { class: "report", id: "trust-turns" }));
+let drawn = {}; // the plan in the pictures, and the figure with its turning points
 
 export function trustView() {
   const heading = h("h2", { class: "unseen" }, "Trust");
@@ -20,26 +22,57 @@ export function trustView() {
   if (!model) return [heading, needsModel("There is no model to assess yet.")];
   const jobs = openJobs("insight", model.id);
   const running = jobs.some((one) => one.status === "running");
+  const { report } = model.insight ?? {};
+  const assessment = report && mounted(report);
+  fill(turns, turned(model));
+  if (assessment) assessed(assessment);
   return [
     heading,
     modelChoice(),
-    !model.insight?.report && verdictBlock(model),
+    !assessment && verdictBlock(model),
+    !assessment && turns,
     h("ul", { id: "trust-jobs", class: "cards" }, jobCards(jobs)),
-    h("div", { id: "trust-insight" }, model.insight?.report ? assessment(model) : invitation(model, running)),
+    h("div", { id: "trust-insight" }, assessment ? assessment.element : !report && invitation(model, running)),
+    report && problem(report),
     problem("trust"),
   ];
+}
+
+// Where the records of a model turned, from its report, with the path of the next step and the promise along it.
+function turned(model) {
+  const figure = mounted(model.report, "turns")?.figures.find(isPlane);
+  if (!figure) return problem(model.report);
+  const section = figure.element.closest("section");
+  const beside = figure.element.parentElement;
+  const plan = currentPlan();
+  promise.element.hidden = !plan;
+  if (beside.nextSibling !== promise.element) beside.after(promise.element);
+  if (plan && (drawn.plan !== plan || drawn.figure !== figure)) drawPath(plan, figure);
+  const words = plan ? h("p", {}, plan.turned?.sentence) : h("p", {}, "There is no path yet. ", goTo("path", "To the path"));
+  return [section.previousElementSibling, section, words];
+}
+
+// Put the turning points behind the first words of an assessment, in place of its own.
+function assessed({ element, figures }) {
+  const own = figures.find(isPlane)?.element.closest("section");
+  if (own && element.contains(own)) {
+    own.previousElementSibling.remove();
+    own.remove();
+  }
+  const first = element.querySelector(".outcome");
+  if (first.nextSibling !== turns) first.after(turns);
 }
 
 const invitation = ({ id }, running) =>
   h(
     "div",
     { class: "card", key: "invitation" },
-    h("h3", {}, "What do the records test?"),
+    h("h3", {}, "What do the records leave open?"),
     h(
       "p",
       {},
-      "The assessment shows where the records turned and what that leaves open of your path, what to record next, " +
-        "and which numbers of the model the records determine. It takes seconds to minutes.",
+      "The assessment shows what the records leave open of a path, what to record next, and which numbers of the model " +
+        "the records determine. It takes seconds to minutes.",
     ),
     button("Assess the model", "trust", () => start(id), { class: "main", hidden: running }),
   );
@@ -49,25 +82,11 @@ async function start(id) {
   announce("The assessment has begun.");
 }
 
-function assessment({ insight }) {
-  const parts = mounted(insight.report);
-  const plan = currentPlan();
-  promise.element.hidden = !plan;
-  if (parts && promise.element.parentElement !== parts.element) {
-    parts.element.querySelector(".outcome").after(promise.element);
-    drawn = null;
-  }
-  if (parts && plan && drawn !== plan) drawPath(plan, parts);
-  const none = h("p", {}, "There is no path yet. ", goTo("path", "To the path"));
-  return [problem(insight.report), !plan && none, parts?.element];
-}
-
 // Draw the path with its band, and where its voltage turns.
-function drawPath(plan, { figures }) {
-  const { path, planned, band, tested } = plan;
-  drawn = plan;
-  const turns = figures.find((one) => one.title === "Turning points");
-  if (tested) turns?.set(...turnsPicture(tested, planned.voltage));
+function drawPath(plan, figure) {
+  const { path, planned, band, turned: found } = plan;
+  drawn = { plan, figure };
+  if (found) figure.set(...turnsPicture(found));
   const curve = (name, colour, y, more) => ({ name, colour, x: path.time, y, rising: true, width: 1.8, ...more });
   const series = [curve("wanted", "measured", path.wanted, { around: band })];
   if (planned.clamps.limited + planned.clamps.slewed) series.push(curve("reached", "simulated", planned.reached));
