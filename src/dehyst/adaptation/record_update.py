@@ -14,11 +14,9 @@ from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.adaptation.active_set import StepwiseProgram
 from dehyst.adaptation.weights import Weights
-from dehyst.identification import Trace
-from dehyst.identification.validation import compare, errors_of, prepare_for
+from dehyst.identification import Trace, compare, errors_of, prepare_for
 from dehyst.model import Actuator
-from dehyst.records import Record
-from dehyst.records.signals import largest, percent, rms
+from dehyst.records import Record, largest, percent, rms
 from dehyst.trust import Change, Recheck, check
 
 # Groups of weights: more than in a loop, for time does not matter here.

@@ -19,10 +19,18 @@ from numpy.typing import NDArray
 
 from dehyst._native import EMPTY, slip_elongations, smooth_elongations, strains
 from dehyst._types import Array
-from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Creep, GradedSlip, MaxwellSlip, SmoothSlip, Spring, State
-from dehyst.model.elements import parts_in_segments
-from dehyst.model.states import looped
+from dehyst.identification import Grid
+from dehyst.model import (
+    Actuator,
+    Creep,
+    GradedSlip,
+    MaxwellSlip,
+    SmoothSlip,
+    Spring,
+    State,
+    looped,
+    parts_in_segments,
+)
 
 # Groups of elements along their thresholds, of grades along the stroke and of the spring's segments.
 _ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 20
