@@ -34,7 +34,7 @@ class Lines {
 
 // Whether the core computes an actuator in lanes.
 bool in_lanes(const Core &core) {
-    return core.tables.grades.size == 0 && core.tables.smooth.size == 0 && !core.tables.inertia;
+    return core.tables.grades.size == 0 && core.tables.smooth.size == 0 && !core.tables.inertia && core.output.empty();
 }
 
 struct Bank {

@@ -25,6 +25,32 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
     return {own<Matrix>(std::move(out), {n, j}), as_array(d)};
 }
 
+// Creep behind the elements of displacements m, or with `inverse` m from displacements that creep.
+std::tuple<Output, Output> output_creep(Input path, Bounds bounds, Grid decay, Grid rise, Input gain, double before,
+                                        Input strain, bool inverse) {
+    std::vector<double> e = copy(strain);
+    const size_t n = path.size(), k = e.size();
+    const std::vector<double> none;
+    const Core::Steps steps{bounds, decay, rise, Grid(none.data(), {decay.shape(0), 0})};
+    const size_t count = steps.size(n, k, false);
+    if (gain.size() != k) demand(DEHYST_ERR_SIZE);
+    std::unique_ptr<double[]> out(new double[n + 1]);
+    const double *source = path.data(), *gains = gain.data();
+    const auto run = inverse ? dehyst_output_compensate : dehyst_output_simulate;
+    {
+        nb::gil_scoped_release release;
+        for (size_t r = 0; r < count; r++) {
+            const dehyst_step step = steps.at(r);
+            const long first = steps.first(r), length = steps.length(r);
+            dehyst_output output{int(k), gains, step.decay, step.gain, 0, 0};
+            demand(dehyst_output_tabulate(&output));
+            run(&output, e.data(), before, source + first, out.get() + first, length);
+            if (length > 0) before = (inverse ? out.get() : source)[first + length - 1];
+        }
+    }
+    return {own<Output>(std::move(out), {n}), as_array(e)};
+}
+
 std::tuple<Matrix, Output> slip_elongations(Input rho, Input cart, Input y) {
     std::vector<double> own_rho = copy(rho), own_cart = copy(cart);
     const size_t n = y.size(), size = own_rho.size();
@@ -79,7 +105,7 @@ NB_MODULE(_core, m) {
     m.doc() = "The C core of dehyst; use it through dehyst._native.";
     nb::exception<CoreError>(m, "CoreError", PyExc_ValueError);
     nb::class_<Core>(m, "Core")
-        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
         .def("compensate", &Core::compensate)
         .def("simulate", &Core::simulate)
         .def("voltage", &Core::voltage)
@@ -92,4 +118,5 @@ NB_MODULE(_core, m) {
     m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);
     m.def("strains", &strains);
+    m.def("output_creep", &output_creep);
 }

@@ -21,13 +21,15 @@ struct Loop {
          nb::object on_clamp_)
         : core(core_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), on_clamp(on_clamp_) {
         const bool inertia = core.tables.inertia;
-        if (decay.size() != core.stiffness.size() || gain.size() != decay.size() || numbers.size() != 7 ||
+        const size_t j = core.stiffness.size();
+        if (decay.size() != j + core.output.size() || gain.size() != decay.size() || numbers.size() != 7 ||
             transition.size() != (inertia ? 8 : 0))
             demand(DEHYST_ERR_SIZE);
         const double *row = transition.data(), *x = numbers.data();
         dehyst_step step{decay.data(), gain.data(), {}};
         if (inertia) step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
         model.actuator = core.tables, model.step = step;
+        model.output = {int(core.output.size()), core.output.data(), decay.data() + j, gain.data() + j, 0, 0};
         model.low = x[0], model.high = x[1], model.change = x[2];
         model.taps = int(tap.size()), model.tap = tap.data();
         model.lag = x[3], model.keep = x[4], model.from_old = x[5], model.from_new = x[6];
@@ -35,14 +37,15 @@ struct Loop {
     }
     Loop(const Loop &) = delete;
 
-    // Numbers of a start: carts, then strains of creep and elongations.
+    // Numbers of a start: carts, strains of creep, elongations, strains behind the elements.
     void set_start(double w, Input cart, Input strain, Input motion) {
         const size_t n = core.rho.size(), j = core.stiffness.size();
-        if (cart.size() != n || strain.size() != j + core.length.size() || motion.size() != (model.actuator.inertia ? 2 : 0))
+        if (cart.size() != n || strain.size() != core.strains_size() || motion.size() != (model.actuator.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         start = copy(cart);
         start.insert(start.end(), strain.data(), strain.data() + strain.size());
-        model.start = {w, w, 0, start.data(), start.data() + n, start.data() + n + j};
+        const double *elongation = start.data() + n + j;
+        model.start = {w, w, 0, start.data(), start.data() + n, elongation, elongation + core.length.size()};
         if (model.actuator.inertia) model.start.y = motion(0), model.start.rate = motion(1);
     }
     void begin(double w, Input cart, Input strain, Input motion) {
@@ -65,7 +68,8 @@ struct Loop {
     // A snapshot as firmware writes it; the model needs its `id`, from block.
     nb::bytes save() const {
         demand_free();
-        std::vector<unsigned char> bytes(DEHYST_SNAPSHOT(core.rho.size(), core.stiffness.size(), core.length.size(), tap.size()));
+        std::vector<unsigned char> bytes(DEHYST_SNAPSHOT(core.rho.size(), core.stiffness.size(), core.length.size(),
+                                                         core.output.size(), tap.size()));
         dehyst_loop_save(&model, &loop, memory.data(), bytes.data(), bytes.size());
         return nb::bytes(reinterpret_cast<const char *>(bytes.data()), bytes.size());
     }
@@ -87,8 +91,7 @@ struct Loop {
 
     double *carts() { return memory.data() + (loop.half ? core.rho.size() : 0); }
     double *strains() { return memory.data() + 2 * core.rho.size(); }
-    size_t strains_size() const { return core.stiffness.size() + core.length.size(); }
-    double *inputs() { return strains() + strains_size(); }
+    double *inputs() { return strains() + core.strains_size(); }
 
     // A clamp is reported before the voltage counts as sent, once of each kind: the listener may still raise.
     void check_offer(double u) {
@@ -160,7 +163,7 @@ struct Loop {
         for (size_t t = 0; t < n; t++, from += row, to += row) {
             if (plays) {
                 dehyst_loop_play(&model, &loop, memory.data(), *from);
-                *to = dehyst_loop_displacement(&model, &loop);
+                *to = displacement();
             } else {
                 *to = dehyst_loop_step(&model, &loop, memory.data(), *from);
             }
@@ -175,7 +178,7 @@ struct Loop {
             v[t] = dehyst_loop_offer(&model, &loop, memory.data(), u.data()[t]);
             offers[t] = loop.offer;
             dehyst_loop_commit(&model, &loop, memory.data(), v[t]);
-            w[t] = loop.w;
+            w[t] = displacement();
         }
         return {own<Output>(std::move(v), {n}), own<Output>(std::move(w), {n}), own<Output>(std::move(offers), {n})};
     }
@@ -191,7 +194,12 @@ struct Loop {
         put("grade_knot", core.grade_knot), put("grade_value", core.grade_value), put("grade_slope", core.grade_slope);
         put("tau_voltage", core.tau_voltage), put("tau_drive", core.tau_drive);
         put("tau_slope", core.tau_slope), put("tau_inverse", core.tau_inverse);
-        put("creep", core.stiffness), put("decay", decay), put("gain", gain);
+        const size_t j = core.stiffness.size();
+        put("creep", core.stiffness), put("decay", {decay.begin(), decay.begin() + j});
+        put("gain", {gain.begin(), gain.begin() + j});
+        put("output_gain", core.output), put("output_decay", {decay.begin() + j, decay.end()});
+        put("output_rise", {gain.begin() + j, gain.end()});
+        put("output", {c.output.at_rest, c.output.at_once});
         put("length", core.length), put("back", core.back), put("smooth", core.smooth);
         put("tap", tap);
         if (core.tables.inertia) {
@@ -205,6 +213,11 @@ struct Loop {
     }
 
     double sent() const { return loop.sent; }
+    double displacement() const { return dehyst_loop_displacement(&model, &loop, memory.data()); }
+    void scale(double gain, double offset) {
+        demand_free();
+        demand(dehyst_loop_scale(&loop, gain, offset));
+    }
     std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
         return {loop.limited, loop.slewed, loop.refused};
     }
@@ -218,20 +231,23 @@ struct Loop {
     // What a state lacks to go on bit for bit: amplifier, mass and what was wanted.
     Output rest() {
         demand_free();
-        std::vector<double> row{loop.sent, loop.acting, loop.intended[0], loop.intended[1], loop.rate};
+        std::vector<double> row{loop.sent, loop.acting, loop.intended[0], loop.intended[1],
+                                loop.rate, loop.gain,   loop.offset,      loop.driven};
         row.insert(row.end(), inputs(), inputs() + tap.size());
         return as_array(row);
     }
     void go_on(Input row, unsigned long limited, unsigned long slewed, unsigned long refused) {
         demand_free();
-        if (row.size() != 5 + tap.size()) demand(DEHYST_ERR_SIZE);
+        if (row.size() != 8 + tap.size()) demand(DEHYST_ERR_SIZE);
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
-        // The velocity of a mass, as `dehyst_check` bounds its place.
-        if (std::fabs(row(4)) > 1 / DEHYST_EPSILON / DEHYST_EPSILON) demand(DEHYST_ERR_FINITE);
+        // As `dehyst_check` bounds the place of a mass.
+        const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
+        if (std::fabs(row(4)) > farthest || std::fabs(row(7)) > farthest) demand(DEHYST_ERR_FINITE);
+        demand(dehyst_loop_scale(&loop, row(5), row(6)));
         loop.sent = row(0), loop.acting = row(1), loop.intended[0] = row(2), loop.intended[1] = row(3);
-        loop.rate = row(4);
-        std::copy(row.data() + 5, row.data() + row.size(), inputs());
+        loop.rate = row(4), loop.driven = row(7);
+        std::copy(row.data() + 8, row.data() + row.size(), inputs());
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
@@ -240,7 +256,8 @@ struct Loop {
     template <typename Visit> void visit(Visit each) {
         each(loop.w);
         for (size_t i = 0; i < core.rho.size(); i++) each(carts()[i]);
-        for (size_t i = 0; i < strains_size(); i++) each(strains()[i]);
+        for (size_t i = 0; i < core.strains_size(); i++) each(strains()[i]);
+        if (!core.output.empty()) each(loop.driven);
         if (core.tables.inertia) each(loop.y), each(loop.rate), each(loop.input);
         each(loop.sent);
         if (model.lag > 0) each(loop.acting), each(loop.intended[0]), each(loop.intended[1]);
@@ -288,7 +305,7 @@ struct Loop {
     double reached(Input row, double v) {
         place(row);
         follow(v);
-        return dehyst_loop_displacement(&model, &loop);
+        return displacement();
     }
     Output moved(Input row_, double v) {
         place(row_);
@@ -319,6 +336,8 @@ void bind_loop(nb::module_ &m) {
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
+        .def("displacement", &Loop::displacement)
+        .def("scale", &Loop::scale)
         .def("counts", &Loop::counts)
         .def("state", &Loop::state)
         .def("rest", &Loop::rest)

@@ -33,17 +33,19 @@ inline void demand_size(size_t rows, size_t columns = 1) {
 struct Core {
     std::vector<double> rho, kappa, knot, value, slope, edge, intercept, slip_stiffness;
     std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
-    std::vector<double> length, back, smooth;
+    std::vector<double> length, back, smooth, output;
     dehyst_actuator tables{};
 
     Core(Input rho_, Input kappa_, Input knot_, Input value_, Input grade_knot_, Input grades, Input tau_voltage_,
-         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_)
+         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_,
+         Input output_)
         : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)), grade_knot(copy(grade_knot_)),
           grade_slope(copy(grades)), tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)),
-          stiffness(copy(stiffness_)), length(copy(length_)), back(length.size()), smooth(copy(smooth_)) {
+          stiffness(copy(stiffness_)), length(copy(length_)), back(length.size()), smooth(copy(smooth_)),
+          output(copy(output_)) {
         const size_t n = rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
         demand_size(n + 1, m + 1), demand_size(knot.size()), demand_size(tau_voltage.size());
-        demand_size(stiffness.size()), demand_size(length.size());
+        demand_size(stiffness.size()), demand_size(length.size()), demand_size(output.size());
         if (kappa.size() != n || value.size() != knot.size() || knot.size() < 2 || grade_slope.size() != n * m ||
             tau_voltage.size() != tau_drive.size() || closing.size() != length.size() ||
             smooth.size() != length.size() || (inertia.size() != 0 && inertia.size() != 2))
@@ -82,7 +84,8 @@ struct Core {
         tables.inverse_transformer = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
     }
 
-    // In one array: the strains of creep, then the elongations of smooth elements.
+    // In one array: the strains of creep, the elongations of smooth elements, and strains behind the elements.
+    size_t strains_size() const { return stiffness.size() + length.size() + output.size(); }
     struct Memory {
         std::vector<double> cart, strain;
         dehyst_state state;
@@ -92,7 +95,7 @@ struct Core {
         auto own_memory = std::make_unique<Memory>();
         own_memory->cart = copy(cart), own_memory->strain = copy(strain);
         if (own_memory->cart.size() != rho.size() ||
-            own_memory->strain.size() != stiffness.size() + length.size() || motion.size() != (tables.inertia ? 2 : 0))
+            own_memory->strain.size() != strains_size() || motion.size() != (tables.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
                              own_memory->strain.data() + stiffness.size(), 0, 0, 0};
@@ -116,7 +119,8 @@ struct Core {
         Workspace(const Workspace &) = delete;
     };
 
-    // Runs of equal steps: samples bounds[r] to bounds[r + 1] take steps of row r.
+    // Runs of equal steps: samples bounds[r] to bounds[r + 1] take steps of row r, of which the elements read the first
+    // J coefficients; K for creep behind them follow.
     struct Steps {
         Bounds bounds;
         Grid decay, gain, transition;
@@ -152,7 +156,7 @@ struct Core {
                        Input cart, Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
         const Steps steps{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = steps.size(n, stiffness.size(), tables.inertia);
+        const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
         if (extra.size() != 0 && extra.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
@@ -173,7 +177,7 @@ struct Core {
                      Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
         const Steps steps{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = steps.size(n, stiffness.size(), tables.inertia);
+        const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
         if (load.size() != 0 && load.size() != n) demand(DEHYST_ERR_SIZE);
         std::unique_ptr<double[]> out(new double[n + 1]);
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;

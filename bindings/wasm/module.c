@@ -94,7 +94,7 @@ EXPORT(dehyst_status, limit)(dehyst_real low, dehyst_real high, dehyst_real chan
 
 /* Begin from the model's own start. */
 EXPORT(dehyst_status, begin)(void) { return dehyst_loop_begin(&model, loop, memory); }
-EXPORT(dehyst_real, displacement)(void) { return dehyst_loop_displacement(&model, loop); }
+EXPORT(dehyst_real, displacement)(void) { return dehyst_loop_displacement(&model, loop, memory); }
 
 /* Return the voltage for u; not a number if u is refused, and then nothing is on offer. */
 EXPORT(dehyst_real, offer)(dehyst_real u)

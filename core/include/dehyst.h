@@ -22,8 +22,8 @@ extern "C" {
 #endif
 
 #define DEHYST_VERSION "0.1.0"
-/* Blocks of another format are refused. */
-#define DEHYST_MODEL_FORMAT 1
+/* Blocks of a later format are refused, and snapshots of another one. */
+#define DEHYST_MODEL_FORMAT 2
 #define DEHYST_SNAPSHOT_FORMAT 2
 
 typedef DEHYST_REAL dehyst_real;
@@ -79,10 +79,12 @@ typedef enum dehyst_offer {
 typedef struct dehyst_loop {
     dehyst_real w, y, rate; /* displacement of the elements; with inertia, that of the mass y and y'/omega [m] */
     dehyst_real input;      /* with inertia, its input at the last step [m] */
+    dehyst_real gain, offset; /* the displacement is offset + gain times that of the model; 1 and 0 m at the beginning */
+    dehyst_real driven;     /* the displacement by which creep behind the elements is driven [m] */
     dehyst_real sent;       /* the last voltage */
     dehyst_real acting;     /* what the amplifier makes of it */
     dehyst_real intended[2]; /* the last two voltages that were to act */
-    dehyst_real wanted;      /* on offer: the wanted displacement, */
+    dehyst_real wanted;      /* on offer: the wanted displacement, without creep behind the elements, gain and offset, */
     dehyst_real target;      /* the w that this needs, */
     dehyst_real candidate;   /* the voltage of that w, */
     dehyst_real voltage;     /* and the voltage within limits */
@@ -93,10 +95,10 @@ typedef struct dehyst_loop {
 } dehyst_loop;
 
 /* Numbers of the memory of a loop: carts of n elements, twice, strains of j creep branches, elongations of l smooth
- * elements, and the last t wanted displacements. */
-#define DEHYST_MEMORY(n, j, l, t) (2 * (n) + (j) + (l) + (t))
+ * elements, strains of k branches of creep behind them, and the last t wanted displacements. */
+#define DEHYST_MEMORY(n, j, l, k, t) (2 * (n) + (j) + (l) + (k) + (t))
 /* Bytes of a snapshot of it. */
-#define DEHYST_SNAPSHOT(n, j, l, t) (40 + 8 * (8 + (n) + (j) + (l) + (t)))
+#define DEHYST_SNAPSHOT(n, j, l, k, t) (40 + 8 * (11 + (n) + (j) + (l) + (k) + (t)))
 
 /* Begin from the start of the model, at rest at the voltage that holds it, as if its displacement had always been
  * wanted. If that voltage lies outside the limits, the nearest limit counts as sent. */
@@ -111,8 +113,13 @@ void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_rea
 /* End a period with any voltage: the actuator alone, without limits. A voltage that leads farther than can be computed
  * moves nothing and counts as refused. */
 void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v);
-/* Return the displacement of the actuator after all voltages that were sent. */
-dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop);
+/* Return the displacement of the actuator after all voltages that were sent, with gain and offset. */
+dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory);
+/* Set gain and offset of the displacement between two periods, for instance as a temperature or a sensor asks for. What is
+ * on offer is withdrawn, and the next voltages follow as fast as the slew rate allows.
+ * @param offset [m]
+ * @return DEHYST_ERR_SIGN or DEHYST_ERR_FINITE if the gain is not positive, or a number not finite: nothing changes then */
+dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset);
 /* Go on with another model of the same shape, for instance with adapted weights, between two periods. What the loop
  * remembers stays, and what is on offer is withdrawn. The next voltages follow the new model as fast as its slew rate
  * allows.

@@ -186,12 +186,27 @@ dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *st
 dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
                                  dehyst_real stiffness, dehyst_real v);
 
+/* Creep in displacement, behind the elements and the mass: with m their displacement, w or y,
+ *
+ *     y = offset + gain ((1 + G) m - sum_k g_k e_k),   G = sum_k g_k,   e_k <- decay_k e_k + rise_k (m_new - m_old)
+ *
+ * so that e_k is m less its low-pass, and m + sum_k g_k lowpass_k(m) creeps. Gain and offset belong to the loop. */
+typedef struct dehyst_output {
+    int branches;             /* K >= 0 */
+    const dehyst_real *gain;  /* [K] g_k >= 0 */
+    const dehyst_real *decay; /* [K] of a period, exp(-dt/tau_k) */
+    const dehyst_real *rise;  /* [K] (1 - decay) tau_k/dt */
+    dehyst_real at_rest;      /* 1 + G, from dehyst_output_tabulate */
+    dehyst_real at_once;      /* 1 + G - sum_k g_k rise_k, from dehyst_output_tabulate */
+} dehyst_output;
+
 /* Where a loop begins. */
 typedef struct dehyst_start {
     dehyst_real w, y, rate;        /* [m] as in dehyst_state */
     const dehyst_real *cart;       /* [N] */
     const dehyst_real *strain;     /* [J] */
     const dehyst_real *elongation; /* [L] */
+    const dehyst_real *crept;      /* [K] e_k of creep behind the elements */
 } dehyst_start;
 
 /* A compensator in a loop: wanted displacement in, voltage within limits out, at equal steps of time.
@@ -202,6 +217,7 @@ typedef struct dehyst_start {
 struct dehyst_model {
     dehyst_actuator actuator;
     dehyst_step step;       /* of one period */
+    dehyst_output output;
     dehyst_real low, high;  /* limits of v [V] */
     dehyst_real change;     /* largest change of v in a period [V]; DEHYST_LARGEST: any */
     int taps;               /* >= 1 */
@@ -216,7 +232,9 @@ struct dehyst_model {
     unsigned long shape; /* checksum of what the memory of a loop depends on: snapshots and exchanges ask for it */
 };
 
-/* Check a model and compute its `stiffness`. */
+/* Check creep behind the elements and compute `at_rest` and `at_once`. */
+dehyst_status dehyst_output_tabulate(dehyst_output *output);
+/* Check a model, and compute its `stiffness` and what its `output` has from dehyst_output_tabulate. */
 dehyst_status dehyst_model_tabulate(dehyst_model *model);
 /* Return how many numbers the memory of a loop has. */
 unsigned long dehyst_memory_size(const dehyst_model *model);

@@ -80,6 +80,14 @@ void dehyst_compensate_run(const dehyst_actuator *actuator, const dehyst_step *s
 void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
                          dehyst_workspace *workspace, const dehyst_real *v, const dehyst_real *load, dehyst_real *y,
                          long n);
+/* Add creep behind the elements to a path at equal steps of time, m [n] to y [n]; these may be the same array.
+ * @param strain [K]
+ * @param before m before the first sample */
+void dehyst_output_simulate(const dehyst_output *output, dehyst_real *strain, dehyst_real before, const dehyst_real *m,
+                            dehyst_real *y, long n);
+/* Do the inverse, y [n] to m [n]; these may be the same array. */
+void dehyst_output_compensate(const dehyst_output *output, dehyst_real *strain, dehyst_real before,
+                              const dehyst_real *y, dehyst_real *m, long n);
 /* Change the strains of creep along a path of w and return them.
  * @param strain [J]
  * @param before w before the first sample

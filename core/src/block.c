@@ -1,12 +1,12 @@
 /* A model and the memory of a loop as blocks of bytes, little-endian, numbers as IEEE doubles, on every processor.
  *
- * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of all that follows, then N, K, M, B,
- * J, L, taps, inertia (0 or 1), ahead and three zeros - and the numbers that walk_model names, in its order. K are the
- * knots of the spring, M the grades, B the knots of tau; the other sizes are those of dehyst_model.h.
+ * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of all that follows, then N, knots of
+ * the spring, grades, knots of tau, J, L, taps, inertia (0 or 1), ahead, K and two zeros - and the numbers that walk_model
+ * names, in its order. Letters are those of dehyst_model.h. In format 1 K is 0.
  *
  * A snapshot: ten unsigned - "DHYS", format, bytes, CRC-32, shape and id of the model, samples limited, slewed, refused,
- * zero - and w, y, rate, input, sent, acting, intended [2], carts [N], strains [J], elongations [L], wanted displacements
- * [taps]. */
+ * zero - and w, y, rate, input, sent, acting, intended [2], gain, offset, driven, carts [N], strains [J], elongations [L],
+ * strains behind the elements [K], wanted displacements [taps]. */
 #include "internal.h"
 
 #include <stdint.h>
@@ -15,11 +15,11 @@
 #define KIND_OF_SNAPSHOT 0x53594844u
 #define HEADER_OF_MODEL 64
 #define HEADER_OF_SNAPSHOT 40
-#define SCALARS 8
+#define SCALARS 11
 /* Larger sizes are refused: products and sums of them must not overflow. */
 #define LARGEST_SIZE (1u << 24)
 
-enum { ELEMENTS, KNOTS, GRADES, BENDS, BRANCHES, SMOOTH, TAPS, INERTIA, AHEAD, SIZES };
+enum { ELEMENTS, KNOTS, GRADES, BENDS, BRANCHES, SMOOTH, TAPS, INERTIA, AHEAD, OUTPUT, SIZES };
 
 static uint32_t crc32(uint32_t sum, const unsigned char *bytes, unsigned long size)
 {
@@ -221,6 +221,9 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     shaping(c, &a->smooth.length, size[SMOOTH]);
     shaping(c, &a->smooth.back, size[SMOOTH]);
     some(c, &a->smooth.stiffness, size[SMOOTH]);
+    some(c, &m->output.gain, size[OUTPUT]);
+    shaping(c, &m->output.decay, size[OUTPUT]);
+    shaping(c, &m->output.rise, size[OUTPUT]);
     some(c, &m->tap, size[TAPS]);
     one(c, &a->series);
     one(c, &a->share);
@@ -244,20 +247,21 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     some(c, &m->start.cart, size[ELEMENTS]);
     some(c, &m->start.strain, size[BRANCHES]);
     some(c, &m->start.elongation, size[SMOOTH]);
+    some(c, &m->start.crept, size[OUTPUT]);
 }
 
 /* Begin the shape of a model with the sizes that the memory of its loop has. */
 static uint32_t shape_of_sizes(const unsigned char *bytes)
 {
     const unsigned char *sizes = bytes + 16;
-    return crc32(crc32(0, sizes + 4 * ELEMENTS, 4), sizes + 4 * BRANCHES, 4 * (AHEAD + 1 - BRANCHES));
+    return crc32(crc32(0, sizes + 4 * ELEMENTS, 4), sizes + 4 * BRANCHES, 4 * (SIZES - BRANCHES));
 }
 
 static uint64_t numbers_of(const uint32_t *size)
 {
     const uint64_t n = size[ELEMENTS], m = size[GRADES];
     return 3 * n + 2 * (uint64_t)size[KNOTS] + (m > 0 ? m + 1 : 0) + n * m + 2 * (uint64_t)size[BENDS] +
-           4 * (uint64_t)size[BRANCHES] + 4 * (uint64_t)size[SMOOTH] + size[TAPS] + 10 + 5 + 3 + 3;
+           4 * ((uint64_t)size[BRANCHES] + size[SMOOTH] + size[OUTPUT]) + size[TAPS] + 10 + 5 + 3 + 3;
 }
 
 /* Return how many numbers a block and the tables that are computed have. */
@@ -269,7 +273,9 @@ static uint64_t room_of(const uint32_t *size)
 
 static dehyst_status read_sizes(const unsigned char *bytes, unsigned long length, uint32_t *size)
 {
-    const dehyst_status status = check_frame(bytes, length, KIND_OF_MODEL, DEHYST_MODEL_FORMAT, HEADER_OF_MODEL);
+    const int old = bytes != NULL && length >= 8 && word_at(bytes + 4) == 1;
+    const uint32_t format = old ? 1 : DEHYST_MODEL_FORMAT;
+    const dehyst_status status = check_frame(bytes, length, KIND_OF_MODEL, format, HEADER_OF_MODEL);
     int i;
     if (status != DEHYST_OK) return status;
     for (i = 0; i < 12; i++) {
@@ -277,6 +283,7 @@ static dehyst_status read_sizes(const unsigned char *bytes, unsigned long length
         if (word > (i < SIZES ? LARGEST_SIZE : 0)) return DEHYST_ERR_LENGTH;
         if (i < SIZES) size[i] = word;
     }
+    if (old && size[OUTPUT] > 0) return DEHYST_ERR_LENGTH;
     if (size[KNOTS] < 2 || size[BENDS] == 1 || size[TAPS] < 1 || size[INERTIA] > 1) return DEHYST_ERR_SIZE;
     return numbers_of(size) * 8 + HEADER_OF_MODEL == length ? DEHYST_OK : DEHYST_ERR_LENGTH;
 }
@@ -312,6 +319,7 @@ static dehyst_status tabulate(cursor *c, dehyst_model *m, const uint32_t *size)
     a->branches = (int)size[BRANCHES];
     a->smooth.size = (int)size[SMOOTH];
     a->inertia = (int)size[INERTIA];
+    m->output.branches = (int)size[OUTPUT];
     m->taps = (int)size[TAPS];
     m->ahead = (int)size[AHEAD];
     status = dehyst_slip_check(a->plain.slip.size, a->plain.slip.rho, a->plain.slip.kappa);
@@ -370,6 +378,7 @@ dehyst_status dehyst_model_load(const unsigned char *bytes, unsigned long size, 
     state.rate = model->start.rate;
     state.input = 0;
     status = dehyst_check(&model->actuator, &state);
+    if (status == DEHYST_OK) status = dehyst_start_check(model);
     if (status != DEHYST_OK) return status;
     return is_finite(dehyst_voltage(&model->actuator, &state)) ? DEHYST_OK : DEHYST_ERR_FINITE;
 }
@@ -388,6 +397,7 @@ unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsig
     sizes[BENDS] = (uint32_t)a->transformer.size;
     sizes[BRANCHES] = (uint32_t)a->branches;
     sizes[SMOOTH] = (uint32_t)a->smooth.size;
+    sizes[OUTPUT] = (uint32_t)model->output.branches;
     sizes[TAPS] = (uint32_t)model->taps;
     sizes[INERTIA] = (uint32_t)a->inertia;
     sizes[AHEAD] = (uint32_t)model->ahead;
@@ -408,14 +418,16 @@ unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsig
 static unsigned long snapshot_size(const dehyst_model *model)
 {
     const dehyst_actuator *a = &model->actuator;
-    return (unsigned long)DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, model->taps);
+    return (unsigned long)DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, model->output.branches,
+                                          model->taps);
 }
 
 unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                unsigned char *bytes, unsigned long size)
 {
-    const dehyst_real scalar[SCALARS] = {loop->w,    loop->y,      loop->rate,        loop->input,
-                                         loop->sent, loop->acting, loop->intended[0], loop->intended[1]};
+    const dehyst_real scalar[SCALARS] = {loop->w,           loop->y,           loop->rate, loop->input,
+                                         loop->sent,        loop->acting,      loop->intended[0],
+                                         loop->intended[1], loop->gain,        loop->offset, loop->driven};
     const unsigned long total = snapshot_size(model), all = dehyst_memory_size(model);
     const unsigned long n = (unsigned long)model->actuator.plain.slip.size;
     unsigned char *at = bytes + HEADER_OF_SNAPSHOT;
@@ -446,6 +458,9 @@ static dehyst_status check_snapshot(const dehyst_model *model, const unsigned ch
         if (!is_finite(real_at(first + 8 * i))) return DEHYST_ERR_FINITE;
     for (k = 0; k < 4; k++)
         if (!within_reach(real_at(first + 8 * k))) return DEHYST_ERR_FINITE;
+    for (k = 8; k < SCALARS; k++)
+        if (!within_reach(real_at(first + 8 * k))) return DEHYST_ERR_FINITE;
+    if (!(real_at(first + 64) > 0)) return DEHYST_ERR_SIGN;
     if (!dehyst_loop_accepts(model, real_at(first + 32))) return DEHYST_ERR_STATE;
     for (k = 0; k < a->plain.slip.size; k++, at += 8) {
         const dehyst_real rho = a->plain.slip.rho[k], allowance = 8 * DEHYST_EPSILON * (magnitude(w) + rho);
@@ -460,8 +475,9 @@ static dehyst_status check_snapshot(const dehyst_model *model, const unsigned ch
 dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
                                   const unsigned char *bytes, unsigned long size)
 {
-    dehyst_real *const scalar[SCALARS] = {&loop->w,    &loop->y,      &loop->rate,        &loop->input,
-                                          &loop->sent, &loop->acting, &loop->intended[0], &loop->intended[1]};
+    dehyst_real *const scalar[SCALARS] = {&loop->w,           &loop->y,      &loop->rate,   &loop->input,
+                                          &loop->sent,        &loop->acting, &loop->intended[0],
+                                          &loop->intended[1], &loop->gain,   &loop->offset, &loop->driven};
     const unsigned long all = dehyst_memory_size(model), n = (unsigned long)model->actuator.plain.slip.size;
     dehyst_status status = check_frame(bytes, size, KIND_OF_SNAPSHOT, DEHYST_SNAPSHOT_FORMAT, HEADER_OF_SNAPSHOT);
     const unsigned char *at = bytes + HEADER_OF_SNAPSHOT;

@@ -25,6 +25,20 @@ const char *dehyst_status_text(dehyst_status status)
     return "unknown status";
 }
 
+dehyst_status dehyst_output_tabulate(dehyst_output *output)
+{
+    int k;
+    output->at_rest = output->at_once = 1;
+    for (k = 0; k < output->branches; k++) {
+        const dehyst_real gain = output->gain[k], decay = output->decay[k], rise = output->rise[k];
+        if (!is_finite(gain) || !is_finite(decay) || !is_finite(rise)) return DEHYST_ERR_FINITE;
+        if (gain < 0 || decay < 0 || decay > 1 || rise < 0 || rise > 1) return DEHYST_ERR_SIGN;
+        output->at_rest += gain;
+        output->at_once += gain * (1 - rise);
+    }
+    return within_reach(output->at_rest) ? DEHYST_OK : DEHYST_ERR_FINITE;
+}
+
 dehyst_status dehyst_model_tabulate(dehyst_model *model)
 {
     const dehyst_model *c = model;
@@ -36,7 +50,7 @@ dehyst_status dehyst_model_tabulate(dehyst_model *model)
     if (!(c->high > c->low)) return DEHYST_ERR_ORDER;
     if (!(c->change > 0) || c->lag < 0) return DEHYST_ERR_SIGN;
     model->stiffness = dehyst_step_stiffness(&c->actuator, &c->step);
-    return is_finite(model->stiffness) ? DEHYST_OK : DEHYST_ERR_FINITE;
+    return is_finite(model->stiffness) ? dehyst_output_tabulate(&model->output) : DEHYST_ERR_FINITE;
 }
 
 static dehyst_real nearest_allowed(const dehyst_model *model, dehyst_real v)
@@ -48,10 +62,12 @@ static dehyst_real nearest_allowed(const dehyst_model *model, dehyst_real v)
 unsigned long dehyst_memory_size(const dehyst_model *model)
 {
     const dehyst_actuator *a = &model->actuator;
-    return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->branches, a->smooth.size, model->taps);
+    return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->branches, a->smooth.size, model->output.branches,
+                                        model->taps);
 }
 
-/* Return the state of a loop, and put where its wanted displacements are in `inputs`. */
+/* Return the state of a loop, and put where its wanted displacements are in `inputs`; before them are the strains of
+ * creep behind the elements. */
 static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop, dehyst_real *memory,
                              dehyst_real **inputs)
 {
@@ -64,7 +80,7 @@ static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop,
     state.y = loop->y;
     state.rate = loop->rate;
     state.input = loop->input;
-    *inputs = state.elongation + model->actuator.smooth.size;
+    *inputs = state.elongation + model->actuator.smooth.size + model->output.branches;
     return state;
 }
 
@@ -76,6 +92,12 @@ static void keep_state(dehyst_loop *loop, const dehyst_state *state, const dehys
     loop->y = state->y;
     loop->rate = state->rate;
     loop->input = state->input;
+}
+
+/* Return the displacement of the model before creep behind the elements. */
+static dehyst_real before_creep(const dehyst_model *model, const dehyst_loop *loop)
+{
+    return model->actuator.inertia ? loop->y : loop->w;
 }
 
 /* Put the start of the model into a loop and its memory. */
@@ -96,19 +118,32 @@ static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, de
     state = state_of(model, loop, memory, inputs);
     for (i = 0; i < a->branches; i++) state.strain[i] = start->strain[i];
     for (i = 0; i < a->smooth.size; i++) state.elongation[i] = start->elongation[i];
+    for (i = 0; i < model->output.branches; i++) (*inputs)[i - model->output.branches] = start->crept[i];
+    loop->gain = 1;
+    loop->offset = 0;
+    loop->driven = before_creep(model, loop);
     return state;
+}
+
+dehyst_status dehyst_start_check(const dehyst_model *model)
+{
+    int k;
+    for (k = 0; k < model->output.branches; k++)
+        if (!within_reach(model->start.crept[k])) return DEHYST_ERR_FINITE;
+    return DEHYST_OK;
 }
 
 dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory)
 {
     dehyst_real *inputs, v;
     const dehyst_state state = start_state(model, loop, memory, &inputs);
-    const dehyst_status status = dehyst_check(&model->actuator, &state);
+    dehyst_status status = dehyst_check(&model->actuator, &state);
     int m;
+    if (status == DEHYST_OK) status = dehyst_start_check(model);
     if (status != DEHYST_OK) return status;
     v = dehyst_voltage(&model->actuator, &state);
     if (!is_finite(v)) return DEHYST_ERR_FINITE;
-    loop->wanted = dehyst_loop_displacement(model, loop);
+    loop->wanted = loop->driven;
     for (m = 0; m < model->taps; m++) inputs[m] = loop->wanted;
     loop->sent = nearest_allowed(model, v);
     loop->acting = loop->intended[0] = loop->intended[1] = loop->candidate = loop->voltage = loop->sent;
@@ -119,9 +154,28 @@ dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, de
     return DEHYST_OK;
 }
 
-dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop)
+/* Return whether the displacement is another one than that of the elements or the mass. */
+static int has_output(const dehyst_model *model, const dehyst_loop *loop)
 {
-    return model->actuator.inertia ? loop->y : loop->w;
+    return model->output.branches > 0 || loop->gain != 1 || loop->offset != 0;
+}
+
+dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
+{
+    const dehyst_real *inputs = memory + dehyst_memory_size(model) - model->taps;
+    const dehyst_real m = before_creep(model, loop);
+    if (!has_output(model, loop)) return m;
+    return loop->offset + loop->gain * crept(&model->output, inputs - model->output.branches, m);
+}
+
+dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset)
+{
+    if (!within_reach(gain) || !within_reach(offset)) return DEHYST_ERR_FINITE;
+    if (!(gain > 0)) return DEHYST_ERR_SIGN;
+    loop->gain = gain;
+    loop->offset = offset;
+    loop->offer = DEHYST_NOTHING;
+    return DEHYST_OK;
 }
 
 /* Return the target of w for u, the newest input. */
@@ -158,6 +212,8 @@ dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehy
     dehyst_real *inputs, v;
     const dehyst_state state = state_of(model, loop, memory, &inputs);
     dehyst_candidate candidate;
+    if (has_output(model, loop))
+        u = not_crept(&model->output, inputs - model->output.branches, loop->driven, (u - loop->offset) / loop->gain);
     candidate.w = model->taps > 1 ? filtered(model, inputs, u) : u;
     loop->wanted = u;
     loop->target = candidate.w;
@@ -200,11 +256,19 @@ static void follow(const dehyst_model *model, dehyst_loop *loop, dehyst_state *s
         loop->refused++;
 }
 
-static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v)
+/* End a period in which v was sent. Creep behind the elements is driven by the displacement that was wanted, if that is
+ * what v leads to, else by the one that was reached. With preview it is always the wanted one: the one that is reached
+ * comes later, and a strain that is driven now by one, now by the other would jump by the motion between them. */
+static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v, int as_wanted)
 {
     int m;
     for (m = model->taps - 1; m > 0; m--) inputs[m] = inputs[m - 1];
     if (loop->offer != DEHYST_NOTHING && is_finite(loop->wanted)) inputs[0] = loop->wanted;
+    if (model->output.branches > 0) {
+        const dehyst_real m = as_wanted ? inputs[0] : before_creep(model, loop);
+        creep_on(&model->output, inputs - model->output.branches, m - loop->driven);
+        loop->driven = m;
+    }
     loop->sent = v;
     loop->offer = DEHYST_NOTHING;
 }
@@ -235,7 +299,7 @@ void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_rea
         follow(model, loop, &state, v, as_wanted);
     }
     keep_state(loop, &state, memory);
-    end_period(model, loop, inputs, v);
+    end_period(model, loop, inputs, v, as_wanted || model->taps > 1);
 }
 
 void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v)
@@ -246,7 +310,7 @@ void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real 
     if (!is_finite(v)) v = loop->sent;
     follow(model, loop, &state, v, 0);
     keep_state(loop, &state, memory);
-    end_period(model, loop, inputs, v);
+    end_period(model, loop, inputs, v, 0);
 }
 
 dehyst_real dehyst_loop_step(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real u)

@@ -113,6 +113,35 @@ dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, d
 /* Return the voltage of smooth elements after a motion over `by`; nothing moves. */
 dehyst_real dehyst_smooth_voltage_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by);
 
+/* Return the displacement with creep behind the elements, m being that without. */
+static inline dehyst_real crept(const dehyst_output *output, const dehyst_real *strain, dehyst_real m)
+{
+    dehyst_real y = output->at_rest * m;
+    int k;
+    for (k = 0; k < output->branches; k++) y -= output->gain[k] * strain[k];
+    return y;
+}
+
+/* Return the m that leads to y at the end of a step that begins at `before`. */
+static inline dehyst_real not_crept(const dehyst_output *output, const dehyst_real *strain, dehyst_real before,
+                                    dehyst_real y)
+{
+    int k;
+    for (k = 0; k < output->branches; k++)
+        y += output->gain[k] * (output->decay[k] * strain[k] - output->rise[k] * before);
+    return y / output->at_once;
+}
+
+/* Move creep behind the elements through a step in which m moves over `by`. */
+static inline void creep_on(const dehyst_output *output, dehyst_real *strain, dehyst_real by)
+{
+    int k;
+    for (k = 0; k < output->branches; k++) strain[k] = output->decay[k] * strain[k] + output->rise[k] * by;
+}
+
+/* Check the strains of creep behind the elements with which a loop begins. */
+dehyst_status dehyst_start_check(const dehyst_model *model);
+
 /* Return 1 - exp(-x) for x >= 0, without a mathematics library. */
 dehyst_real dehyst_decay(dehyst_real x);
 /* Return ln(1 + a) for 0 <= a <= 1. */

@@ -13,6 +13,7 @@
 #define BENDS 4
 #define BRANCHES 3
 #define SMOOTH 2
+#define OUTPUT 2
 #define TAPS 3
 #define STEPS 60
 #define HEADER 64
@@ -52,6 +53,7 @@ typedef struct bench {
     dehyst_real grade_value[(ELEMENTS + 1) * (GRADES + 1)];
     dehyst_real volts[BENDS], drive[BENDS], tau[BENDS], inverse[BENDS];
     dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], length[SMOOTH], back[SMOOTH], smooth[SMOOTH];
+    dehyst_real output_gain[OUTPUT], output_decay[OUTPUT], output_rise[OUTPUT], crept[OUTPUT];
     dehyst_real tap[TAPS], cart[ELEMENTS], strain[BRANCHES], elongation[SMOOTH];
     dehyst_model model;
 } bench;
@@ -129,6 +131,14 @@ static void make(bench *b)
         give_curve(&a->inverse_transformer, BENDS, b->drive, b->volts, b->inverse);
     }
     if (bits() & 1) give_motion(b, m);
+    fill(b->output_gain, OUTPUT, 0, 0.2);
+    fill(b->output_decay, OUTPUT, 0.2, 0.99);
+    fill(b->output_rise, OUTPUT, 0.5, 1);
+    fill(b->crept, OUTPUT, -0.1, 0.1);
+    m->output.branches = bits() & 1 ? OUTPUT : 0;
+    m->output.gain = b->output_gain;
+    m->output.decay = b->output_decay;
+    m->output.rise = b->output_rise;
     m->low = 2;
     m->high = 7;
     m->change = bits() & 1 ? DEHYST_LARGEST : 2;
@@ -144,6 +154,7 @@ static void make(bench *b)
     m->start.cart = b->cart;
     m->start.strain = b->strain;
     m->start.elongation = b->elongation;
+    m->start.crept = b->crept;
     demand(dehyst_model_tabulate(m) == DEHYST_OK, "a model", m->taps);
 }
 
@@ -203,7 +214,7 @@ static void seal(unsigned char *bytes, unsigned long size)
 
 static void load_what_was_saved(bench *b, const unsigned char *bytes, unsigned long size)
 {
-    dehyst_real got[STEPS], memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
+    dehyst_real got[STEPS], memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
     dehyst_loop loop;
     int i;
     demand(run(bytes, size, got) == DEHYST_OK, "a sound block is refused", (long)run(bytes, size, got));
@@ -240,13 +251,16 @@ static void refuse_what_was_broken(const unsigned char *bytes, unsigned long siz
 
 static void go_on_from_snapshots(bench *b)
 {
-    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
-    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)], fresh[sizeof memory / sizeof *memory];
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
     const dehyst_model *m = &b->model;
     dehyst_loop loop, other;
     unsigned long size, at;
     int i;
     dehyst_loop_begin(m, &loop, memory);
+    demand(dehyst_loop_scale(&loop, 0, 0) == DEHYST_ERR_SIGN, "a gain of 0", 0);
+    demand(dehyst_loop_scale(&loop, 1, (dehyst_real)NAN) == DEHYST_ERR_FINITE, "an offset that is not a number", 0);
+    if (bits() & 1) demand(dehyst_loop_scale(&loop, (dehyst_real)1.1, (dehyst_real)0.05) == DEHYST_OK, "a scale", 0);
     for (i = 0; i < STEPS; i++) dehyst_loop_step(m, &loop, memory, (dehyst_real)between(-0.2, 1.2));
     size = dehyst_loop_save(m, &loop, memory, kept, sizeof kept);
     dehyst_loop_begin(m, &other, fresh);
@@ -260,6 +274,7 @@ static void go_on_from_snapshots(bench *b)
     for (i = 0; i < STEPS; i++) {
         const dehyst_real u = (dehyst_real)between(-0.2, 1.2);
         demand(dehyst_loop_step(m, &loop, memory, u) == dehyst_loop_step(m, &other, fresh, u), "other bits", i);
+        demand(dehyst_loop_displacement(m, &loop, memory) == dehyst_loop_displacement(m, &other, fresh), "elsewhere", i);
     }
     b->model.id++;
     demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_OK, "a snapshot of other weights", 0);
@@ -286,8 +301,8 @@ static void load(const unsigned char *bytes, unsigned long size, dehyst_real *ta
  * and change no faster than the slew rate. A model of another breakaway elongation is refused. */
 static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long size)
 {
-    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, TAPS)];
-    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, TAPS)], fresh[sizeof memory / sizeof *memory];
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
     dehyst_real *tables = room(2 * size * sizeof *tables), last;
     dehyst_model stranger, loaded;
     const dehyst_model *now = &b->model, *next = &loaded;

@@ -10,6 +10,7 @@
 #define KNOTS 7
 #define BRANCHES 3
 #define SMOOTH 2
+#define OUTPUT 3
 #define SAMPLES 400
 #define CASES 60
 
@@ -32,6 +33,7 @@ typedef struct bench {
     dehyst_real edge[ELEMENTS + 1], intercept[ELEMENTS + 1], stiffness[ELEMENTS + 1], cart[ELEMENTS], spare[ELEMENTS];
     dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], strain[BRANCHES];
     dehyst_real length[SMOOTH], back[SMOOTH], smooth[SMOOTH], elongation[SMOOTH];
+    dehyst_real output_gain[OUTPUT], output_decay[OUTPUT], output_rise[OUTPUT], crept[OUTPUT];
     dehyst_real tap, inputs;
     dehyst_actuator actuator;
     dehyst_state state;
@@ -235,7 +237,7 @@ static void stack_and_carts(void)
     demand_sound(&third);
 }
 
-#define MEMORY DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, 1)
+#define MEMORY DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, 1)
 
 /* A loop, its memory, and the model: nothing of it points to the loop, which may be copied by =. */
 typedef struct runner {
@@ -245,6 +247,7 @@ typedef struct runner {
 
 static void make_loop(bench *b, dehyst_model *m, runner *r, int moving)
 {
+    int k;
     make(b, moving);
     memset(m, 0, sizeof *m);
     memset(r, 0, sizeof *r);
@@ -260,6 +263,18 @@ static void make_loop(bench *b, dehyst_model *m, runner *r, int moving)
     m->start.cart = b->cart;
     m->start.strain = b->strain;
     m->start.elongation = b->elongation;
+    for (k = 0; k < OUTPUT; k++) {
+        const double periods = exp(6 * between(0, 1));
+        b->output_gain[k] = (dehyst_real)between(0, 0.1);
+        b->output_decay[k] = (dehyst_real)exp(-1 / periods);
+        b->output_rise[k] = (dehyst_real)(-expm1(-1 / periods) * periods);
+        b->crept[k] = (dehyst_real)between(-0.1, 0.1);
+    }
+    m->output.branches = moving ? OUTPUT : 0;
+    m->output.gain = b->output_gain;
+    m->output.decay = b->output_decay;
+    m->output.rise = b->output_rise;
+    m->start.crept = b->crept;
     demand(dehyst_model_tabulate(m) == DEHYST_OK, "model", 0, 0);
     demand(dehyst_loop_begin(m, &r->loop, r->memory) == DEHYST_OK, "loop", 0, 0);
 }
@@ -273,7 +288,7 @@ static dehyst_real step(const dehyst_model *m, runner *r, dehyst_real u)
 static void limits_and_slew(void)
 {
     static const double nonsense[] = {NAN, INFINITY, -INFINITY, 1e300, -1e300, 1e-320};
-    unsigned char bytes[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, 1)];
+    unsigned char bytes[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, 1)];
     bench b;
     dehyst_model m;
     runner r;
@@ -308,7 +323,30 @@ static void memory_follows_what_is_sent(void)
         const dehyst_real v = step(&m, &r, (dehyst_real)between(-0.5, 1.5));
         dehyst_loop_play(&m, &actuator.loop, actuator.memory, v);
         demand_close((double)actuator.loop.w, (double)r.loop.w, 1e-11, "displacement");
+        demand_close((double)dehyst_loop_displacement(&m, &actuator.loop, actuator.memory),
+                     (double)dehyst_loop_displacement(&m, &r.loop, r.memory), 1e-11, "displacement with creep");
     }
+}
+
+/* Creep behind the elements, gain and offset are inverted: what is wanted is reached where nothing is clamped. */
+static void output_is_inverted(void)
+{
+    bench b;
+    dehyst_model m;
+    runner r;
+    unsigned long clamped = 0;
+    int t;
+    make_loop(&b, &m, &r, 1);
+    m.change = DEHYST_LARGEST;
+    for (t = 0; t < SAMPLES; t++) {
+        const dehyst_real u = (dehyst_real)between(0.3, 0.7);
+        if (t % 50 == 7) dehyst_loop_scale(&r.loop, (dehyst_real)between(0.9, 1.1), (dehyst_real)between(-0.1, 0.1));
+        step(&m, &r, u);
+        if (r.loop.limited == clamped)
+            demand_close((double)dehyst_loop_displacement(&m, &r.loop, r.memory), (double)u, 1e-12, "displacement");
+        clamped = r.loop.limited;
+    }
+    demand(clamped < 3 * SAMPLES / 4, "samples clamped", (double)clamped, 3 * SAMPLES / 4);
 }
 
 /* An offer that is not committed leaves no trace, in a copy of the loop. */
@@ -340,6 +378,7 @@ static const law laws[] = {{"inverse", inverse},
                            {"stack_and_carts", stack_and_carts},
                            {"limits_and_slew", limits_and_slew},
                            {"memory_follows_what_is_sent", memory_follows_what_is_sent},
+                           {"output_is_inverted", output_is_inverted},
                            {"offers_leave_no_trace", offers_leave_no_trace}};
 
 static void check(const law *law)

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from dehyst.model import (
         Actuator,
         Creep,
+        DisplacementCreep,
         Dynamics,
         GradedSlip,
         MaxwellSlip,
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
         Spring,
         Stage,
         State,
+        Thermal,
         Transformer,
     )
     from dehyst.records import Record, read, write_record
@@ -81,8 +83,8 @@ _ROOM_OF = {
         "exports": "export export_fmu export_wasm",
         "identification": "Fit Outcome RecordErrors StageFit Structure Trace identify identify_stage",
         "calibration": "calibrate",
-        "model": "Actuator Creep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip Spring Stage State "
-        "Transformer",
+        "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
+        "Spring Stage State Thermal Transformer",
         "records": "Record read write_record",
         "trust": "check insight",
     }.items()
@@ -92,12 +94,12 @@ _ROOM_OF = {
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
 __all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
-__all__ += ["DehystError", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip"]
-__all__ += ["MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record", "RecordError"]
-__all__ += ["RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage", "StageCompensator", "StageFit"]
-__all__ += ["State", "Structure", "Trace", "Transformer", "VoltageLimits", "__version__", "calibrate"]
-__all__ += ["check", "compare", "export", "export_fmu", "export_wasm", "identify", "identify_stage", "insight"]
-__all__ += ["read", "shortest_homing", "update", "wave_table", "write_record"]
+__all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]
+__all__ += ["MaxwellSlip", "MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record"]
+__all__ += ["RecordError", "RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage"]
+__all__ += ["StageCompensator", "StageFit", "State", "Structure", "Thermal", "Trace", "Transformer", "VoltageLimits"]
+__all__ += ["__version__", "calibrate", "check", "compare", "export", "export_fmu", "export_wasm", "identify"]
+__all__ += ["identify_stage", "insight", "read", "shortest_homing", "update", "wave_table", "write_record"]
 
 
 def __getattr__(name: str) -> object:

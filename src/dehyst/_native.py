@@ -26,7 +26,8 @@ class Core:
     increasing, K >= 2. Empty if there is no such part: `grade_knots` (M + 1,) [m] and `grades` (N M,) [V/m], a row an
     element; `voltages`, `drives` (L,), the transformer tau; `creep` (J,), stiffnesses c_j [V/m] of the branches;
     `inertia` (2,), beta [V/m] and theta; `lengths`, `closings`, `smooth` (L,), smooth elements and their stiffnesses
-    k_l [V/m], whose elongations follow the strains of creep. Raise `ModelError` if the core refuses the numbers.
+    k_l [V/m], whose elongations follow the strains of creep; `output` (K,), gains g_k of creep behind the elements,
+    whose strains come last and which only a loop computes. Raise `ModelError` if the core refuses the numbers.
     """
 
     __slots__ = ("_core", "_made_from")
@@ -46,9 +47,10 @@ class Core:
         lengths: Array = EMPTY,
         closings: Array = EMPTY,
         smooth: Array = EMPTY,
+        output: Array = EMPTY,
     ) -> None:
         grading, tau = (grade_knots, grades), (voltages, drives)
-        self._made_from = rho, kappa, knots, values, *grading, *tau, creep, inertia, lengths, closings, smooth
+        self._made_from = rho, kappa, knots, values, *grading, *tau, creep, inertia, lengths, closings, smooth, output
         try:
             self._core = compiled.Core(*self._made_from)
         except compiled.CoreError as error:
@@ -87,7 +89,7 @@ class Core:
 
     @property
     def in_lanes(self) -> bool:
-        """Whether a bank computes it in lanes: it has neither graded nor smooth elements, nor a mass."""
+        """Whether a bank computes it in lanes: no graded or smooth elements, no mass, no creep behind the elements."""
         return bool(compiled.in_lanes(self._core))
 
     def loop(
@@ -153,7 +155,10 @@ class BankMemory(NamedTuple):
 
 
 class CoreState(NamedTuple):
-    """A state as numbers [m]: w, carts (N,), strains and elongations (J + L,), with inertia y and y'/omega (2,)."""
+    """A state as numbers [m]: w, carts (N,), strains, elongations and strains behind the elements (J + L + K,), motion.
+
+    With inertia `motion` (2,) is y and y'/omega.
+    """
 
     w: float
     carts: Array
@@ -164,8 +169,8 @@ class CoreState(NamedTuple):
 class StepCoefficients(NamedTuple):
     """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
 
-    `bounds` (R + 1,). `decay`, `gain` (R, J): coefficients of creep. `transition` (R, 8) or (R, 0): coefficients of a
-    mass: phi, before and after of `dehyst_transition`.
+    `bounds` (R + 1,). `decay`, `gain` (R, J + K): coefficients of creep, and of creep behind the
+    elements. `transition` (R, 8) or (R, 0): coefficients of a mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]
@@ -209,7 +214,28 @@ def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
     return bounds, durations
 
 
-def strains(path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array) -> Array:
-    """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,)."""
-    matrix, _ = checked(compiled.strains, path, bounds, decay, gain, float(path[0]) if path.size else 0.0, start)
+def strains(
+    path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array, before: float | None = None
+) -> Array:
+    """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,).
+
+    They belong to the displacement `before` the first sample, by default that of the first sample.
+    """
+    if before is None:
+        before = float(path[0]) if path.size else 0.0
+    matrix, _ = checked(compiled.strains, path, bounds, decay, gain, before, start)
     return np.asarray(matrix)
+
+
+def output_creep(
+    path: Array, pace: StepCoefficients, gains: Array, before: float, strains: Array, *, inverse: bool = False
+) -> tuple[Array, Array]:
+    """Return the path (n,) [m] with creep behind the elements, and the strains (K,) [m] at its end.
+
+    Its coefficients are the last K of `pace`. `before` [m] is the displacement without creep before the first sample,
+    at which the strains are `strains`. With `inverse`, `path` creeps, and the result is the displacement without.
+    """
+    first = pace.decay.shape[1] - gains.size
+    decay, rise = (np.ascontiguousarray(table[:, first:]) for table in (pace.decay, pace.gain))
+    out, reached = checked(compiled.output_creep, path, pace.bounds, decay, rise, gains, before, strains, inverse)
+    return np.asarray(out), np.asarray(reached)

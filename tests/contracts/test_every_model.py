@@ -12,7 +12,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Record, SmoothSlip, Spring, Transformer
+from dehyst import (
+    Actuator,
+    Creep,
+    DisplacementCreep,
+    GradedSlip,
+    MaxwellSlip,
+    ModelError,
+    Record,
+    SmoothSlip,
+    Spring,
+    Transformer,
+)
 from dehyst.baselines import GoldfarbCelanovic
 from dehyst.baselines.bouc_wen import BoucWen
 from dehyst.baselines.duhem import Duhem
@@ -48,6 +59,7 @@ def actuator(elements, knots, volts):
 
 
 CREEP = Creep([0.01, 0.3, 10.0], [1e5, 3e5, 2e5])
+BEHIND = DisplacementCreep([0.01, 0.3, 10.0], [0.01, 0.02, 0.03])
 
 
 def wider(elements, *, creep):
@@ -103,6 +115,10 @@ MODELS = [
     Candidate("graded elements and a transformer", lambda: wider(10, creep=False)),
     Candidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
     Candidate("plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), creep=CREEP)),
+    Candidate(
+        "plain elements and creep in displacement",
+        lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=BEHIND),
+    ),
     Candidate("Goldfarb and Celanovic", goldfarb),
     Candidate("Prandtl and Ishlinskii", partial(fitted, PrandtlIshlinskii)),
     Candidate("Kuhnen", partial(fitted, ModifiedPrandtlIshlinskii)),

@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dehyst
-from dehyst import Actuator, ClampWarning, Compensator, Creep, Dynamics, ModelError, Snapshot, State
+from dehyst import Actuator, ClampWarning, Compensator, Creep, DisplacementCreep, Dynamics, ModelError, Snapshot, State
 from dehyst.control import shortest_homing
 
 PLANT = plain_records.plant(10, seed=4)
@@ -31,6 +31,7 @@ MOVING = {
     "inertia": {"dynamics": Dynamics(2 * np.pi * 30, 0.03)},
     "series": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6)},
     "lag": {"lag": 5 * PERIOD},
+    "displacement creep": {"displacement_creep": DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])},
     "all that moves": {
         "dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6),
         "lag": 3 * PERIOD,
@@ -385,7 +386,7 @@ def test_a_model_of_another_shape_is_refused_and_the_loop_stays():
         ({"counts": [1, 2, -1]}, "three whole numbers"),
         ({"counts": [10**30, 0, 0]}, "three whole numbers"),
         ({"version": True}, "version True"),
-        ({"rest": [0.0]}, "got 1 numbers beside the state, need 6"),
+        ({"rest": [0.0]}, "got 1 numbers beside the state, need 9"),
         ({"rest": "none"}, "list of numbers"),
         ({"extra": 1}, "unknown keys"),
         ({"state": {}}, "missing keys"),

@@ -47,7 +47,8 @@ def test_its_laws_hold(tmp_path, sanitize):
     if sanitize == "ON" and (missing := sanitized.runtime_missing()):
         pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
     build(places.CORE, tmp_path, f"-DDEHYST_SANITIZE={sanitize}")
-    assert "100% tests passed, 0 tests failed out of 11" in run("ctest", "--test-dir", tmp_path)
+    told = run("ctest", "--test-dir", tmp_path)
+    assert "100% tests passed" in told and "out of 12" in told
 
 
 def test_a_project_of_its_own_finds_it(tmp_path):

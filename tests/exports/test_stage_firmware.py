@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import compiled_exports
 import numpy as np
@@ -11,7 +12,7 @@ import structured_records
 from click.testing import CliRunner
 from compiled_exports import need
 
-from dehyst import FileFormatError, ModelError, Stage, StageCompensator, export
+from dehyst import DisplacementCreep, FileFormatError, ModelError, Stage, StageCompensator, export
 from dehyst.cli import main
 from dehyst.exports import sizes
 from dehyst.exports.firmware import CONFIG, CORE, code
@@ -256,3 +257,11 @@ class TestCommand:
         given = [tmp_path / "x.csv" if one == "x.csv" else one for one in options]
         self.run("export", file, tmp_path / "c", *given, status=2)
         assert not (tmp_path / "c").exists()
+
+
+def test_creep_in_displacement_is_refused():
+    creep = DisplacementCreep([1.0], [0.05])
+    actuators = [replace(one, displacement_creep=creep) for one in plain_stage().stage.actuators]
+    stage = Stage(actuators, COUPLING)
+    with pytest.raises(ModelError, match="creep in displacement"):
+        code(StageCompensator(stage, (10.0, 150.0), period=PERIOD))

@@ -116,8 +116,7 @@ def test_an_actuator_is_pythons_to_the_bit(tmp_path, kind):
     loop, places_ = compensator.clone("m"), []
     for voltage in column(folder, "path").view(np.float64).tolist():
         loop.commit(voltage)
-        state = loop.state
-        places_.append(float(state.motion[0]) if state.motion.size else state.displacement)
+        places_.append(loop.actuator.displacement(loop.state))
     expected = np.array(places_).view(np.uint64)
     for name in ("simulated", "played"):
         assert np.array_equal(column(folder, name), expected), name

@@ -360,7 +360,7 @@ static void damage(const model *m, life *l)
 static void reset_by_snapshot(const model *m, life *l)
 {
     const dehyst_actuator *a = &m->actuator;
-    const int size = DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, l->c.taps);
+    const int size = DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, l->c.output.branches, l->c.taps);
     unsigned char *bytes = room((size_t)size, 1);
     const int bit = below(8 * size);
     dehyst_status status;

@@ -164,7 +164,9 @@ def test_a_file_of_version_1(tmp_path):
     data = made().as_dict()
     for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s", "identification"):
         del data[key]
-    del data["state"]["creep_m"], data["state"]["smooth_m"], data["state"]["motion"]
+    del data["displacement_creep"], data["thermal"]
+    for key in ("creep_m", "smooth_m", "displacement_creep_m", "motion"):
+        del data["state"][key]
     data["version"] = 1
     write_json(tmp_path / "a.json", data)
     back = Actuator.from_dict(read_json(tmp_path / "a.json"))
@@ -199,7 +201,7 @@ def test_a_file_of_version_1(tmp_path):
 )
 def test_a_file_of_version_2_knows_its_identification_from_free_entries(tmp_path, entries, known):
     data = {**wide().as_dict(), "version": 2, "provenance": entries}
-    del data["identification"]
+    del data["identification"], data["displacement_creep"], data["thermal"], data["state"]["displacement_creep_m"]
     write_json(tmp_path / "a.json", data)
     back = Actuator.load(tmp_path / "a.json")
     assert back.identification == known
@@ -272,6 +274,8 @@ def test_keys_state_their_units(tmp_path):
         "transformer",
         "creep",
         "smooth",
+        "displacement_creep",
+        "thermal",
         "dynamics",
         "load_stiffness_N_per_m",
         "lag_s",
@@ -283,7 +287,7 @@ def test_keys_state_their_units(tmp_path):
     ]
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
-    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "motion"]
+    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "displacement_creep_m", "motion"]
     assert list(data["limits"]) == ["voltage_V"]
 
 
@@ -319,7 +323,7 @@ def test_a_missing_key(tmp_path, key):
     refused(
         tmp_path,
         data,
-        rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['creep', 'delay_s', 'dynamics', 'format'",
+        rf"model: missing keys \['{key}'\], unknown keys \[\]; need exactly \['creep', 'delay_s', 'displ",
     )
 
 
@@ -348,21 +352,21 @@ def test_a_misspelt_key_is_named_twice(tmp_path):
     refused(tmp_path, data, r"model: missing keys \['delay_s'\], unknown keys \['delay'\]")
 
 
-@pytest.mark.parametrize("version", [0, 4, 1.5, "1", None, [1]])
+@pytest.mark.parametrize("version", [0, 5, 1.5, "1", None, [1]])
 def test_another_version(tmp_path, version):
-    refused(tmp_path, changed("version", version), r"got format .* version .*, need .* version 1, 2 or 3")
+    refused(tmp_path, changed("version", version), r"got format .* version .*, need .* version 1, 2, 3 or 4")
 
 
 @pytest.mark.parametrize("name", ["dehyst-fit", "", None, 1])
 def test_another_format(tmp_path, name):
-    refused(tmp_path, changed("format", name), r"got format .* version 3, need 'dehyst-actuator' version 1, 2 or 3")
+    refused(tmp_path, changed("format", name), r"got format .* version 4, need 'dehyst-actuator' version 1, 2, 3 or 4")
 
 
 @pytest.mark.parametrize("key", ["format", "version"])
 def test_a_missing_format_or_version(tmp_path, key):
     data = made().as_dict()
     del data[key]
-    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1, 2 or 3")
+    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1, 2, 3 or 4")
 
 
 @pytest.mark.parametrize("place", [*PLACES, "delay_s"])

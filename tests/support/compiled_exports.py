@@ -12,7 +12,7 @@ import plain_records
 import pytest
 import structured_records
 
-from dehyst import Compensator, Dynamics
+from dehyst import Compensator, DisplacementCreep, Dynamics
 from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.footprint import CORTEX_M4F, STRICT
 
@@ -138,6 +138,15 @@ def wider(kind, *, moving=False):
     if moving:
         actuator = replace(actuator, dynamics=Dynamics(2 * np.pi * 5, 0.1, 2e6), lag=0.01, delay=0.012)
     return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else made.state, preview=moving)
+
+
+def creeping_behind():
+    """One of a wider class with creep in displacement, which begins strained."""
+    made = wider("graded, transformer")
+    creep = DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
+    actuator = replace(made.actuator, displacement_creep=creep)
+    state = replace(made.initial_state, displacement_creep=[1e-7, -2e-7, 3e-7])
+    return Compensator(actuator, LIMITS, 5e3, period=made.period, state=state)
 
 
 def spread(compensator):
@@ -286,6 +295,7 @@ KINDS = {
     "creep": lambda: wider("creep"),
     "all": lambda: wider("all"),
     "moving": lambda: wider("all", moving=True),
+    "behind": creeping_behind,
 }
 TOOLS = {
     "gcc": "the exported C cannot be compiled",

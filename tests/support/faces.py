@@ -4,12 +4,12 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError Dynamics
-            FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome
-            Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator
-            StageFit State Structure Trace Transformer VoltageLimits __version__ calibrate check compare export
-            export_fmu export_wasm identify identify_stage insight read shortest_homing update wave_table
-            write_record
+            Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep
+            Dynamics FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion
+            Outcome Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage
+            StageCompensator StageFit State Structure Thermal Trace Transformer VoltageLimits __version__ calibrate
+            check compare export export_fmu export_wasm identify identify_stage insight read shortest_homing update
+            wave_table write_record
         """,
         "adaptation": """
             AdaptiveCompensator AdaptiveSnapshot Exchange Update update
@@ -44,8 +44,8 @@ FACES = {
             open_rig
         """,
         "model": """
-            AbstractModel Actuator Creep Dynamics GradedSlip Identification MaxwellSlip Motion Physical
-            SmoothSlip Spring Stage State Transformer simulated
+            AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
+            Physical SmoothSlip Spring Stage State Thermal Transformer simulated
         """,
         "records": """
             Record read read_table write_columns write_record

@@ -158,6 +158,7 @@ static dehyst_real by_itself(const dehyst_bank *bank, const dehyst_bank_state *s
     dehyst_real out;
     int i;
     memset(&loop, 0, sizeof loop);
+    loop.gain = 1;
     for (i = 0; i < n; i++) scratch[i] = memory->cart[i * LANES + l];
     for (i = 0; i < branches; i++) strain[i] = memory->strain[i * LANES + l];
     strain[branches] = loop.w = memory->y[l];

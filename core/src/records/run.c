@@ -258,3 +258,26 @@ void dehyst_strains(int branches, const dehyst_step *step, dehyst_real *strain, 
         }
     }
 }
+
+void dehyst_output_simulate(const dehyst_output *output, dehyst_real *strain, dehyst_real before, const dehyst_real *m,
+                            dehyst_real *y, long n)
+{
+    long t;
+    for (t = 0; t < n; t++) {
+        const dehyst_real now = m[t];
+        creep_on(output, strain, now - before);
+        before = now;
+        y[t] = crept(output, strain, now);
+    }
+}
+
+void dehyst_output_compensate(const dehyst_output *output, dehyst_real *strain, dehyst_real before,
+                              const dehyst_real *y, dehyst_real *m, long n)
+{
+    long t;
+    for (t = 0; t < n; t++) {
+        const dehyst_real now = not_crept(output, strain, before, y[t]);
+        creep_on(output, strain, now - before);
+        before = m[t] = now;
+    }
+}

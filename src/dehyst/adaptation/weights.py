@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst._errors import ModelError
 from dehyst._native import EMPTY, slip_elongations, smooth_elongations, strains
 from dehyst._types import Array
 from dehyst.identification import Grid
@@ -58,7 +59,18 @@ class Weights:
 
     @classmethod
     def of(cls, actuator: Actuator, elements: int = 0, grades: int = _GRADES, segments: int = _SEGMENTS) -> Weights:
-        """Group the weights of an actuator; `elements`, `grades` and `segments`: most groups of each."""
+        """Group the weights of an actuator; `elements`, `grades` and `segments`: most groups of each.
+
+        Raise `ModelError` if the actuator has creep in displacement or a temperature, behind which nothing adapts yet.
+        """
+        behind = {"creep in displacement": actuator.displacement_creep, "a temperature": actuator.thermal}
+        names = [name for name, part in behind.items() if part is not None]
+        if names:
+            raise ModelError(
+                f"it has {' and '.join(names)}, with which weights do not adapt",
+                argument="actuator",
+                hint="use Compensator, or identify again",
+            )
         stiffness = actuator.slip.stiffness
         count = stiffness.shape[1] if stiffness.ndim == 2 else 1
         most = elements or (_ELEMENTS if count == 1 else _GRADED)
@@ -274,5 +286,5 @@ class Tracker:
             rows = smooth_elongations(actuator.smooth.length, actuator.smooth.closing, y, smooth)
             internal.append(rows[1:])
             smooth = rows[-1]
-        self.state = State.unchecked(float(y[-1]), carts, creep, EMPTY, smooth)
+        self.state = State.unchecked(float(y[-1]), carts, creep, EMPTY, smooth, EMPTY)
         return path[:, None] - elongations[1:], np.hstack(internal)

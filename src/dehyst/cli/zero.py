@@ -76,7 +76,7 @@ def zero_of_path(request: Request, zero: str | float | None) -> float:
     if zero == "first":
         rest = min(max(request.present or 0.0, compensator.limits[0]), compensator.limits[1])
         start = request.start or PossibleStart.unknown(request.actuator, rest, compensator.limits)
-        return float(start.state.displacement)
+        return request.actuator.model.displacement(start.state, of_mass=False)
     return {"bottom": low, "mean": 0.5 * (low + high)}[zero]
 
 

@@ -415,6 +415,8 @@ def _reason_alone(actuator: Actuator) -> str:
         return ""
     if actuator.dynamics is not None:
         return "a mass"
+    if actuator.displacement_creep is not None:
+        return "creep in displacement"
     return "smooth elements" if actuator.smooth is not None else "graded elements"
 
 

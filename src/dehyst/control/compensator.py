@@ -133,8 +133,11 @@ class Compensator(ReadOnly):
         options = {name: getattr(self, name) for name in names}
         return options | {"state": self.initial_state, "warns": self._warns}
 
-    def step(self, displacement: float) -> float:
+    def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
+
+        `temperature` [degrees Celsius], of an actuator with the part `thermal`: from this step on, until another one is
+        given; the reference at first. It sets `scaling`.
 
         Raises
         ------
@@ -146,6 +149,8 @@ class Compensator(ReadOnly):
         ClampWarning
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
+        if temperature is not None:
+            self.set_temperature(temperature)
         try:
             return self._loop.step(self._metres(displacement) if self._scaled else displacement)
         except TypeError:
@@ -175,10 +180,12 @@ class Compensator(ReadOnly):
             return voltage, None
         before = memory_of(loop)
         loop.commit(voltage)
-        clamped, reached = loop.counts()[:2] != before[2][:2], float(loop.state()[0])
+        clamped, moved = loop.counts()[:2] != before[2][:2], self.actuator.model.displacement(self.state, of_mass=False)
         set_memory(loop, *before)
+        gain, offset = self.scaling
+        reached = offset + gain * moved * self._per_metre
         # The trial commit discarded the pending offer; repeat it.
-        return self.offer(displacement), reached * self._per_metre if clamped else None
+        return self.offer(displacement), reached if clamped else None
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.
@@ -379,7 +386,7 @@ class Compensator(ReadOnly):
         """Go on with `actuator`, another model of the same actuator, e.g. with adapted weights; the memory stays.
 
         Limits, slew rate and preview stay as they are. Models of one shape may be exchanged at any sample: those that
-        agree in breakaway elongations, creep time constants, lengths of smooth elements, resonance and lag, and with
+        agree in breakaway elongations, time constants of creep, lengths of smooth elements, resonance and lag, and with
         `preview` in the samples that it needs. Stiffnesses, spring and transformer may differ. The next voltages follow
         the new model as fast as the slew rate allows. What is on offer is withdrawn.
 
@@ -400,6 +407,41 @@ class Compensator(ReadOnly):
             argument="actuator",
             hint="make another Compensator of it",
         )
+
+    def scale(self, gain: float, offset: float = 0.0) -> None:
+        """Set a `gain` and an `offset` [m, or `units`] of the displacement, between two steps.
+
+        The displacement that is wanted is then offset + gain times that of the model, for instance as a temperature or
+        an aged sensor changes it. It was 1 and 0 at the construction or the last reset. The next voltages follow as
+        fast as the slew rate allows; what is on offer is withdrawn.
+
+        Raise `ModelError` if the gain is not positive, or a number is not finite: the scale is as before then.
+        """
+        values = number(gain, "gain"), number(offset, "offset", self.units) / self._per_metre
+        try:
+            self._loop.scale(*values)
+        except CoreError as error:
+            raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
+
+    def set_temperature(self, temperature: float) -> None:
+        """Set gain and offset to those of a `temperature` [degrees Celsius], for steps and offers from now on.
+
+        Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
+        """
+        if self.actuator.thermal is None:
+            raise ModelError(
+                "this actuator does not depend on temperature",
+                argument="temperature",
+                hint="leave it out, or give the actuator a part Thermal",
+            )
+        gain, offset = self.actuator.thermal.scale(number(temperature, "temperature"), 1)
+        checked(self._loop.scale, float(gain[0]), float(offset[0]))
+
+    @property
+    def scaling(self) -> tuple[float, float]:
+        """Gain and offset [m, or `units`] of the displacement, see `scale`."""
+        gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
+        return gain, offset * self._per_metre
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """Return a python-control block: displacement wanted [m] in, voltage [V] out, from the present memory on.

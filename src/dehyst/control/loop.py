@@ -23,6 +23,7 @@ VERSION = 2
 # What the memory of a loop depends on, beside breakaway elongations and amplifier: words, part, and its number.
 _SHAPE = (
     ("creep time constants", "creep", "time_constants"),
+    ("time constants of displacement creep", "displacement_creep", "time_constants"),
     ("lengths of smooth elements", "smooth", "length"),
     ("closing of smooth elements", "smooth", "closing"),
     ("resonance frequency", "dynamics", "frequency"),
@@ -86,9 +87,9 @@ class Snapshot(files.JsonFile):
         Checksum of what the memory depends on, the shape of the model: the snapshot fits no other loop.
     state : State
         State of the actuator.
-    rest : (5 + M,) array
+    rest : (8 + M,) array
         The remaining memory: the last voltage, the output of the amplifier, its two inputs before, the velocity of the
-        mass, and the displacements fed, newest first.
+        mass, gain and offset, the displacement that drives creep behind the elements, and those fed, newest first.
     counts : (int, int, int)
         Numbers of samples limited, slewed and refused.
     model : str, optional

@@ -120,7 +120,8 @@ class StageCompensator(ReadOnly):
     @property
     def displacement(self) -> Array:
         """Displacement (axes,) [m] of the model after all voltages sent; without the delay of a mass."""
-        moved = np.array([[state.displacement for state in self.states]])
+        axes = zip(self.compensators, self.states, strict=True)
+        moved = np.array([[one.actuator.model.displacement(state, of_mass=False) for one, state in axes]])
         return np.asarray(apply(self.stage.coupling, moved)[0])
 
     def step(self, displacement: ArrayLike) -> Array:

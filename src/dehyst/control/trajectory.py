@@ -128,8 +128,9 @@ def follow(
     steps = limits.steps(wanted.size, time, period)
     path, state = _Path(actuator, wanted, time, load, velocity, acceleration), start
     # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
-    # voltages before, what comes after a clamped sample is stepped through.
-    steps_on = path.clock[1].size <= _FEW and not actuator.model.has_dynamics
+    # voltages before, what comes after a clamped sample is stepped through. A loop knows no load, which creeps too.
+    pushed = load is not None and actuator.displacement_creep is not None
+    steps_on = path.clock[1].size <= _FEW and not actuator.model.has_dynamics and not pushed
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
@@ -220,7 +221,9 @@ class _Path:
     def _piece(self, i: int, stop: int, start: State) -> Motion:
         first, path = self._first(i), self.wanted[self._first(i) : stop]
         if first < i:
-            path = np.concatenate([[start.displacement - self.lead[first]], path[1:]])
+            model, m = self.actuator.model, start.displacement - self.lead[first]
+            here = model.displacement(replace(start, displacement=m), of_mass=False)
+            path = np.concatenate([[here], path[1:]])
         data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
         return self.actuator.compensate(path, **data, state=start, extrapolate=True)
 
@@ -239,7 +242,7 @@ class _Path:
         """Step through the samples from `first` on; return voltages, displacements, clamped samples and the state."""
         model, n, state = self.actuator.model, self.wanted.size, start
         bounds, durations = self.clock
-        voltage, reached_w, offers = np.empty(n), np.empty(n), np.empty(n)
+        voltage, reached_by, offers = np.empty(n), np.empty(n), np.empty(n)
         w = self.wanted + self.lead
         for r, seconds in enumerate(durations):
             run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
@@ -249,10 +252,11 @@ class _Path:
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
             coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
-            loop.go_on(np.array([before, before, before, before, 0.0, w[run.start - 1]]), 0, 0, 0)
-            voltage[run], reached_w[run], offers[run] = loop.trace(w[run])
+            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.displacement, w[run.start - 1]]
+            loop.go_on(np.array(rest), 0, 0, 0)
+            voltage[run], reached_by[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
         clamped = offers[first:] != _NOT_CLAMPED
-        clamped &= np.abs(reached_w - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
-        reached = np.where(clamped, reached_w[first:] - self.lead[first:], self.wanted[first:])
+        clamped &= np.abs(reached_by - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
+        reached = np.where(clamped, reached_by[first:] - self.lead[first:], self.wanted[first:])
         return voltage[first:], reached, clamped, state

@@ -102,6 +102,12 @@ def _name(compensator: Loop, name: str | None) -> str:
 
 def _coupled(compensator: StageCompensator) -> tuple[str, str]:
     """Return the macros and the numbers of several axes: those of each, and the matrices."""
+    for axis, one in zip(compensator.stage.axes, compensator.compensators, strict=True):
+        if one.actuator.displacement_creep is not None:
+            raise ModelError(
+                f"axis {axis} has creep in displacement, which an export of coupled axes does not compute",
+                hint="export the actuator of each axis alone, or leave that part out",
+            )
     texts = [ModelText(one, "double") for one in compensator.compensators]
     ends, count = list(accumulate(text.memory for text in texts)), len(texts)
     macros = {

@@ -204,5 +204,4 @@ def _place(loop: Loop) -> tuple[float, ...]:
     """Return the displacements of the body [m]: of one actuator that of its mass."""
     if not isinstance(loop, Compensator):
         return _row(loop.displacement)
-    state = loop.state
-    return (float(state.motion[0]) if state.motion.size else state.displacement,)
+    return (loop.actuator.displacement(loop.state),)

@@ -32,6 +32,7 @@ static const dehyst_model piezo_model = {{{
   {{$phi},
    {$before},
    {$after}}},
+ {$output, $behind, $rests},
  $limits,
  $taps, $tap,
  $amplifier,
@@ -39,6 +40,8 @@ static const dehyst_model piezo_model = {{{
  {$start, $memory},
  $period, $ahead, ${id}ul, ${shape}ul};""")
 _A_LINE = 4
+# Tables whose numbers are members of the model, not arrays.
+_SCALARS = ("loop", "inertia", "transition", "output")
 # Bytes before the numbers of a block.
 _HEADER = 64
 # Slider positions [m] of one state, but for rounding.
@@ -74,10 +77,13 @@ class ExportedStart(NamedTuple):
         """Return the start of a loop like this one, as it was made or last reset."""
         loop, actuator = compensator.clone(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.initial_state
-        place = float(state.motion[0]) if state.motion.size else state.displacement
         # A little beyond the limits, the requested state has the same way.
         near = abs(actuator.voltage(asked) - loop.voltage) <= NEAR * (high - low)
-        return cls(place, loop.voltage, _way(actuator, asked if near else state, loop.voltage, loop.limits))
+        return cls(
+            actuator.displacement(state),
+            loop.voltage,
+            _way(actuator, asked if near else state, loop.voltage, loop.limits),
+        )
 
     @property
     def words(self) -> str:
@@ -89,7 +95,11 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     """Describe how the voltage leads to the state; slowly, because the words have no time in them."""
     strain, most = state.displacement - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
-    rest = " and wait until creep has come to rest" if actuator.creep is not None else ""
+    rest = (
+        " and wait until creep has come to rest"
+        if actuator.creep is not None or actuator.displacement_creep is not None
+        else ""
+    )
     if np.allclose(strain, most, rtol=1e-9, atol=0):
         return f"raise the voltage slowly from its lowest, never back, to {end}{rest}"
     if np.allclose(strain, -most, rtol=1e-9, atol=0):
@@ -152,7 +162,7 @@ class ModelText:
     @property
     def snapshot(self) -> int:
         """Bytes of a snapshot of it."""
-        return 40 + 8 * (8 + self.memory - self._start.carts.size)
+        return 40 + 8 * (11 + self.memory - self._start.carts.size)
 
     @property
     def room(self) -> int:
@@ -171,6 +181,7 @@ class ModelText:
 #define MODEL_ELEMENTS {tables["rho"].size}
 #define MODEL_BRANCHES {tables["creep"].size}
 #define MODEL_SMOOTH {tables["length"].size}
+#define MODEL_OUTPUT {tables["output_gain"].size}
 #define MODEL_TAPS {tables["tap"].size}
 /* Numbers that dehyst_model_load needs for another block of these sizes. */
 #define MODEL_ROOM {self.room}
@@ -185,14 +196,15 @@ class ModelText:
 
     def numbers(self) -> str:
         """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from."""
-        start, branches = self._start, self._tables["creep"].size
+        start, sizes = self._start, [self._tables[name].size for name in ("creep", "length")]
+        strain, elongation, crept = np.split(start.strains, np.cumsum(sizes))
         # What a step reads: not kappa with graded elements, and one slope less than knots.
-        arrays = {name: self._tables[name] for name in self._tables if name not in ("loop", "inertia", "transition")}
+        arrays = {name: self._tables[name] for name in self._tables if name not in _SCALARS}
         if arrays["grade_knot"].size:
             arrays["kappa"] = EMPTY
         for name in ("tau_slope", "tau_inverse"):
             arrays[name] = arrays[name][:-1]
-        arrays |= {"cart": start.carts, "strain": start.strains[:branches], "elongation": start.strains[branches:]}
+        arrays |= {"cart": start.carts, "strain": strain, "elongation": elongation, "crept": crept}
         begin = ExportedStart.of(self._compensator)
         comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
         texts = [self._array(name, values) for name, values in arrays.items() if values.size]
@@ -229,13 +241,16 @@ class ModelText:
             phi=some(moves[:4]),
             before=some(moves[4:6]),
             after=some(moves[6:]),
+            output=tables["output_gain"].size,
+            behind=at("output_gain", "output_decay", "output_rise"),
+            rests=some(tables["output"]),
             limits=some(np.array([low, high, change])),
             taps=tables["tap"].size,
             tap=at("tap"),
             amplifier=some(np.array(amplifier)),
             stiffness=self._one(stiffness),
             start=some(np.array([start.w, *motion])),
-            memory=at("cart", "strain", "elongation"),
+            memory=at("cart", "strain", "elongation", "crept"),
             period=self._one(compensator.period or 0.0),
             ahead=compensator.samples_ahead,
             id=model_id,
@@ -292,7 +307,8 @@ def _demand_float(tables: Tables) -> None:
             )
         if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
             raise ModelError(f"float: a {_POSITIVE[name]}, {values.min():.3g}, is 0 when rounded; export double")
-    kept, decay = tables["decay"], tables["decay"].astype(np.float32)
+    kept = np.concatenate([tables["decay"], tables["output_decay"]])
+    decay = kept.astype(np.float32)
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(
             "float: creep is so slow beside the period that it would never relax: the decay of a strain in one step, "

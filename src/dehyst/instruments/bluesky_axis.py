@@ -139,7 +139,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
             self._compensator = Compensator(
                 self._actuator, (limits.low, limits.high), period=self._period, state=homing.state
             )
-            self._set_wanted(homing.state.displacement / _MICRO)
+            self._set_wanted(self._actuator.displacement(homing.state) / _MICRO)
 
     @WatchableAsyncStatus.wrap
     async def set(self, value: float) -> AsyncIterator[WatcherUpdate[float]]:
@@ -159,7 +159,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
                 now = await self.position.get_value()
                 yield WatcherUpdate(now, initial, float(value), name=self.name, unit="um", precision=5)
             if not reached:
-                self._set_wanted(self._homed().state.displacement / _MICRO)
+                self._set_wanted(self._actuator.displacement(self._homed().state) / _MICRO)
                 self._refuse_stopped()
             await asyncio.sleep(self._settle)
 

@@ -4,7 +4,7 @@ from dehyst.model import serialization
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import ANYWAY, Range, voltage_error
-from dehyst.model.dynamics import Creep, Dynamics, clock
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
 from dehyst.model.elements import (
     GradedSlip,
     MaxwellSlip,
@@ -37,6 +37,7 @@ __all__ = [
     "AbstractModel",
     "Actuator",
     "Creep",
+    "DisplacementCreep",
     "Dynamics",
     "GradedSlip",
     "Identification",
@@ -47,6 +48,7 @@ __all__ = [
     "Spring",
     "Stage",
     "State",
+    "Thermal",
     "Transformer",
     "simulated",
 ]

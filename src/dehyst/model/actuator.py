@@ -18,7 +18,7 @@ from dehyst._views.pictures import plotted
 from dehyst.model import checks, serialization
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
@@ -38,7 +38,8 @@ class Actuator(JsonFile, AbstractModel):
     With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, s_i the elongation of
     element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] +
     eta(y) + sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l
-    the elongation of smooth element l. With dynamics or a load (section 9) w replaces y there.
+    the elongation of smooth element l. With dynamics or a load (section 9) w replaces y there. Creep in displacement
+    (section 19) comes behind all of them: y is then the displacement before it.
 
     Parameters
     ----------
@@ -71,6 +72,10 @@ class Actuator(JsonFile, AbstractModel):
         Elements that yield gradually, in parallel with the others.
     recorded_slew_rate : float, optional
         Largest abs(dv/dt) [V/s] of the records that the numbers come from, with a margin of 5 %; default: not known.
+    displacement_creep : DisplacementCreep, optional
+        Creep in displacement, behind elements and mass: with it `simulate` and `compensate` need `time`.
+    thermal : Thermal, optional
+        Gain and offset of the displacement by temperature, behind all others.
 
     Raises
     ------
@@ -95,12 +100,14 @@ class Actuator(JsonFile, AbstractModel):
     load_stiffness: float | None = None
     smooth: SmoothSlip | None = None
     recorded_slew_rate: float | None = None
+    displacement_creep: DisplacementCreep | None = None
+    thermal: Thermal | None = None
 
     def __post_init__(self) -> None:
         keep(self, **checks.checked_parts(self))
         least_slope(self.slip, self.spring)
         if self.state is None:
-            keep(self, state=self.turned(float(self.spring.displacement[-1]), extrapolate=True))
+            keep(self, state=self.turned(self.knots[1], extrapolate=True))
         self._start(self.state)
         _ = self.core  # refuses what a part alone cannot check
         if self.limits is not None:
@@ -153,7 +160,8 @@ class Actuator(JsonFile, AbstractModel):
     @property
     def wide(self) -> bool:
         """Whether it has more than slip elements of constant stiffness and a spring."""
-        further = (self.transformer, self.creep, self.smooth, self.dynamics, self.load_stiffness)
+        creeping = (self.creep, self.displacement_creep)
+        further = (self.transformer, *creeping, self.smooth, self.dynamics, self.load_stiffness, self.thermal)
         return isinstance(self.slip, GradedSlip) or self.lag != 0 or any(part is not None for part in further)
 
     @property
@@ -167,12 +175,18 @@ class Actuator(JsonFile, AbstractModel):
 
         Without limits, the first and the last knot of the spring.
         """
-        return self._knots if self.limits is None else self.major_loop(self.limits)
+        return self.knots if self.limits is None else self.major_loop(self.limits)
 
     @property
-    def _knots(self) -> tuple[float, float]:
-        """First and last knot of the spring [m]."""
-        return float(self.spring.displacement[0]), float(self.spring.displacement[-1])
+    def knots(self) -> tuple[float, float]:
+        """Displacements [m] at the first and the last knot of the spring, creep at rest."""
+        first, last = self.spring.displacement[[0, -1]].tolist()
+        return self.at_rest * first, self.at_rest * last
+
+    @property
+    def at_rest(self) -> float:
+        """Displacement after creep in displacement has come to rest, over that without this creep."""
+        return 1.0 if self.displacement_creep is None else self.displacement_creep.at_rest
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
@@ -184,13 +198,13 @@ class Actuator(JsonFile, AbstractModel):
         """The limits [V]; without limits, the voltages of the largest loop between the ends of the spring's knots."""
         if self.limits is not None:
             return self.limits
-        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(self._knots))
+        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(self.knots))
         return self.voltage(low), self.voltage(high)
 
     @cached_property
     def plausible(self) -> Range:
         """Displacements [m] within `reach` or the knots of the spring; the knots alone if the reach is not known."""
-        knots = Range(*self._knots)
+        knots = Range(*self.knots)
         try:
             low, high = self.reach
         except ModelError:
@@ -217,6 +231,7 @@ class Actuator(JsonFile, AbstractModel):
         *,
         time: ArrayLike | None = None,
         load: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
         extrapolate: bool = False,
@@ -233,6 +248,8 @@ class Actuator(JsonFile, AbstractModel):
             reached. Within a step, w is linear in time; with dynamics the error falls with the step squared.
         load : (n,) array_like, optional
             External force [N]; needs `load_stiffness`. Without dynamics it shifts the displacement by F/kc.
+        temperature : float or (n,) array_like, optional
+            [degrees Celsius], with the part `thermal`; default: its reference.
         state : State, optional
             Start; default ``self.state``.
         stack : bool, optional
@@ -255,7 +272,7 @@ class Actuator(JsonFile, AbstractModel):
         (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
             self._refuse_voltages(low, high)
-        y, reached = self.model.simulate(v, PathData(time, load), start, stack)
+        y, reached = self.model.simulate(v, PathData(time, load, temperature=temperature), start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
     def compensate(
@@ -266,6 +283,7 @@ class Actuator(JsonFile, AbstractModel):
         load: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         state: State | None = None,
         stack: bool = True,
         extrapolate: bool = False,
@@ -276,7 +294,7 @@ class Actuator(JsonFile, AbstractModel):
         ----------
         displacement : (n,) array_like
             Wanted displacements [m], on the axis of the record that the actuator was identified from.
-        time, load, state, stack
+        time, load, temperature, state, stack
             As in `simulate`; with creep the path is straight between samples.
         velocity, acceleration : (n,) array_like, optional
             Of the path [m/s, m/s^2], used with dynamics; default: those of its cubic spline.
@@ -300,7 +318,8 @@ class Actuator(JsonFile, AbstractModel):
         (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
         if not extrapolate and self.plausible.is_far(low, high):
             self._refuse_displacements(y, load)
-        v, reached = self.model.compensate(y, PathData(time, load, velocity, acceleration), start, stack)
+        path = PathData(time, load, velocity, acceleration, temperature)
+        v, reached = self.model.compensate(y, path, start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
@@ -323,12 +342,12 @@ class Actuator(JsonFile, AbstractModel):
         than one stroke outside of `reach` and the knots of the spring, unless `extrapolate`.
         """
         y = number(displacement, "displacement")
-        knots = self.spring.displacement
-        if not extrapolate and not knots[0] <= y <= knots[-1]:
+        if not extrapolate and not self.knots[0] <= y <= self.knots[1]:
             self._refuse_displacements(np.array([y]))
         side = 1 if rising else -1
         smooth = () if self.smooth is None else side * self.smooth.length
-        return State(y, y - side * self.slip.breakaway, smooth=smooth)
+        w = y / self.at_rest
+        return State(w, w - side * self.slip.breakaway, smooth=smooth)
 
     def quasistatic(self) -> Actuator:
         """Return the actuator without inertia and amplifier lag, which slow motions do not excite."""
@@ -340,6 +359,10 @@ class Actuator(JsonFile, AbstractModel):
         v = self.core.voltage(self.model.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
         return v
+
+    def displacement(self, state: State | None = None) -> float:
+        """Return the displacement [m] of the actuator in a `state`, without a load; default ``self.state``."""
+        return self.model.displacement(self._start(state))
 
     def to_control(
         self,

@@ -36,6 +36,8 @@ class State:
         With dynamics, displacement [m] and velocity [m/s] of the mass; empty: at rest at `displacement`.
     smooth : (L,) array
         Elongation q_l of each smooth element [m]; empty: none is elongated.
+    displacement_creep : (K,) array
+        Strain e_k of each branch of creep in displacement [m]; empty: all has crept.
     """
 
     displacement: float
@@ -43,6 +45,7 @@ class State:
     creep: Array
     motion: Array
     smooth: Array
+    displacement_creep: Array
 
     def __init__(
         self,
@@ -51,29 +54,38 @@ class State:
         creep: ArrayLike = (),
         motion: ArrayLike = (),
         smooth: ArrayLike = (),
+        displacement_creep: ArrayLike = (),
     ) -> None:
         keep(self, displacement=number(displacement, "state: displacement"))
         keep(self, carts=vector(carts, "carts"), creep=vector(creep, "creep strains"))
         keep(self, motion=vector(motion, "motion"), smooth=vector(smooth, "smooth elongations"))
+        keep(self, displacement_creep=vector(displacement_creep, "strains of displacement creep"))
         if self.motion.size not in (0, 2):
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
     @classmethod
-    def unchecked(cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array) -> State:
+    def unchecked(
+        cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
+    ) -> State:
         """Return a state of arrays that a computation has just made from a valid one; they are not copied.
 
         Parameters
         ----------
         displacement : float
-        carts, creep, motion, smooth : array
+        carts, creep, motion, smooth, displacement_creep : array
             See `State`; shapes and values are not checked.
         """
         state = cls.__new__(cls)
-        keep(state, displacement=displacement, carts=carts, creep=creep, motion=motion, smooth=smooth)
+        parts = {"creep": creep, "motion": motion, "smooth": smooth, "displacement_creep": displacement_creep}
+        keep(state, displacement=displacement, carts=carts, **parts)
         return state
 
     def __repr__(self) -> str:
-        more = {"creep strains": self.creep, "smooth elongations": self.smooth}
+        more = {
+            "creep strains": self.creep,
+            "smooth elongations": self.smooth,
+            "displacement creep strains": self.displacement_creep,
+        }
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
         speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
         return f"<State: at {self.displacement * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
@@ -81,11 +93,16 @@ class State:
     def shifted(self, by: float) -> State:
         """Return the same state on a displacement axis moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
-        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth)
+        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; parts that the actuator does not have are left out."""
-        more = {"creep_m": self.creep, "motion_m_and_m_per_s": self.motion, "smooth_m": self.smooth}
+        more = {
+            "creep_m": self.creep,
+            "motion_m_and_m_per_s": self.motion,
+            "smooth_m": self.smooth,
+            "displacement_creep_m": self.displacement_creep,
+        }
         return {
             "displacement_m": self.displacement,
             "carts_m": self.carts.tolist(),

@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import demand_divisors, demand_magnitudes, number
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "creep": (Creep, type(None)),
     "dynamics": (Dynamics, type(None)),
     "smooth": (SmoothSlip, type(None)),
+    "displacement_creep": (DisplacementCreep, type(None)),
+    "thermal": (Thermal, type(None)),
 }
 # Name, unit, what is needed, whether 0 is impossible and None allowed, and whether it is divided by.
 _NUMBERS = (
@@ -92,7 +94,8 @@ def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
     """Return the motion of slow loops between limits [V], to the second one last, creep at rest at both."""
     slow = actuator.quasistatic()
     voltage = np.tile(limits, _VISITS)
-    rest = 1.0 if slow.creep is None else _REST * float(slow.creep.time_constants.max(initial=0.0))
+    creeping = [part.time_constants for part in (slow.creep, slow.displacement_creep) if part is not None]
+    rest = _REST * float(np.concatenate(creeping).max(initial=0.0)) if creeping else 1.0
     time = np.arange(voltage.size) * rest if slow.needs_time else None
     return slow.simulate(voltage, time=time, extrapolate=True)
 

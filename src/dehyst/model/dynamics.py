@@ -60,9 +60,7 @@ class Creep:
 
         `durations` holds the steps.
         """
-        with np.errstate(over="ignore"):
-            x = durations[:, None] / self.time_constants
-        return np.exp(-x), np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
+        return low_pass_tables(self.time_constants, durations)
 
     def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
         """Return strains d_j (n, J) [m] along a `displacement` (n,) [m] with `time` (n,) [s], 0 at the first sample.
@@ -72,6 +70,115 @@ class Creep:
         y = vector(displacement, "displacement")
         bounds, durations = clock(time, y.size)
         return strains(y, bounds, *self.tables(durations), np.zeros(len(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class DisplacementCreep:
+    """K branches of creep in displacement, behind the elements and the mass (Kuhnen and Krejci; theory section 19).
+
+    ``y = m + sum_k g_k lowpass_k(m)``, m the displacement without creep and tau_k the time constant of low-pass k. At
+    rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are those of `Creep`.
+
+    `time_constants` (K,): tau_k [s], positive. `gains` (K,): g_k, 0 or more. Raise `ModelError` if lengths differ, or
+    a value is impossible or too large to compute with (magnitude over 1e30).
+    """
+
+    time_constants: Array
+    gains: Array
+
+    __repr__ = brief
+
+    def __init__(self, time_constants: ArrayLike, gains: ArrayLike) -> None:
+        tau = vector(time_constants, "displacement creep time constants")
+        g = vector(gains, "displacement creep gains")
+        if tau.size != g.size:
+            raise ModelError(
+                f"got {tau.size} displacement creep time constants and {g.size} gains, need one of each for a branch"
+            )
+        if np.any(tau <= 0):
+            raise ModelError(f"displacement creep time constants must be positive, got {tau}")
+        if np.any(g < 0):
+            raise ModelError(f"displacement creep gain {int(np.argmin(g))} is {g.min():g}, need 0 or more")
+        demand_divisors(tau, "displacement creep time constants [s]")
+        demand_magnitudes(g, "displacement creep gains")
+        keep(self, time_constants=tau, gains=g)
+
+    def __len__(self) -> int:
+        return self.time_constants.size
+
+    @property
+    def at_rest(self) -> float:
+        """Displacement at rest over that without creep, 1 + sum_k g_k."""
+        return sum(self.gains.tolist(), 1.0)
+
+    def tables(self, durations: Array) -> tuple[Array, Array]:
+        """Return decays and rises (R, K) of steps of `durations` (R,) [s], as `Creep.tables`."""
+        return low_pass_tables(self.time_constants, durations)
+
+
+@dataclass(frozen=True)
+class Thermal:
+    """Gain and offset of the displacement that depend on temperature (theory section 22).
+
+    ``y = offset dT + (1 + gain dT) y_r``, dT the temperature less `reference`, y_r the displacement at the reference.
+
+    Parameters
+    ----------
+    gain : float
+        Relative change of the displacement [1/K].
+    offset : float, optional
+        Thermal expansion [m/K].
+    reference : float, optional
+        Temperature [degrees Celsius] at which the other parts were identified.
+
+    Raises
+    ------
+    ModelError
+        If a number is not finite or too large to compute with (magnitude over 1e30).
+    """
+
+    gain: float
+    offset: float = 0.0
+    reference: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name in ("gain", "offset", "reference"):
+            value = number(getattr(self, name), f"thermal {name}")
+            demand_magnitudes(value, f"thermal {name}")
+            keep(self, **{name: value})
+
+    def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
+        """Return gains and offsets [m] at temperatures [degrees Celsius], one for all or one for each sample.
+
+        Raise `ModelError` if their number differs, or a gain is not positive.
+        """
+        each = np.ndim(temperature) > 0
+        given = vector(temperature, "temperature") if each else np.array([number(temperature, "temperature")])
+        if each and given.size != samples:
+            raise ModelError(
+                argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one a sample"
+            )
+        kelvins = given - self.reference
+        gain = 1 + self.gain * kelvins
+        if np.any(gain <= 0):
+            worst = float(given[int(np.argmin(gain))])
+            raise ModelError(
+                f"at {worst:g} degrees Celsius the displacement would be {gain.min():.3g} times that at "
+                f"{self.reference:g}, need a positive factor",
+                argument="temperature",
+                hint="give it in degrees Celsius",
+            )
+        return gain, self.offset * kelvins
+
+
+def low_pass_tables(time_constants: Array, durations: Array) -> tuple[Array, Array]:
+    """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s.
+
+    `time_constants` (J,) are tau_j [s]. `durations` holds the steps.
+    """
+    with np.errstate(over="ignore"):
+        x = durations[:, None] / time_constants
+    return np.exp(-x), np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
 
 
 def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:

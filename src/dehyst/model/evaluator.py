@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, strains
+from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, output_creep, strains
 from dehyst._types import Array
 from dehyst._validation import FARTHEST, demand_divisors, demand_result, vector
 from dehyst.model.base import State
-from dehyst.model.dynamics import Creep, Dynamics, clock
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 
 # Relative rounding error of a slope that is the difference of two.
@@ -25,17 +25,24 @@ _NO_COEFFICIENTS = (np.empty((1, 0)),) * 3
 
 @dataclass(frozen=True)
 class PathData:
-    """Time (n,) [s] and load (n,) [N] along a path, or None; with dynamics, the derivatives of the path."""
+    """Time (n,) [s] and load (n,) [N] along a path, or None; with dynamics, the derivatives of the path.
+
+    `temperature`: one or (n,) [degrees Celsius].
+    """
 
     time: ArrayLike | None = None
     load: ArrayLike | None = None
     velocity: ArrayLike | None = None
     acceleration: ArrayLike | None = None
+    temperature: ArrayLike | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - y), see `dehyst.h`."""
+    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - m), see `dehyst_model.h`.
+
+    m is the displacement of elements or mass; that of the actuator, y, has creep in displacement behind it.
+    """
 
     slip: MaxwellSlip | GradedSlip
     spring: Spring
@@ -45,11 +52,13 @@ class Evaluator:
     dynamics: Dynamics | None
     lag: float
     load_stiffness: float | None
+    displacement_creep: DisplacementCreep | None
+    thermal: Thermal | None
 
     @property
     def needs_time(self) -> bool:
         """Whether the answer depends on time."""
-        return self.creep is not None or self.has_dynamics
+        return self.creep is not None or self.displacement_creep is not None or self.has_dynamics
 
     @property
     def has_dynamics(self) -> bool:
@@ -73,6 +82,7 @@ class Evaluator:
             EMPTY if self.creep is None else self.creep.stiffness,
             EMPTY if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
             *((EMPTY,) * 3 if smooth is None else (smooth.length, smooth.closing, smooth.stiffness)),
+            EMPTY if self.displacement_creep is None else self.displacement_creep.gains,
         )
 
     def simulate(self, voltage: Array, path: PathData, start: State, stack: bool) -> tuple[Array, State]:
@@ -82,45 +92,111 @@ class Evaluator:
         if self.lag:
             voltage = self._amplified(voltage, path.time, self.core.voltage(state))
             demand_result(voltage, "acting voltage")
-        y, reached = self.core.simulate(voltage, steps, state, load=push if self.dynamics else EMPTY, stack=stack)
-        y = y if self.dynamics or not push.size else y + push
+        m, reached = self.core.simulate(voltage, steps, state, load=push if self.dynamics else EMPTY, stack=stack)
+        m = m if self.dynamics or not push.size else m + push
+        y, crept = self._creep_behind(m, steps, start, push)
+        if (scale := self._scale(path.temperature, y.size)) is not None:
+            y = scale[1] + scale[0] * y
         demand_result(y, "displacement", FARTHEST)
-        return y, self.state_of(reached)
+        return y, self.state_of(reached, crept)
 
     def compensate(self, displacement: Array, path: PathData, start: State, stack: bool) -> tuple[Array, State]:
         """Return the voltage (n,) [V] and the state reached; `start` is complete."""
-        y = displacement
-        steps, push = self._steps(path.time, y.size), self._push(path.load, y.size)
-        w, more, state = y - push if push.size else y, EMPTY, self.core_state(start)
+        steps, push = self._steps(path.time, displacement.size), self._push(path.load, displacement.size)
+        y, scale = displacement, self._scale(path.temperature, displacement.size)
+        if scale is not None:
+            y = (y - scale[1]) / scale[0]
+            rates = {"velocity": path.velocity, "acceleration": path.acceleration}
+            given = {what: vector(values, what) for what, values in rates.items() if values is not None}
+            if all(values.size == y.size for values in given.values()):
+                path = replace(path, **{what: values / scale[0] for what, values in given.items()})
+        m, crept = self._creep_behind(y, steps, start, push, inverse=True)
+        w, more, state = m - push if push.size else m, EMPTY, self.core_state(start)
         if self.dynamics is not None:
-            velocity, acceleration = self.derivatives(y, path)
+            velocity, acceleration = self.derivatives(m, self._path_of_mass(m, path, steps, start))
             w = w + self.dynamics.lead(velocity, acceleration)
-            more = self.dynamics.series * (w - y)
-            if y.size:
-                state = state._replace(motion=np.array([y[-1], velocity[-1] / self.dynamics.frequency]))
+            more = self.dynamics.series * (w - m)
+            if m.size:
+                state = state._replace(motion=np.array([m[-1], velocity[-1] / self.dynamics.frequency]))
         demand_result(w, "displacement of the electrical side")
         voltage, reached = self.core.compensate(w, steps, state, more=more, stack=stack)
-        if self.lag and y.size > 1:
-            rate = np.gradient(voltage, _seconds(path), edge_order=2 if y.size > 2 else 1)
+        if self.lag and m.size > 1:
+            rate = np.gradient(voltage, _seconds(path), edge_order=2 if m.size > 2 else 1)
             voltage = voltage + self.lag * rate
         demand_result(voltage, "voltage")
-        return voltage, self.state_of(reached)
+        return voltage, self.state_of(reached, crept)
+
+    def _scale(self, temperature: ArrayLike | None, samples: int) -> tuple[Array, Array] | None:
+        """Return gain and offset [m] of the displacement at a temperature, None at the reference."""
+        if temperature is None:
+            return None
+        if self.thermal is None:
+            raise ModelError(
+                "this actuator does not depend on temperature",
+                argument="temperature",
+                hint="leave it out, or give the actuator a part Thermal",
+            )
+        return self.thermal.scale(temperature, samples)
+
+    def _creep_behind(
+        self, path: Array, steps: StepCoefficients, start: State, push: Array, *, inverse: bool = False
+    ) -> tuple[Array, Array]:
+        """Return the displacements y of m, or with `inverse` m of y, and the strains of displacement creep after."""
+        part = self.displacement_creep
+        if part is None:
+            return path, EMPTY
+        # With a load the state is that at the first sample, if the path continues.
+        before = float(start.motion[0]) if self.dynamics else start.displacement + float(push[:1].sum())
+        return output_creep(path, steps, part.gains, before, start.displacement_creep, inverse=inverse)
+
+    def _path_of_mass(self, m: Array, path: PathData, steps: StepCoefficients, start: State) -> PathData:
+        """Return the path with derivatives of m in place of those of y: ``m' = y' - sum_k g_k e_k / tau_k``."""
+        part = self.displacement_creep
+        if part is None or path.velocity is path.acceleration is None:
+            return path
+        first = steps.decay.shape[1] - len(part)
+        decay, rise = (np.ascontiguousarray(table[:, first:]) for table in (steps.decay, steps.gain))
+        relative = strains(m, steps.bounds, decay, rise, start.displacement_creep, float(start.motion[0]))
+        relative = relative / part.time_constants
+        slope = part.gains / part.time_constants
+        velocity, acceleration = self.derivatives(m, path)
+        if path.velocity is not None:
+            velocity = velocity - relative @ part.gains
+        if path.acceleration is not None:
+            acceleration = acceleration - (velocity[:, None] - relative) @ slope
+        return replace(path, velocity=velocity, acceleration=acceleration)
+
+    def displacement(self, state: State, *, of_mass: bool = True) -> float:
+        """Return the displacement [m] in a complete state, without a load: that of the mass, or of the elements."""
+        m, part = (
+            float(state.motion[0]) if of_mass and state.motion.size else state.displacement,
+            self.displacement_creep,
+        )
+        if part is None:
+            return m
+        y = part.at_rest * m
+        for gain, strain in zip(part.gains.tolist(), state.displacement_creep.tolist(), strict=True):
+            y -= gain * strain
+        return y
 
     def core_state(self, state: State) -> CoreState:
         """Return the state in the core's numbers."""
         motion = state.motion
         if self.dynamics is not None:
             motion = motion / np.array([1.0, self.dynamics.frequency])
-        strains = np.concatenate([state.creep, state.smooth]) if state.smooth.size else state.creep
+        more = state.smooth.size or state.displacement_creep.size
+        strains = np.concatenate([state.creep, state.smooth, state.displacement_creep]) if more else state.creep
         return CoreState(state.displacement, state.carts, strains, motion)
 
-    def state_of(self, core: CoreState) -> State:
-        """Return the core's numbers as a state."""
+    def state_of(self, core: CoreState, crept: Array | None = None) -> State:
+        """Return the core's numbers as a state, with the strains of displacement creep if they are given."""
         branches = 0 if self.creep is None else len(self.creep)
-        creep, smooth = core.strains[:branches], core.strains[branches:]
+        end = core.strains.size - len(self.displacement_creep or ())
+        creep, smooth = core.strains[:branches], core.strains[branches:end]
+        behind = core.strains[end:] if crept is None else crept
         if self.dynamics is None:
-            return State.unchecked(core.w, core.carts, creep, core.motion, smooth)
-        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.frequency]), smooth)
+            return State.unchecked(core.w, core.carts, creep, core.motion, smooth, behind)
+        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.frequency]), smooth, behind)
 
     def complete_state(self, start: State) -> State:
         """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
@@ -142,7 +218,13 @@ class Evaluator:
             raise ModelError(
                 f"state: got {smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
             )
+        behind, crept = len(self.displacement_creep or ()), start.displacement_creep
+        if crept.size not in (0, behind):
+            raise ModelError(
+                f"state: got {crept.size} strains of displacement creep, this actuator has {behind} branches"
+            )
         creep = np.zeros(branches) if creep.size < branches else creep
+        crept = np.zeros(behind) if crept.size < behind else crept
         motion = np.array([w, 0.0]) if motion.size < moving else motion
         smooth = np.zeros(length.size) if smooth.size < length.size else smooth
         excess = np.abs(smooth) - length
@@ -163,7 +245,7 @@ class Evaluator:
                     f"elongation {rho[worst]:.3g} m"
                 )
             carts = np.clip(carts, w - rho, w + rho)
-        return State.unchecked(w, carts, creep, motion, smooth)
+        return State.unchecked(w, carts, creep, motion, smooth, crept)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
@@ -176,7 +258,8 @@ class Evaluator:
         if time is not None:
             return clock(time, samples)
         if self.needs_time:
-            parts = {"creeps": self.creep, "has inertia": self.dynamics, "lags": self.lag}
+            creeps = self.creep is not None or self.displacement_creep is not None
+            parts = {"creeps": creeps, "has inertia": self.dynamics, "lags": self.lag}
             verbs = " and ".join(verb for verb, part in parts.items() if part)
             raise ModelError(
                 f"this actuator {verbs}, so that the answer depends on time",
@@ -195,10 +278,13 @@ class Evaluator:
 
         Raise `ModelError` if a step is too long for a resonance.
         """
-        if self.creep is None and self.dynamics is None:
+        behind = self.displacement_creep
+        if self.creep is None and self.dynamics is None and behind is None:
             bounds, durations = bounds[[0, -1]], np.zeros(1)
         empty = np.empty((durations.size, 0))
         decay, gain = (empty, empty) if self.creep is None else self.creep.tables(durations)
+        if behind is not None:
+            decay, gain = map(np.hstack, zip((decay, gain), behind.tables(durations), strict=True))
         if self.dynamics is None:
             return StepCoefficients(bounds, decay, gain, empty)
         share = self.dynamics.share(self.spring)
@@ -221,7 +307,7 @@ class Evaluator:
         after = steps.transition[:, 6]
         slope = least_slope(self.slip, self.spring) + dynamics.series * (1 - after / (1 + share * after))
         if self.creep is not None:
-            slope = slope + steps.gain @ self.creep.stiffness
+            slope = slope + steps.gain[:, : len(self.creep)] @ self.creep.stiffness
         if np.any(slope <= 0):
             worst = durations[int(np.argmin(slope))]
             raise ModelError(

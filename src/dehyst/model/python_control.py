@@ -52,11 +52,14 @@ def compensator_block(loop: Loop, states: list[str], period: float | None, name:
 def labels(model: Evaluator, taps: int) -> list[str]:
     """Return the names of a loop's states, in the order of `row` in `bindings/loop.cpp`.
 
-    w and carts, creep strains, smooth elongations [m]; with dynamics y, y'/omega and the push on the mass [m]; the
+    w and carts, creep strains, smooth elongations [m]; with displacement creep its strains, and the displacement that
+    drives it [m]; with dynamics y, y'/omega and the push on the mass [m]; the
     voltage last sent; with a lag the acting voltage and the last two wanted ones [V]; with preview the inputs [m].
     """
     counts = {"cart": len(model.slip), "creep": len(model.creep or ()), "smooth": len(model.smooth or ())}
     names = ["w", *(f"{name}[{i}]" for name, count in counts.items() for i in range(count))]
+    if behind := len(model.displacement_creep or ()):
+        names += [*(f"displacement_creep[{i}]" for i in range(behind)), "driven"]
     if model.dynamics is not None:
         names += ["y", "y_rate", "push"]
     names += ["sent", "acting", "wished[0]", "wished[1]"] if model.lag else ["sent"]

@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst._views.fields import json_value
 from dehyst.model.base import State
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.identification import Identification
 
@@ -23,17 +23,22 @@ if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
 FORMAT = "dehyst-actuator"
-VERSION = 3
+VERSION = 4
 # Parts of one set of keys each, which are those of their fields in order; all but the spring may be missing.
 _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "spring": (Spring, ("displacement_m", "voltage_V")),
     "transformer": (Transformer, ("voltage_V", "drive_V")),
     "creep": (Creep, ("time_constants_s", "stiffness_V_per_m")),
     "smooth": (SmoothSlip, ("length_m", "closing", "stiffness_V_per_m")),
+    "displacement_creep": (DisplacementCreep, ("time_constants_s", "gains")),
+    "thermal": (Thermal, ("gain_per_K", "offset_m_per_K", "reference_degC")),
     "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
 }
 _PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
 _KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s", "identification"}
+# Keys that versions before lack.
+_NEW = {"displacement_creep", "thermal"}
+_ADDED = {1: _KEYS - _PLAIN, 2: {"identification", *_NEW}, 3: _NEW, VERSION: set()}
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
 # Of the limits; one of them may be missing.
@@ -110,6 +115,7 @@ def state_dict(state: State) -> dict[str, Any]:
         "carts_m": state.carts.tolist(),
         "creep_m": state.creep.tolist(),
         "smooth_m": state.smooth.tolist(),
+        "displacement_creep_m": state.displacement_creep.tolist(),
         "motion": motion,
     }
 
@@ -117,20 +123,20 @@ def state_dict(state: State) -> dict[str, Any]:
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """Read the arguments of `Actuator`, by name.
 
-    Version 1 has Maxwell-slip elements and a spring only; versions 1 and 2 hold the `Identification` among the entries
-    of "provenance".
+    Version 1 has Maxwell-slip elements and a spring only, versions 1 to 3 neither creep in displacement nor
+    temperature; versions 1 and 2 hold the `Identification` among the entries of "provenance".
 
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
-    version = demand_format(data, FORMAT, (1, 2, VERSION))
-    demand_keys(data, {1: _PLAIN, 2: _KEYS - {"identification"}}.get(version, _KEYS), "model")
+    version = demand_format(data, FORMAT, (1, 2, 3, VERSION))
+    demand_keys(data, _KEYS - _ADDED[version], "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
     found: dict[str, Any] = {"name": data["name"], "provenance": data["provenance"]}
     found["slip"] = _slip(data, graded=version > 1)
     for name, (kind, keys) in _PARTS.items():
         if name == "spring" or data.get(name) is not None:
-            part, read = _part(data, name, set(keys)), number if kind is Dynamics else numbers
+            part, read = _part(data, name, set(keys)), number if kind in (Dynamics, Thermal) else numbers
             found[name] = kind(*(read(part[key], f"{name}.{key}") for key in keys))
     if version > 1:
         found["lag"] = number(data["lag_s"], "lag_s")
@@ -145,7 +151,7 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
         limits = _part(data, "limits", known or set(_LIMITS[:1]))
         found["limits"] = _or_none(_pair, limits.get(_LIMITS[0]), f"limits.{_LIMITS[0]}")
         found["recorded_slew_rate"] = _or_none(number, limits.get(_LIMITS[1]), _LIMITS[1])
-    return found | {"delay": number(data["delay_s"], "delay_s"), "state": state(data, plain=version == 1)}
+    return found | {"delay": number(data["delay_s"], "delay_s"), "state": state(data, version)}
 
 
 def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
@@ -164,12 +170,13 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
     return GradedSlip(rho, knots, np.array(table).reshape(rho.size, knots.size - 1))
 
 
-def state(data: Mapping[str, Any], *, plain: bool = False) -> State:
-    """Read the entry "state", strictly; a plain one holds displacement and carts alone.
+def state(data: Mapping[str, Any], version: int = VERSION) -> State:
+    """Read the entry "state" of a model file of a version, strictly; version 1 holds displacement and carts alone.
 
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
-    rows = ("carts_m",) if plain else ("carts_m", "creep_m", "smooth_m")
+    plain = version == 1
+    rows = ("carts_m", "creep_m", "smooth_m", "displacement_creep_m")[: 1 if plain else 3 if version < VERSION else 4]
     given = _part(data, "state", {"displacement_m", *rows, *(() if plain else ("motion",))})
     found = {key.removesuffix("_m"): numbers(given[key], f"state.{key}") for key in rows}
     if not plain and given["motion"] is not None:

@@ -14,7 +14,7 @@ from dehyst._types import Array
 from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
-from dehyst.model.dynamics import Creep, Dynamics
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 
 # Duration of a step response in longest time constants, and its number of times.
@@ -45,6 +45,10 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
         parts.append(_transformer(actuator.transformer))
     if actuator.creep is not None:
         parts.append(_creep(actuator, actuator.creep))
+    if actuator.displacement_creep is not None:
+        parts.append(_displacement_creep(actuator.displacement_creep))
+    if actuator.thermal is not None:
+        parts.append(_thermal(actuator.thermal))
     if actuator.smooth is not None:
         parts.append(_smooth(actuator.smooth))
     if actuator.dynamics is not None:
@@ -157,6 +161,23 @@ def _creep(actuator: Actuator, creep: Creep) -> Part:
         f"{_seconds(time[-1])}, half of it within {_seconds(half)}."
     )
     return Part("Creep", sentence, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
+
+
+def _displacement_creep(creep: DisplacementCreep) -> Part:
+    times = creep.time_constants
+    branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
+    spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
+    grows = f"a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %"
+    sentence = f"{branches} behind the elements{spread}: {grows}."
+    return Part("Creep in displacement", sentence, None)
+
+
+def _thermal(thermal: Thermal) -> Part:
+    sentence = (
+        f"the displacement grows by {100 * thermal.gain:.3g} % and by {1e9 * thermal.offset:.3g} nm a kelvin, from "
+        f"{thermal.reference:g} degrees Celsius on."
+    )
+    return Part("Temperature", sentence, None)
 
 
 def _smooth(smooth: SmoothSlip) -> Part:

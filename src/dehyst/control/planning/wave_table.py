@@ -246,7 +246,11 @@ def approach_to(
     speed and acceleration first, then the slew rate if any duration keeps it. Raise `RecordError` if it is not
     positive, or too long.
     """
-    now = PathPoint(*map(float, state.motion)) if state.motion.size else PathPoint(state.displacement)
+    now = (
+        PathPoint(*map(float, state.motion))
+        if state.motion.size
+        else PathPoint(compensator.actuator.displacement(state))
+    )
     first, rate, ends = path.first, path.sample_rate, _ends(path)
     if seconds is not None:
         duration = positive(seconds, "approach")

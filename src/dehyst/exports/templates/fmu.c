@@ -15,7 +15,7 @@ static double within(const fmu *f, double v)
     return v < f->model.low ? f->model.low : v > f->model.high ? f->model.high : v;
 }
 
-static double displacement(const fmu *f) { return dehyst_loop_displacement(&f->model, &f->now.loop); }
+static double displacement(const fmu *f) { return dehyst_loop_displacement(&f->model, &f->now.loop, f->now.memory); }
 
 int fmu_begin(fmu *f)
 {

@@ -26,7 +26,7 @@ dehyst_real piezo_simulate(piezo *p, dehyst_real voltage)
     return piezo_displacement(p);
 }
 
-dehyst_real piezo_displacement(const piezo *p) { return dehyst_loop_displacement(&piezo_model, &p->loop); }
+dehyst_real piezo_displacement(const piezo *p) { return dehyst_loop_displacement(&piezo_model, &p->loop, p->memory); }
 
 const dehyst_model *piezo_exported(void) { return &piezo_model; }
 

@@ -16,11 +16,11 @@ extern "C" {
 /* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
     dehyst_loop loop; /* its counts: how many samples were limited, slewed and refused */
-    dehyst_real memory[DEHYST_MEMORY(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_OUTPUT, MODEL_TAPS)];
 } piezo;
 
 /* Bytes of a snapshot. */
-#define MODEL_SNAPSHOT DEHYST_SNAPSHOT(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_TAPS)
+#define MODEL_SNAPSHOT DEHYST_SNAPSHOT(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_OUTPUT, MODEL_TAPS)
 
 /* Start from the exported state. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);

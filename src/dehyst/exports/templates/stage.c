@@ -16,6 +16,9 @@ static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
     loop.y = from->y;
     loop.rate = from->rate;
     loop.input = from->input;
+    loop.gain = from->gain;
+    loop.offset = from->offset;
+    loop.driven = from->driven;
     loop.sent = from->sent;
     loop.acting = from->acting;
     loop.intended[0] = from->intended[0];

@@ -1,0 +1,258 @@
+"""Creep in displacement: its equation by other means, its inverse, its memory, and what refuses it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+from scipy.signal import lsim
+
+from dehyst import (
+    Actuator,
+    Bank,
+    ClampWarning,
+    Compensator,
+    Creep,
+    DisplacementCreep,
+    Dynamics,
+    ModelError,
+    State,
+    Thermal,
+)
+
+PLANT = plain_records.plant(10, seed=4)
+PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
+CREEPING = replace(PLANT, displacement_creep=PART)
+PARTS = {
+    "alone": {},
+    "creep": {"creep": Creep([0.05, 5.0], [3e5, 3e5])},
+    "load": {"load_stiffness": 5e7},
+    "inertia": {"dynamics": Dynamics(2 * np.pi * 30, 0.03, 2e6), "load_stiffness": 5e7},
+    "lag": {"lag": 0.01},
+}
+
+
+def uneven(n, seed=1):
+    """Times [s] of uneven steps."""
+    return np.cumsum(np.random.default_rng(seed).uniform(1e-4, 0.02, n))
+
+
+def smooth(time):
+    """A smooth path [m] within the reach."""
+    low, high = CREEPING.reach
+    return low + (high - low) * (0.5 + 0.3 * np.sin(3 * time) + 0.1 * np.sin(11 * time))
+
+
+def test_it_is_the_sum_of_low_passes_behind_the_elements():
+    """By SciPy's simulation of linear systems, exact for inputs that are straight between samples."""
+    time = np.arange(2000) * 1e-3
+    voltage = 100 * plain_records.path((0, 1, 0.2, 0.8), 700)[:2000] / plain_records.STROKE
+    m = PLANT.simulate(voltage, time=time, state=PLANT.relaxed(0.0)).displacement
+    y = CREEPING.simulate(voltage, time=time, state=CREEPING.relaxed(0.0)).displacement
+    wanted = m.copy()
+    for tau, gain in zip(PART.time_constants, PART.gains, strict=True):
+        wanted += gain * lsim(([1.0], [tau, 1.0]), m, time, X0=[m[0] * tau])[1]
+    np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_inverse_is_exact_at_uneven_steps(name):
+    actuator = replace(CREEPING, **PARTS[name])
+    time = uneven(3000) if name not in ("inertia", "lag") else np.arange(6000) * 2e-4
+    path = smooth(time)
+    load = 20 * np.sin(5 * time) if actuator.load_stiffness else None
+    state = replace(actuator.turned(path[0]), displacement_creep=[1e-7, -2e-7, 3e-7])
+    start = actuator.compensate(path[:1], time=time[:1], load=None if load is None else load[:1], state=state).state
+    motion = actuator.compensate(path, time=time, load=load, state=start)
+    back = actuator.simulate(motion.voltage, time=time, load=load, state=start, extrapolate=True)
+    exact = name not in ("inertia", "lag")
+    settled = slice(None) if exact else slice(3000, None)
+    np.testing.assert_allclose(back.displacement[settled], path[settled], rtol=0, atol=1e-17 if exact else 1e-8)
+    if exact:
+        np.testing.assert_allclose(back.state.displacement_creep, motion.state.displacement_creep, rtol=0, atol=1e-17)
+
+
+def test_derivatives_that_are_given_are_those_of_the_displacement():
+    actuator, time = replace(CREEPING, **PARTS["inertia"]), np.arange(4000) * 5e-4
+    low, high = actuator.reach
+    middle, size = 0.5 * (low + high), 0.3 * (high - low)
+    path = middle + size * np.sin(3 * time)
+    state = actuator.turned(middle)
+    given = actuator.compensate(
+        path, time=time, state=state, velocity=3 * size * np.cos(3 * time), acceleration=-9 * size * np.sin(3 * time)
+    )
+    half = actuator.compensate(path, time=time, state=state, acceleration=-9 * size * np.sin(3 * time))
+    splined = actuator.compensate(path, time=time, state=state)
+    for other in (half, splined):
+        np.testing.assert_allclose(given.voltage[5:-5], other.voltage[5:-5], rtol=0, atol=1e-4)
+
+
+def test_a_held_voltage_ends_at_the_displacement_at_rest():
+    assert CREEPING.at_rest == pytest.approx(1.09)
+    np.testing.assert_allclose(CREEPING.reach, 1.09 * np.array(PLANT.reach), rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(CREEPING.knots, 1.09 * PLANT.spring.displacement[[0, -1]], rtol=1e-12)
+    top = CREEPING.turned(5e-6)
+    assert CREEPING.displacement(top) == pytest.approx(5e-6, rel=1e-14)
+    held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
+    assert held.displacement[-1] == pytest.approx(1.09 * held.state.displacement, rel=1e-12)
+    assert CREEPING.displacement(held.state) == pytest.approx(held.displacement[-1], rel=1e-14)
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_loop_is_the_equation_to_the_bit():
+    """A loop without this creep, and the equation of `dehyst_model.h` in Python, for 1e5 random steps with clamps."""
+    period, samples = 1e-3, 10**5
+    start = PLANT.turned(0.3 * plain_records.STROKE)
+    loop, inner = (Compensator(one, (10, 130), 3e4, period=period, state=start) for one in (CREEPING, PLANT))
+    gains = PART.gains.tolist()
+    decay, rise = (table[0].tolist() for table in PART.tables(np.array([period])))
+    at_once = 1.0
+    for g, r in zip(gains, rise, strict=True):
+        at_once += g * (1 - r)
+    rng = np.random.default_rng(7)
+    low, high = loop.reach
+    path = rng.uniform(low, high, samples) * (1 + 0.1 * rng.normal(size=samples))
+    e, driven, sent, clamped = [0.0] * 3, inner.state.displacement, np.empty(samples), 0
+    for t, u in enumerate(path.tolist()):
+        goal = u
+        for g, d, r, one in zip(gains, decay, rise, e, strict=True):
+            goal += g * (d * one - r * driven)
+        goal /= at_once
+        before = inner.clamps
+        sent[t] = inner.step(goal)
+        if inner.clamps != before:
+            goal, clamped = inner.state.displacement, clamped + 1
+        e = [d * one + r * (goal - driven) for d, r, one in zip(decay, rise, e, strict=True)]
+        driven = goal
+    np.testing.assert_array_equal(loop.run(path), sent)
+    assert loop.state.displacement_creep.tolist() == e
+    assert 1000 < clamped < samples - 1000
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+@pytest.mark.parametrize("slew", [None, 3e3])
+def test_a_path_is_followed_as_a_loop_follows_it(slew):
+    period, limits = 1e-3, (20, 110)
+    low, high = CREEPING.reach
+    path = low + (high - low) * plain_records.path((0.5, 1, 0, 0.9, 0.2, 0.6), 60) / plain_records.STROKE
+    loop, whole = (Compensator(CREEPING, limits, slew, period=period) for _ in range(2))
+    command = whole.trajectory(path)
+    first = whole.trajectory(path[:1])
+    sent = np.array([loop.step(y) for y in path])
+    # The first sample of a path has no step before it.
+    np.testing.assert_allclose(command.voltage, sent, rtol=0, atol=0.2)
+    again = CREEPING.simulate(command.voltage, time=period * np.arange(path.size), state=whole.initial_state)
+    np.testing.assert_allclose(again.displacement, command.displacement, rtol=0, atol=1e-15)
+    assert command.clamped.any() and first.voltage.size == 1
+
+
+def test_it_is_kept_in_files_and_states(tmp_path):
+    state = replace(CREEPING.turned(5e-6), displacement_creep=[1e-7, -2e-7, 3e-7])
+    kept = replace(CREEPING, state=state)
+    kept.save(tmp_path / "model.json")
+    read = Actuator.load(tmp_path / "model.json")
+    assert read.as_dict() == kept.as_dict() and read.needs_time and read.wide
+    np.testing.assert_array_equal(read.state.displacement_creep, state.displacement_creep)
+    data = json.loads((tmp_path / "model.json").read_text())
+    newer = ("displacement_creep", "thermal")
+    older = {key: value for key, value in data.items() if key not in newer} | {"version": 3}
+    older["state"] = {key: value for key, value in data["state"].items() if key != "displacement_creep_m"}
+    assert Actuator.from_dict(older).displacement_creep is None
+    assert "displacement creep strains" in repr(state)
+    assert "behind the elements" in kept.summary()
+
+
+def test_numbers_that_are_impossible_are_refused():
+    for make, word in (
+        (lambda: DisplacementCreep([1.0], [0.1, 0.2]), "1 displacement creep time constants and 2 gains"),
+        (lambda: DisplacementCreep([0.0], [0.1]), "must be positive"),
+        (lambda: DisplacementCreep([1.0], [-0.1]), "need 0 or more"),
+        (lambda: DisplacementCreep([1.0], [1e31]), "gains"),
+        (lambda: replace(PLANT, displacement_creep=Creep([1.0], [1.0])), "need a DisplacementCreep"),
+        (lambda: replace(CREEPING, state=State(0, PLANT.state.carts * 0, displacement_creep=[0.0])), "3 branches"),
+        (lambda: CREEPING.simulate([0.0, 1.0]), "this actuator creeps"),
+        (lambda: Compensator(CREEPING, (0, 100)), "need the time between steps"),
+    ):
+        with pytest.raises(ModelError, match=word):
+            loop = make()
+            if isinstance(loop, Compensator):
+                loop.step(0.0)
+
+
+def test_a_bank_computes_it_alone_and_alike():
+    path = np.random.default_rng(2).uniform(2e-6, 12e-6, (300, 2))
+    bank = Bank([PLANT, CREEPING], (0, 200), period=1e-3)
+    assert list(bank.alone) == [1]
+    out = bank.compensate(path)
+    np.testing.assert_array_equal(out[:, 1], Compensator(CREEPING, (0, 200), period=1e-3).run(path[:, 1]))
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0, np.nan, np.inf])
+def test_a_scale_that_is_impossible_is_refused(gain):
+    loop = Compensator(CREEPING, (0, 200), period=1e-3)
+    with pytest.raises(ModelError):
+        loop.scale(gain, 0.0)
+    with pytest.raises(ModelError):
+        loop.scale(1.0, np.nan)
+
+
+@pytest.mark.parametrize("actuator", [PLANT, CREEPING], ids=["plain", "creeping"])
+def test_gain_and_offset_of_a_loop_are_inverted_and_kept(actuator, tmp_path):
+    loop = Compensator(actuator, (0, 200), period=1e-3, units="um")
+    plain = Compensator(actuator, (0, 200), period=1e-3)
+    low, high = plain.reach
+    path = np.random.default_rng(3).uniform(low + 0.2 * (high - low), high - 0.2 * (high - low), 200)
+    loop.scale(1.05, 0.1)
+    assert loop.scaling == (1.05, 0.1)
+    sent = np.array([loop.step(1e6 * (0.1e-6 + 1.05 * y)) for y in path])
+    np.testing.assert_allclose(sent, plain.run(path), rtol=0, atol=1e-9)
+    other = Compensator(actuator, (0, 200), period=1e-3, units="um")
+    other.restore(loop.snapshot())
+    assert other.step(5.0) == loop.step(5.0) and other.scaling == pytest.approx((1.05, 0.1))
+    assert other.snapshot_block() == loop.snapshot_block()
+    with pytest.warns(ClampWarning):
+        loop.step(1e3)
+
+
+THERMAL = replace(CREEPING, thermal=Thermal(0.004, 2e-9, 25.0))
+
+
+def test_temperature_is_a_gain_and_an_offset_behind_all_other_parts(tmp_path):
+    time = 1e-3 * np.arange(500)
+    path, kelvins = smooth(time), 15 * np.sin(2 * time)
+    warm = THERMAL.simulate(np.full(500, 50.0), time=time, temperature=35.0).displacement
+    still = THERMAL.simulate(np.full(500, 50.0), time=time).displacement
+    np.testing.assert_allclose(warm, 2e-8 + 1.04 * still, rtol=1e-14)
+    motion = THERMAL.compensate(path, time=time, temperature=25 + kelvins)
+    back = THERMAL.simulate(motion.voltage, time=time, temperature=25 + kelvins, extrapolate=True)
+    np.testing.assert_allclose(back.displacement, path, rtol=0, atol=1e-17)
+    np.testing.assert_array_equal(
+        THERMAL.compensate(path, time=time).voltage, CREEPING.compensate(path, time=time).voltage
+    )
+    THERMAL.save(tmp_path / "model.json")
+    assert Actuator.load(tmp_path / "model.json").thermal == THERMAL.thermal
+    assert "0.4 % and by 2 nm a kelvin" in THERMAL.summary()
+
+
+def test_a_loop_follows_a_temperature():
+    time, state = 1e-3 * np.arange(300), CREEPING.turned(8e-6)
+    path, warm = smooth(time), 25 + 15 * np.sin(2 * time)
+    loop = Compensator(THERMAL, (0, 200), period=1e-3, state=state)
+    sent = np.array([loop.step(y, temperature) for y, temperature in zip(path, warm, strict=True)])
+    assert loop.scaling == pytest.approx((1 + 0.004 * (warm[-1] - 25), 2e-9 * (warm[-1] - 25)))
+    reference = np.concatenate([[THERMAL.displacement(state)], (path - 2e-9 * (warm - 25)) / (1 + 0.004 * (warm - 25))])
+    exact = CREEPING.compensate(reference, time=1e-3 * np.arange(301), state=state).voltage[1:]
+    np.testing.assert_allclose(sent, exact, rtol=0, atol=1e-9)
+    assert loop.offer(path[-1]) == pytest.approx(sent[-1], abs=0.1)
+    for call in (
+        lambda: Compensator(CREEPING, (0, 200), period=1e-3).step(5e-6, 30.0),
+        lambda: CREEPING.simulate([0.0], time=[0.0], temperature=30.0),
+        lambda: loop.step(5e-6, -300.0),
+        lambda: loop.step(5e-6, "warm"),
+        lambda: THERMAL.simulate([0.0, 1.0], time=[0.0, 1.0], temperature=[20.0, 21.0, 22.0]),
+        lambda: replace(THERMAL, thermal=0.1),
+        lambda: Thermal(np.nan),
+    ):
+        with pytest.raises(ModelError):
+            call()
