@@ -1,19 +1,12 @@
-"""How often intervals and bands of `dehyst insight` hold the truth. Writes `coverage.json`.
+"""How often intervals of `dehyst insight` hold the truth. Writes `coverage.json`.
 
-Two parts; without one named, both:
+Stiffnesses, spring and a prediction of a plant that is an instance of the model: it is recorded again and again,
+descending tops with sensor noise; each record is identified, and 90 % intervals come from resampled cycles. They should
+contain the true number 90 times in a hundred. Truths that are no instance of the model are those of `promise.py`.
 
-numbers  stiffnesses, spring and a prediction of a plant that is an instance of the model: it is recorded again and
-         again, descending tops with sensor noise; each record is identified, and 90 % intervals come from resampled
-         cycles. They should contain the true number 90 times in a hundred.
-bands    the 90 % band by noise and model error together, on truths that are no instance of the model; see
-         `band_coverage.py`. It should contain 85 to 95 % of the samples of the true path.
-
-    python benchmarks/coverage.py [PART ...] [--truth NAME ...]
-
-Parts that were not run keep their figures.
+    python benchmarks/coverage.py
 """
 
-import argparse
 import json
 import sys
 import time
@@ -27,12 +20,10 @@ from dehyst.trust.evidence import Evidence
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-import band_coverage
 import plain_records
 
 OUTPUT = Path(__file__).with_suffix(".json")
-PARTS = ("numbers", "bands")
-REPEATS, REPEATS_OTHERS = 200, 100
+REPEATS = 200
 LEVEL = 0.9
 # 2 nm on a stroke of 16 um, and four times that.
 NOISES = (1.25e-4, 5e-4)
@@ -122,38 +113,8 @@ def numbers() -> list[dict]:
     return results
 
 
-def bands(known: list[dict], only: list[str] | None) -> list[dict]:
-    """Return the shares of samples of paths of truths that are no instances of the model.
-
-    With names of truths, only these are run, and the others keep their figures.
-    """
-    rows = {(row["truth"], row["class"]): row for row in known}
-    print("share of a path's samples in the 90 % band by noise and model error together")
-    for name, use in band_coverage.USES.items():
-        if only and name not in only:
-            continue
-        for kind in band_coverage.CLASSES:
-            row = band_coverage.coverage(name, kind, REPEATS if use == "chosen on" else REPEATS_OTHERS)
-            rows[name, kind] = row
-            print(band_coverage.shown(row), flush=True)
-    return [rows[name, kind] for name in band_coverage.USES for kind in band_coverage.CLASSES if (name, kind) in rows]
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Measure coverage; see the top of this file.")
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{' or '.join(PARTS)}; default: both")
-    parser.add_argument("--truth", action="append", choices=list(band_coverage.USES), help="of bands; may be repeated")
-    given = parser.parse_args()
-    for part in given.parts:
-        if part not in PARTS:
-            parser.error(f"no part '{part}'; try {' or '.join(PARTS)}")
-    results = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
-    parts = given.parts or PARTS
-    if "numbers" in parts:
-        results["numbers"] = numbers()
-    if "bands" in parts:
-        results["bands"] = bands(results.get("bands", []), given.truth)
-    OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
+    OUTPUT.write_text(json.dumps({"numbers": numbers()}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

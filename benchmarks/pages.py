@@ -461,26 +461,31 @@ def samples(one: dict) -> str:
 # docs/explanation/trust.md
 
 
-def coverage() -> list[str]:
-    """Coverage of bands."""
-    truths = {
-        "relays": "Preisach's relays, asymmetric",
-        "bouc-wen": "Bouc and Wen",
-        "domains": "Jiles and Atherton's domains",
-        "stribeck": "Stribeck friction",
-        "voigt": "Rayleigh's branches, creeping",
-        "bristles": "Dahl's bristles before a resonance",
-    }
+def promise() -> list[str]:
+    """Coverage and sharpness of the promise."""
+    found = data("promise")
     head = (
-        *("truth", "use", "class of the model", "repeats", "in the 90 % band", "records of tops / random turns"),
-        *("in the band by noise alone", "half width, % of the stroke", "90 % of the errors within"),
+        "",
+        "paths",
+        "largest error kept",
+        "RMS error kept",
+        "sharpness, RMS",
+        "over three times",
+        "ready, missed by twice",
     )
     rows = []
-    for row in data("coverage")["bands"]:
-        shares = {key: f"{100 * row[key]:.1f} %" for key in ("held", "held_tops", "held_random", "held_by_noise")}
-        ways = f"{shares['held_tops']} / {shares['held_random']}"
-        cells = shares["held"], ways, shares["held_by_noise"], f"{row['half']:.2f}", f"{row['error']:.2f} %"
-        rows.append([truths[row["truth"]], row["use"], row["class"], str(row["repeats"]), *cells])
+    for part, name in (("calibrate", "ten mechanisms"), ("unseen", "three others")):
+        tables = found[part]["tables"]
+        for by, values in tables.items():
+            if by in ("truth", "path") and part == "calibrate":
+                continue
+            for value, row in values.items():
+                kept, kept_rms, over = (f"{100 * row[key]:.0f} %" for key in ("kept", "kept_rms", "over_three"))
+                sharp = f"{row['sharpness']:.2f}, {row['sharpness_rms']:.2f}"
+                title = f"**{name}**" if by == "all" else f"{name}, {by} {value}"
+                rows.append(
+                    [title, str(row["paths"]), kept, kept_rms, sharp, over, str(row["ready_and_missed_by_twice"])]
+                )
     return table(head, rows)
 
 
@@ -518,7 +523,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/how_to/fleet.md": {"fleet": fleet},
     "docs/how_to/control.md": {"loop": loop},
     "docs/explanation/safety.md": {"faults": faults},
-    "docs/explanation/trust.md": {"coverage": coverage},
+    "docs/explanation/trust.md": {"promise": promise},
     "docs/reference/decision_rules.md": {"rules": rules},
 }
 

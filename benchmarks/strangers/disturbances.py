@@ -102,7 +102,7 @@ def _coarse_voltage(raws: list[Raw], scale: Scale, rng: np.random.Generator) -> 
     return [replace(raw, voltage=step * np.round(raw.voltage / step)) for raw in raws]
 
 
-def _filtered(raw: Raw, scale: Scale, rng: np.random.Generator) -> Array:
+def filtered(raw: Raw, scale: Scale, rng: np.random.Generator) -> Array:
     """By a first-order low-pass of the sensor of an eightieth of the fastest period: 0.25 s beside loops of 20 s."""
     y, keep = raw.displacement, float(np.exp(-np.median(np.diff(raw.time)) / (2.5 * scale.unit)))
     late, filtered = float(y[0]), []
@@ -159,7 +159,7 @@ DISTURBANCES = {
         Disturbance("spikes", _each(_spiking), r"spike|outlier|stray|jump"),
         Disturbance("coarse", _each(_coarse), r"quanti|resol|coarse|nois|steps of"),
         Disturbance("coarse-voltage", _coarse_voltage, r"quanti|resol|coarse|steps of"),
-        Disturbance("filter", _each(_filtered), r"filter|lag", parts=frozenset({"delay"})),
+        Disturbance("filter", _each(filtered), r"filter|lag", parts=frozenset({"delay"})),
         Disturbance("delay", _clean, r"delay|lag", delay=2.5, parts=frozenset({"delay"})),
         Disturbance("missing", _missing, r"missing|gap"),
         Disturbance("rezeroed", _rezeroed, r"zero|datum"),

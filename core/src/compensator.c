@@ -1,5 +1,12 @@
 #include "internal.h"
 
+/* Rare parts of a step, which would slow down the others if they were inlined. */
+#if defined(__GNUC__)
+#define OUT_OF_LINE __attribute__((noinline, cold))
+#else
+#define OUT_OF_LINE
+#endif
+
 const char *dehyst_version(void) { return DEHYST_VERSION; }
 
 const char *dehyst_status_text(dehyst_status status)
@@ -178,6 +185,14 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
     return DEHYST_OK;
 }
 
+/* Return the displacement of the elements or the mass that makes u: without creep behind them, gain and offset. */
+OUT_OF_LINE static dehyst_real without_output(const dehyst_model *model, const dehyst_loop *loop,
+                                              const dehyst_real *inputs, dehyst_real u)
+{
+    const dehyst_real m = (u - loop->offset) / loop->gain;
+    return not_crept(&model->output, inputs - model->output.branches, loop->driven, m);
+}
+
 /* Return the target of w for u, the newest input. */
 static dehyst_real filtered(const dehyst_model *model, const dehyst_real *inputs, dehyst_real u)
 {
@@ -212,8 +227,7 @@ dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehy
     dehyst_real *inputs, v;
     const dehyst_state state = state_of(model, loop, memory, &inputs);
     dehyst_candidate candidate;
-    if (has_output(model, loop))
-        u = not_crept(&model->output, inputs - model->output.branches, loop->driven, (u - loop->offset) / loop->gain);
+    if (has_output(model, loop)) u = without_output(model, loop, inputs, u);
     candidate.w = model->taps > 1 ? filtered(model, inputs, u) : u;
     loop->wanted = u;
     loop->target = candidate.w;
@@ -256,6 +270,12 @@ static void follow(const dehyst_model *model, dehyst_loop *loop, dehyst_state *s
         loop->refused++;
 }
 
+OUT_OF_LINE static void move_output(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real m)
+{
+    creep_on(&model->output, inputs - model->output.branches, m - loop->driven);
+    loop->driven = m;
+}
+
 /* End a period in which v was sent. Creep behind the elements is driven by the displacement that was wanted, if that is
  * what v leads to, else by the one that was reached. With preview it is always the wanted one: the one that is reached
  * comes later, and a strain that is driven now by one, now by the other would jump by the motion between them. */
@@ -264,11 +284,8 @@ static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real
     int m;
     for (m = model->taps - 1; m > 0; m--) inputs[m] = inputs[m - 1];
     if (loop->offer != DEHYST_NOTHING && is_finite(loop->wanted)) inputs[0] = loop->wanted;
-    if (model->output.branches > 0) {
-        const dehyst_real m = as_wanted ? inputs[0] : before_creep(model, loop);
-        creep_on(&model->output, inputs - model->output.branches, m - loop->driven);
-        loop->driven = m;
-    }
+    if (model->output.branches > 0)
+        move_output(model, loop, inputs, as_wanted ? inputs[0] : before_creep(model, loop));
     loop->sent = v;
     loop->offer = DEHYST_NOTHING;
 }

@@ -9,17 +9,19 @@ import pytest
 from command_line import WRITTEN, run
 
 import dehyst
-from dehyst import Actuator
+from dehyst import Actuator, Record
 from dehyst.records import read_table, write_columns, write_record
-from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with a record, its model, one that creeps, and paths with and without time."""
     target = tmp_path_factory.mktemp("starts")
-    training, _ = demo.record_loops(PlayActuator(plays=60))
+    truth = PlayActuator(plays=60)
+    tops = descending_tops(truth.highest, drive=Sampling(sample_rate=100.0))
+    training = Record(tops.time, tops.voltage, truth.play(tops.voltage), "loops")
     write_record(target / "loops.csv", training)
     plain = dehyst.identify(training, norm="l2", structure="maxwell_slip").actuator
     plain.save(target / "model.json")

@@ -77,11 +77,11 @@ def test_a_sensor_s_low_pass_is_a_lag_of_first_order_and_no_creep():
 
 def test_the_error_is_promised_for_either_cause_of_a_lag_until_it_is_known():
     unknown, none, known = (dehyst.identify(one_speed(), norm="l2", sensor_lag=lag) for lag in (None, 0.0, SENSOR_LAG))
-    rms, largest = unknown.expectation.if_sensor_lags
-    assert rms > 2 * unknown.expectation.rms
-    assert largest > unknown.expectation.largest
-    assert unknown.expectation.as_dict()["if_sensor_lags_m"] == [rms, largest]
-    assert none.expectation.if_sensor_lags is None
+    rms, largest = unknown.expectation.if_actuator_lags
+    assert unknown.expectation.rms > 2 * rms
+    assert unknown.expectation.largest > largest
+    assert unknown.expectation.as_dict()["if_actuator_lags_m"] == [rms, largest]
+    assert none.expectation.if_actuator_lags is None
     assert len(none.expectation.reasons) < len(unknown.expectation.reasons)
     # A derivative over nine samples rounds the turns by part of a sample.
     assert known.actuator.delay + known.actuator.lag < 0.5 * STEP

@@ -70,6 +70,12 @@ def test_a_face_only_imports_and_lists(face):
     assert all(isinstance(node, ast.ImportFrom) for node in statements)
 
 
+def test_what_a_face_offers_is_public_or_imported_by_another_room():
+    used = {(source, name) for _, source, name in crossing()}
+    public = {(f"dehyst.{room}", name) for room, names in FACES.items() for name in names}
+    assert {(face, name) for face, names in OFFERED.items() for name in names} - used - public == set()
+
+
 def test_folders_without_a_face_hold_only_a_docstring():
     bare = {module for module, path in MODULES.items() if path.name == "__init__.py"} - OFFERED.keys() - {"dehyst"}
     assert "dehyst.identification.solvers" in bare

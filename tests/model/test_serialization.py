@@ -327,7 +327,8 @@ def test_a_missing_key(tmp_path, key):
     )
 
 
-@pytest.mark.parametrize("place", PLACES)
+# Files of earlier programs do not say what their records tested.
+@pytest.mark.parametrize("place", [place for place in PLACES if place != "identification.validity"])
 def test_a_missing_key_inside(tmp_path, place):
     part, key = place.split(".")
     data = made().as_dict()

@@ -181,7 +181,7 @@ def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
     assert re.findall(r'class="outcome (\w+)"', text) == [colour]
     words = Page(text).words
     assert f"{readiness.value.capitalize()}{percent:g} % of the stroke or " in words
-    assert "is the largest error to expect on a path like the records" in words
+    assert "is the largest error to expect on any path within these voltages" in words
     assert spelled(outcome.value) in words
 
 

@@ -45,7 +45,7 @@ FACES = {
         """,
         "model": """
             AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
-            Physical SmoothSlip Spring Stage State Thermal Transformer simulated
+            Physical Promise SmoothSlip Spring Stage State Thermal Transformer Validity promise simulated
         """,
         "records": """
             Record read read_table write_columns write_record

@@ -145,11 +145,11 @@ def test_a_look_at_a_wider_model(name):
     assert told_["not_judged"] == found.not_judged != ""
     assert told_["homing"]["certified"] == found.homing.certified
     assert found.band.open is None
-    assert set(found.band.errors()) == {"noise", "misfit", "clamped", "all"}
+    assert set(found.band.errors()) == {"noise", "misfit", "clamped"}
     assert found.loop.off < 0.01 * plain_records.STROKE
     assert found.knowledge[0].by_displacement is not None
     assert found.knowledge[0].judged == (name == "graded, transformer")
-    text = document("", sections(found))
+    text = document("", sections(found, None))
     for words in (
         "What the records determine of each part",
         "How accurate the parts are",
@@ -235,7 +235,7 @@ def test_the_command(tmp_path):
         "the displacement on the major loop",
         "Not judged of a model with more parts than slip elements and a spring",
         "not judged from the voltage alone",
-        "Largest error to expect on the trajectory",
+        "What a part of it comes from",
     ):
         assert words in said.stdout
     assert "models that the records do not contradict" not in said.stdout

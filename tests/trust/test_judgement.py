@@ -1,43 +1,61 @@
-"""The one judgement: the band wins over the promise of the identification, and that over the training error."""
+"""The one judgement: of a path by the promise, without what the records tested by the numbers of the identification."""
 
 import numpy as np
 import plain_records
-import pytest
 
-from dehyst.control import PossibleStart, StartError
+from dehyst.control import Compensator, PossibleStart, StartError
+from dehyst.model import Validity, promise
 from dehyst.trust import insight, judge
 
 PLANT = plain_records.plant(4, seed=1)
+STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
+
+
+def known_of(record, **more):
+    numbers = {"rms": 1e-8, "largest": 2e-8, "disagreement": 1e-8, "stroke": STROKE, **more}
+    return Validity.by_records([(record.time, record.voltage)], **numbers)
 
 
 def test_nothing_is_known_of_a_model_made_by_hand():
     found = judge(PLANT)
-    assert (found.rms, found.largest, found.half_width, found.coverage) == (None, None, None, None)
-    assert (found.parts, found.start, found.tested) == ({}, 0.0, False)
+    assert (found.rms, found.largest, found.untested) == (None, None, ())
+    assert (found.parts, found.start, found.validated) == ({}, 0.0, False)
 
 
 def test_the_promise_wins_over_the_training_error():
     trained = PLANT.with_identification(largest_error=2e-8)
     assert judge(trained).largest == 2e-8
-    promised = trained.with_identification(expected_rms=1e-8, expected_largest=5e-8, tested=True)
+    promised = trained.with_identification(expected_rms=1e-8, expected_largest=5e-8, validated=True)
     found = judge(promised)
-    assert (found.rms, found.largest, found.tested, found.parts) == (1e-8, 5e-8, True, {"training": 2e-8})
+    assert (found.rms, found.largest, found.validated, found.parts) == (1e-8, 5e-8, True, {"training": 2e-8})
 
 
-def test_the_band_of_the_path_wins_over_the_promise():
+def test_a_path_is_judged_by_where_it_turns():
     record = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS)
-    model = PLANT.with_identification(expected_rms=1e-8, expected_largest=5e-8)
-    path = np.linspace(0.2, 0.8, 50) * plain_records.STROKE
-    found = insight(model, record, trajectory=path, limits=(0.0, plain_records.VOLTS), repeats=20)
-    judged = found.judgement
-    assert judged.largest == found.band.error
-    assert judged.coverage == found.band.level == 0.9
-    assert judged.half_width == pytest.approx(0.5 * np.mean(found.band.likely[1] - found.band.likely[0]))
-    assert judged.parts == {name: error for name, error in found.band.errors().items() if name != "all"}
+    known = known_of(record)
+    model = PLANT.with_identification(validity=known)
+    assert judge(model).largest == known.anywhere.largest
+    path = np.linspace(0.2, 0.8, 50) * STROKE
+    command = Compensator(model, (0.0, VOLTS)).trajectory(path)
+    assert command.promise.largest == promise(known, command.voltage).largest
+    assert judge(model, command=command).largest == command.promise.largest
+    assert Compensator(PLANT, (0.0, VOLTS)).trajectory(path).promise is None
+
+
+def test_insight_gives_the_same_promise_and_a_band_along_the_path():
+    record = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS)
+    model = PLANT.with_identification(validity=known_of(record))
+    path = np.linspace(0.2, 0.8, 50) * STROKE
+    found = insight(model, record, trajectory=path, limits=(0.0, VOLTS), repeats=20)
+    judged, band = found.judgement, found.band
+    assert judged.largest == max(band.promise.largest, band.errors()["open"] + band.misfit) + band.errors()["clamped"]
+    assert judged.parts == band.errors()
+    assert np.all(band.highest >= band.displacement + band.promise.half)
+    assert np.all(band.lowest <= band.displacement - band.promise.half)
     assert found.as_dict()["judgement"] == judged.as_dict()
 
 
 def test_an_unknown_start_is_what_it_leaves_open():
-    states = PossibleStart.unknown(PLANT, 50.0, (0.0, plain_records.VOLTS)).states
+    states = PossibleStart.unknown(PLANT, 50.0, (0.0, VOLTS)).states
     start = StartError.along(PLANT, states, np.linspace(50.0, 60.0, 20))
     assert judge(PLANT, path=start).start == start.largest > 0

@@ -85,7 +85,7 @@ def test_an_interval_that_contains_zero_is_not_known_and_all_outputs_agree():
     actuator, record = noisy()
     found = insight(actuator, record, repeats=20, precision=0.02)
     precision, told = found.precision, json.loads(json.dumps(finite(found.as_dict()), allow_nan=False))["known"]
-    page = document("", sections(found))
+    page = document("", sections(found, None))
     for part, other in zip(precision.parts, told["parts"], strict=True):
         low, high = part.interval
         assert ((low <= part.estimate) & (part.estimate <= high)).all()
@@ -119,7 +119,7 @@ def test_without_intervals_nothing_is_said_of_precision():
     found = insight(actuator, record, repeats=0)
     assert found.precision is None
     assert found.as_dict()["known"] is None
-    assert "was not judged: there are no intervals" in document("", sections(found))
+    assert "was not judged: there are no intervals" in document("", sections(found, None))
 
 
 def test_open_stiffnesses_are_not_known_however_narrow_their_intervals():
@@ -145,4 +145,4 @@ def test_each_part_of_a_structured_model_is_judged():
     assert parts["transformer segment"].of_all == 5
     for part in parts.values():
         assert ((part.interval[0] <= part.estimate) & (part.estimate <= part.interval[1])).all()
-    assert "Number by number" in document("", sections(found))
+    assert "Number by number" in document("", sections(found, None))

@@ -188,7 +188,7 @@ class _Rows:
         shape, spread = self._shape(strength)
         old = self.weights.actuator
         made = made.with_identification(
-            largest_error=after[0], expected_largest=held_out[0], expected_rms=held_out[1], tested=False
+            largest_error=after[0], expected_largest=held_out[0], expected_rms=held_out[1], validated=False
         )
         source = {"updated_from": old.name, "updated_with": self.record.name}
         return Update(

@@ -1,6 +1,6 @@
 """Baselines: published models and identifications behind the common interface, and their comparison with dehyst's."""
 
-from dehyst.baselines.comparison import BASELINES, OURS, ModelComparison, ModelScore, RecordScore, compare, contenders
+from dehyst.baselines.comparison import BASELINES, OURS, ModelComparison, RecordScore, compare
 from dehyst.baselines.goldfarb_celanovic import GoldfarbCelanovic
 from dehyst.baselines.tracking_trials import TrackingErrors
 

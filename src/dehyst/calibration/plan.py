@@ -36,6 +36,8 @@ _LITTLE = 1e-3
 # Speed-up of the fast loops that separate creep, and least samples a cycle that resolve the corners.
 _FASTER, _FEWEST = 5, 60
 _STEPS = 5
+# Random turning points after descending tops.
+_RANDOM = 24
 # A rig may round a rate up.
 _SLOWER = 0.95
 # Share of the median by which the steps of time may differ.
@@ -88,8 +90,8 @@ class ExcitationPlan:
         return look.slice(len(look) - 1 - _LOOPS * (len(cycle) - 1), None).with_name("look's loops")
 
     def tops(self, steps: int = 10) -> Excitation:
-        """Play two major loops and descending tops."""
-        return descending_tops(self.high, steps=steps, drive=self.sampling())
+        """Play two major loops, descending tops, and random turning points, by which the promise is tested."""
+        return descending_tops(self.high, steps=steps, random=_RANDOM, drive=self.sampling())
 
     def others(self) -> Excitation:
         """Play loops of other heights, to be held out."""

@@ -17,7 +17,7 @@ from dehyst._validation import vector
 from dehyst._views import html, tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits, outside_identified
-from dehyst.model import Actuator, Motion, PathData, State
+from dehyst.model import Actuator, Motion, PathData, Promise, State, Validity, promise
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -56,6 +56,10 @@ class Command:
         Of `displacement` and `missed`: those of the compensator, "m" by default.
     followed : bool
         Whether nothing was clamped, and the path is missed by no more than a thousandth of the range of the spring.
+    time : (n,) array or None
+        Of the samples [s], if it was given.
+    validity : Validity or None
+        What the records of the model tested, if it holds that.
     """
 
     voltage: Array
@@ -66,6 +70,13 @@ class Command:
     missed: float
     followed: bool
     units: str = "m"
+    time: Array | None = None
+    validity: Validity | None = None
+
+    @cached_property
+    def promise(self) -> Promise | None:
+        """How far the stage will miss the path [m], beside what is `missed`; None without `validity`."""
+        return None if self.validity is None else promise(self.validity, self.voltage, self.time)
 
     def in_units(self, units: str) -> Command:
         """Return the command with its displacements, now in metres, in `units`, such as "um"."""
@@ -176,7 +187,18 @@ def follow(
             "actuator's state, or moves too fast for its sample rate"
         )
     warnings += outside_identified(actuator, voltage, refuse=False).warnings
-    return Command(voltage, reached, clamped, state, tuple(warnings), missed, followed)
+    known = actuator.identification
+    return Command(
+        voltage,
+        reached,
+        clamped,
+        state,
+        tuple(warnings),
+        missed,
+        followed,
+        time=None if time is None else vector(time, "time"),
+        validity=None if known is None else known.validity,
+    )
 
 
 @dataclass(frozen=True, eq=False)

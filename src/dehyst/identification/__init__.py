@@ -1,6 +1,5 @@
 """Identification: from records to an actuator."""
 
-from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.coupling.identify import StageFit, identify_stage
 from dehyst.identification.coupling.matrix import (
     BARELY,
@@ -24,7 +23,7 @@ from dehyst.identification.preprocessing.regressors import Rows, RowSource, coll
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, read_traces, write_traces
+from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Method
 from dehyst.identification.solvers.highs import linear_programs

@@ -7,12 +7,18 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+import numpy as np
+
+from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import Outcome
-from dehyst.records import NOISE_PEAK
+from dehyst.model import Outcome, Validity, distances, legs
+from dehyst.records import NOISE_PEAK, Record, rms
+
+# Held-out legs may go beyond the voltages of the others by this part of the range.
+_BEYOND = 0.02
 
 
 class Readiness(Enum):
@@ -33,9 +39,7 @@ class Expectation:
     Attributes
     ----------
     rms, largest : float
-        Expected errors of a path [m], without what is the sensor's: from the validation records; without any the
-        larger of those of the training records, of parts of them that were held out in time and of loops of sizes that
-        were held out. In either case with how far other structures disagree that explain the records as well.
+        Bounds that nine of ten paths should keep which turn anywhere within the recorded voltages [m]: see `Validity`.
     measured : float
         RMS error of the records from which that comes, as measured [m].
     noise : float
@@ -45,13 +49,15 @@ class Expectation:
     goal : float
         Allowed largest error [% of the stroke].
     basis : str
-        "validation records", "training records" or parts of these, in words.
+        "validation records" or parts of the training records, in words.
     reasons : tuple of str
         Why the model is not ready, besides its error: each a phrase.
-    if_sensor_lags : (float, float), optional
-        The same errors (rms, largest) [m] if the sensor, and not the actuator, lags: where the records leave that open.
+    if_actuator_lags : (float, float), optional
+        The same errors (rms, largest) [m] if the actuator, and not the sensor, lags: where the records leave that open.
     tested : bool
         Whether the errors are those of validation records.
+    untested : tuple of str
+        What the records do not test of such a path, each a sentence.
     """
 
     rms: float
@@ -62,8 +68,9 @@ class Expectation:
     goal: float
     basis: str
     reasons: tuple[str, ...] = ()
-    if_sensor_lags: tuple[float, float] | None = None
+    if_actuator_lags: tuple[float, float] | None = None
     tested: bool = False
+    untested: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Expectation: {self.words}; goal {self.goal:g} %>"
@@ -121,10 +128,10 @@ class Expectation:
     def origin(self) -> str:
         """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
         text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
-        if self.if_sensor_lags is None:
+        if self.if_actuator_lags is None:
             return text
-        rms, largest = map(self._part, self.if_sensor_lags)
-        return f"{text} If the sensor lags, and not the actuator, expect {largest} at most and {rms} RMS."
+        rms, largest = map(self._part, self.if_actuator_lags)
+        return f"{text} If the actuator lags, and not the sensor, expect {largest} at most and {rms} RMS."
 
     @property
     def reservations(self) -> tuple[str, ...]:
@@ -138,9 +145,9 @@ class Expectation:
             f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
             f"{self._both(self.largest)} at most (from {self.basis}; goal {self.goal:g} %). {self._missed}"
         )
-        if self.if_sensor_lags is not None:
-            rms, largest = map(self._part, self.if_sensor_lags)
-            text += f" That holds if the actuator lags; if the sensor does, expect {rms} RMS and {largest} at most."
+        if self.if_actuator_lags is not None:
+            rms, largest = map(self._part, self.if_actuator_lags)
+            text += f" That holds if the sensor lags; if the actuator does, expect {rms} RMS and {largest} at most."
         words = "; ".join(self.why_not_ready)
         return f"{text} {words[0].upper()}{words[1:]}." if words else text
 
@@ -150,7 +157,8 @@ class Expectation:
         return {
             **json_values(self, "readiness sentence"),
             "rms_percent": 100 * self.rms / self.stroke,
-            **json_values(self, f"largest_percent {numbers} basis tested reasons if_sensor_lags_m=if_sensor_lags"),
+            **json_values(self, f"largest_percent {numbers} basis tested reasons untested"),
+            **json_values(self, "if_actuator_lags_m=if_actuator_lags"),
         }
 
 
@@ -158,58 +166,100 @@ class Expectation:
 class HeldOutErrors:
     """Errors on parts of the records that were not trained on; 0 where that was not tried.
 
-    `in_time`: RMS error of parts of the training records that were held out in turn [m]. `by_size`: RMS error of cycles
-    of sizes that were held out [m]. `disagreement`: RMS distance of other structures that explain the records as well,
-    on a random path [m]. `noise`: standard deviation of the sensor in the samples that were compared [m].
+    `in_time`: RMS error of parts of the training records that were held out in turn [m]. `disagreement`: RMS distance
+    of other structures that explain the records as well, on a random path [m]. `noise`: standard deviation of the
+    sensor in the samples that were compared [m]. `new`: see `Validity`.
     """
 
     in_time: float = 0.0
-    by_size: float = 0.0
     disagreement: float = 0.0
     noise: float = 0.0
+    new: tuple[float, float] = (0.0, 0.0)
+
+
+def validity_of(
+    records: Sequence[Record],
+    errors: Sequence[RecordErrors],
+    remaining: Sequence[RemainingError],
+    held_out: HeldOutErrors,
+    noise: float,
+    lag: float = 0.0,
+    *,
+    validated: bool = True,
+) -> Validity:
+    """Return what records tested of a model.
+
+    `records`, `errors`, `remaining`: one each, training first. `noise`: standard deviation of the sensor [m]. `lag` [s]
+    that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out parts.
+    """
+    training, validation = ([q for q, one in enumerate(errors) if one.role == r] for r in ("training", "validation"))
+    new, judged = held_out.new, training
+    voltages = [(records[q].time, records[q].voltage) for q in training]
+    if validation and validated:
+        judged = validation
+        span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
+        pairs = legs_of([(records[q].time, records[q].voltage) for q in validation], span), legs_of(voltages, span)
+        other = new_legs(*map(np.concatenate, pairs))
+        new = max(new[0], other[0]), max(new[1], other[1])
+    vibration = max(remaining[q].vibration_amplitude for q in judged)
+    # What the sensor adds, a path does not have, but for the part to which it is known.
+    missed = max(_less(errors[q].settled_rms, remaining[q].sensed) for q in judged)
+    if judged is training:
+        missed = max(missed, _less(held_out.in_time, float(np.hypot(held_out.noise, vibration / 2**0.5))))
+    largest = max(errors[q].settled_largest for q in judged) - NOISE_PEAK * noise - vibration
+    return Validity.by_records(
+        voltages,
+        rms=float(np.hypot(missed, RULES.noise_known * noise)),
+        largest=max(largest, 0.0),
+        disagreement=held_out.disagreement,
+        stroke=errors[0].stroke,
+        new=new,
+        lag=lag,
+    )
+
+
+def legs_of(records: Sequence[tuple[Array, Array]], span: float) -> list[Array]:
+    """Return the legs (k, 2) [V] of records, times [s] and voltages [V], of which the widest has a range of `span`."""
+    return [voltage[legs(voltage, span)] for _, voltage in records]
+
+
+def new_legs(held_out: Array, others: Array) -> tuple[float, float]:
+    """Return how far held-out rises, and falls, are from others: `Validity.new`.
+
+    Both are legs (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
+    """
+    if not len(others):
+        return 0.0, 0.0
+    low, high = float(others.min()), float(others.max())
+    own, known = ((given - low) / max(high - low, 1e-300) for given in (held_out, others))
+    own = own[np.all((own > -_BEYOND) & (own < 1 + _BEYOND), axis=1)]
+    apart, rising = distances(own, known), own[:, 1] > own[:, 0]
+    return rms(apart[rising]), rms(apart[~rising])
 
 
 def expectation(
     outcome: Outcome,
     errors: Sequence[RecordErrors],
     checks: Sequence[Check],
-    held_out: HeldOutErrors,
-    remaining: Sequence[RemainingError],
+    validity: Validity,
     noise: float,
     goal: float,
     caveats: Sequence[str] = (),
-    lagging: tuple[float, float] | None = None,
 ) -> Expectation:
-    """Return what to expect.
+    """Return what to expect of a path that turns anywhere within the recorded voltages, at recorded speeds.
 
-    `errors`, `checks`: those of a `Fit`. `remaining`: one for each of the errors. `noise`: standard deviation of the
-    sensor [m]. `goal`: [% of the stroke]. `caveats`: more reasons for care, in words. `lagging`: RMS and largest
-    displacement [m] within a lag that may be the sensor's: a path is missed by as much if it is.
+    `errors`, `checks`: those of a `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
+    `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
-    # A model that misses its own records by too much is of no use, however well it predicts others.
+    # A model that misses its own records by too much is of no use, whatever it makes of others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
-    judged, basis = (validation, "validation records") if by_others else (training, "training records")
-    causes = [cause for cause in remaining if cause.role == judged[0].role]
-    vibration = max(cause.vibration_amplitude for cause in causes)
-    # What the sensor adds, a path does not have.
-    rms = max(_less(one.rms, cause.sensed) for one, cause in zip(judged, causes, strict=True))
-    if not by_others:
-        sensed = (held_out.noise**2 + 0.5 * vibration**2) ** 0.5
-        in_time = _less(held_out.in_time, sensed), "parts of the records held out in turn"
-        rms, basis = max((rms, basis), in_time)
-        rms, basis = max((rms, basis), (_less(held_out.by_size, sensed), "loops of sizes held out"))
-    # Validation records may hold the same kind of loops as those that were trained on; a path does not.
-    rms = (rms**2 + held_out.disagreement**2 + (RULES.noise_known * noise) ** 2) ** 0.5
-    largest = max(max(one.largest for one in judged) - NOISE_PEAK * noise - vibration, RULES.peak * rms)
-    measured, fitted = max(one.rms for one in judged), max(one.rms for one in training)
-    reasons = [*caveats]
-    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
-    if aside > RULES.most_set_aside:
-        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
-    drifted = max(abs(one.drifted_percent) for one in errors)
-    if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+    judged, basis = (
+        (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
+    )
+    measured = max(one.settled_rms for one in judged)
+    reasons = [*caveats, *_reasons(training, errors, goal)]
+    fitted = max(one.settled_rms for one in training)
     if by_others and measured > RULES.widest_gap * fitted:
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     if outcome is Outcome.UNDETERMINED:
@@ -217,8 +267,32 @@ def expectation(
     failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
-    if_lags = None if lagging is None else ((rms**2 + lagging[0] ** 2) ** 0.5, largest + lagging[1])
-    return Expectation(rms, largest, measured, noise, errors[0].stroke, goal, basis, tuple(reasons), if_lags, by_others)
+    found, stroke = validity.anywhere, errors[0].stroke
+    return Expectation(
+        found.rms,
+        found.largest,
+        measured,
+        noise,
+        stroke,
+        goal,
+        basis,
+        tuple(reasons),
+        found.if_actuator_lags,
+        by_others,
+        found.untested,
+    )
+
+
+def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:
+    """Return the reasons for care that lie in the records."""
+    reasons = []
+    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
+    if aside > RULES.most_set_aside:
+        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    drifted = max(abs(one.drifted_percent) for one in errors)
+    if drifted > goal:
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+    return reasons
 
 
 def _less(error: float, noise: float) -> float:

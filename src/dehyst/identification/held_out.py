@@ -6,8 +6,8 @@ from the voltages alone by a model of the others. Where parts that move in time 
 taken from the residual of each record: drift is no reason for such a part.
 
 Records of loops that all turn at one end, or of a few heights, hold no other loops; a path does. Two numbers say how
-much a model knows of them: the error on held-out sizes of loops, and the disagreement, on a random path, of structures
-whose held-out errors are about equal.
+much a model knows of them: how far held-out legs are from all others, and the disagreement, on a random path, of
+structures whose held-out errors are about equal.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
-from dehyst.identification.regression.fold_sums import FoldSums, blocks, equally_weighted, least_squares_of_sums
+from dehyst.identification.expectation import new_legs
+from dehyst.identification.regression.fold_sums import FoldSums, equally_weighted, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
 from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
-from dehyst.model import Actuator
+from dehyst.model import Actuator, legs
 from dehyst.records import rms
 
 _ROWS = 4000
@@ -38,8 +39,6 @@ _SOON = 0.5
 # The structure with which drift and creep compete, and the branches of creep.
 _STEADY = Structure(elements=20, grades=3, transformer=10, smooth=True)
 _BRANCHES = 4
-# Fewer rows of a size say nothing. Number of different sizes; a cycle of at least this part of the largest is as large.
-_FEWEST, _SIZES, _LARGEST = 20, 20, 0.9
 # Most structures that are compared.
 _COMPARED = 4
 # Random turning points of the path, and its samples from one to the next.
@@ -160,22 +159,23 @@ def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, 
     return None
 
 
-def size_error(regression: Regression) -> float:
-    """Return the RMS error [m] on cycles of sizes that were not trained on: the larger of two groups.
+def new_in_time(frame: TrainingData) -> tuple[float, float]:
+    """Return how far rises, and falls, of the parts that `block_error` holds out are from all others.
 
-    Of the sizes there are below the largest, in twentieths of it, the smallest third is held out, then the next one.
-    0 if there are too few.
+    As a part of the range: the root mean square over the parts.
     """
-    few = regression.thinned(_ROWS)
-    cycle = blocks(few.rows.voltage, few.rows.epoch)
-    sizes = np.array([np.ptp(few.axis[cycle == k]) for k in np.unique(cycle)])
-    step = (_SIZES * sizes / max(float(sizes.max(initial=0.0)), 1e-300)).astype(int)
-    smaller = np.unique(step[step < _LARGEST * _SIZES])
-    third = 3 * np.searchsorted(smaller, step) // max(smaller.size, 1)
-    fold = np.minimum(third, 2)[np.unique(cycle, return_inverse=True)[1]]
-    sums = FoldSums(few, equally_weighted(few).inverse_slopes, folds=3, given=fold)
-    errors = [sums.errors_of(k) for k in (0, 1) if smaller.size and np.count_nonzero(fold == k) >= _FEWEST]
-    return max((rms(left) for left in errors if left is not None), default=0.0)
+    low, high = frame.voltages
+    part, pairs = [], []
+    for item in frame.training:
+        voltage = item.record.voltage
+        at = legs(voltage, high - low)
+        # A leg is in the part that its middle is in.
+        part.append(np.minimum(_PARTS * at.mean(axis=1) / len(voltage), _PARTS - 1).astype(int))
+        pairs.append(voltage[at])
+    of, all_ = np.concatenate(part) % (_PARTS // 2), np.concatenate(pairs)
+    squares = [np.square(new_legs(all_[of == k], all_[of != k])) for k in range(_PARTS // 2)]
+    rising, falling = np.sqrt(np.mean(squares, axis=0)).tolist()
+    return rising, falling
 
 
 def disagreement(

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum
+from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, packed, reading_errors, write_atomically
 from dehyst._text import counted, escaped
 from dehyst._types import Array
+from dehyst._validation import keep
 from dehyst._views import tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length
@@ -48,6 +50,9 @@ class RecordErrors:
         Decades of that time that the used samples cover.
     steady : bool
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
+    settled_largest, settled_rms : float
+        Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: what
+        an unknown past makes of the first rise, and single outliers, are set aside. Default: those of all samples.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
@@ -68,6 +73,12 @@ class RecordErrors:
     decades: float = 1.0
     steady: bool = False
     starts: tuple[State, ...] = field(default=(), compare=False)
+    settled_largest: float = nan
+    settled_rms: float = nan
+
+    def __post_init__(self) -> None:
+        if isnan(self.settled_rms):
+            keep(self, settled_largest=self.largest, settled_rms=self.rms)
 
     def __repr__(self) -> str:
         errors = f"largest {self.largest_percent:.3g} %, RMS {self.rms_percent:.3g} %"
@@ -102,6 +113,7 @@ class RecordErrors:
             **json_values(self, "offset_V=offset datum_m=datum"),
             "drift_percent": 100 * self.drift / self.stroke,
             **json_values(self, "drift_decades=decades drift_steady=steady starts"),
+            **json_values(self, "settled_largest_m=settled_largest settled_rms_m=settled_rms"),
         }
 
 

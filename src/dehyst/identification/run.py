@@ -14,9 +14,9 @@ from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.checks import model_checks
-from dehyst.identification.expectation import HeldOutErrors, expectation
+from dehyst.identification.expectation import HeldOutErrors, expectation, validity_of
 from dehyst.identification.fit import Fit
-from dehyst.identification.held_out import block_error, disagreement, size_error
+from dehyst.identification.held_out import block_error, disagreement, new_in_time
 from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.denoising import disturbs
@@ -43,8 +43,6 @@ _MOST_KNOTS = 41
 _LEAST_FLOOR = 0.01
 # It is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
 _SEARCH_CYCLE, _SEARCH_SAMPLES = 20_000, 1_000_000
-# The speed of the stage that all but noise and spikes stay below.
-_FASTEST = 0.99
 # Of the first model.
 _FIRST_ROWS = 4000
 
@@ -293,28 +291,26 @@ class IdentificationRun:
         self.remarks += messages.of_one_ended_loops(voltages, self.drive)
         self.held_out_errors = HeldOutErrors(
             block_error(frame, regression),
-            size_error(regression),
             disagreement(frame, actuator, self.limits, self.trials),
             max(item.noise for item in frame.training),
+            new_in_time(frame),
         )
 
-    def caveats(self, actuator: Actuator) -> tuple[list[str], tuple[float, float] | None]:
-        """Return reasons for care, and how far the stage moves (RMS, largest) [m] in a lag of unknown cause."""
+    def caveats(self, actuator: Actuator) -> tuple[list[str], float]:
+        """Return reasons for care, and the lag [s] in the records that may be the sensor's."""
         caveats, step = [], max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:
             caveats.append(f"the voltage is recorded in steps of {100 * step:.2g} % of its range")
         lag = actuator.delay + actuator.lag
         if self.settings.sensor_lag is not None or self.settings.delay is not None or not lag:
-            return caveats, None
+            return caveats, 0.0
         items = [item.reduced.record for item in self.training]
-        speeds = [np.abs(np.diff(one.displacement)) / one.sample_time for one in items]
-        moved = lag * max(map(rms, speeds))
-        if moved <= max(self.held_out_errors.in_time, self.held_out_errors.by_size):
-            return caveats, None
+        moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
+        if moved <= self.held_out_errors.in_time:
+            return caveats, 0.0
         self.remarks.append(messages.of_lag(lag, moved, self.stroke))
-        fastest = lag * max(float(np.quantile(speed, _FASTEST)) for speed in speeds)
         caveats.append(f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms")
-        return caveats, (moved, fastest)
+        return caveats, lag
 
     def describe_result(self, actuator: Actuator) -> str:
         """Describe the structure of the result and, if it was tried, its held-out error."""
@@ -334,9 +330,10 @@ class IdentificationRun:
         imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
         floor = regression.floor if self.settings.method == "record" or imposed else None
         checked = model_checks(actuator, records, traces, errors, floor=floor, imposed=imposed)
-        if max(error.largest_percent for error in errors) > RULES.useless:
+        useless = 0.01 * RULES.useless * self.stroke
+        if max(error.settled_largest for error in errors) > useless:
             outcome = Outcome.VALIDATION_MISSED
-        if max(error.largest_percent for error in trained) > RULES.useless:
+        if max(error.settled_largest for error in trained) > useless:
             outcome = Outcome.INACCURATE
         guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
         first = [" ".join(guessed)] if guessed else []
@@ -346,17 +343,25 @@ class IdentificationRun:
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         repaired = messages.repaired(errors, self.delay, sample, given=given, low_pass=actuator.lag)
         remaining = tuple(remaining_error(trace) for trace in traces)
-        noise, (caveats, lagging) = max(item.noise for item in records), self.caveats(actuator)
-        expected = expectation(
-            outcome, errors, checked, self.held_out_errors, remaining, noise, self.goal, caveats, lagging
+        noise, (caveats, lag) = max(item.noise for item in records), self.caveats(actuator)
+        validity = validity_of(
+            [item.record for item in records],
+            errors,
+            remaining,
+            self.held_out_errors,
+            noise,
+            lag,
+            validated=outcome is not Outcome.INACCURATE,
         )
+        expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = actuator.with_identification(
             outcome=outcome,
             largest_error=max(error.largest for error in trained),
             goal=self.goal,
             expected_rms=expected.rms,
             expected_largest=expected.largest,
-            tested=expected.tested,
+            validated=expected.tested,
+            validity=validity,
         )
         options = self.provenance(self.settings.as_dict())
         return Fit(

@@ -21,7 +21,7 @@ from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.start_state import fit_start
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, State
-from dehyst.records import Record, largest, turning_points
+from dehyst.records import Record, largest, rms, turning_points
 
 # Rows in memory: more are gone through in blocks. Of a longer record so many suffice for what is not found by that.
 MOST_ROWS, _FEW_ROWS = 200_000, 20_000
@@ -34,6 +34,8 @@ _STOPS_AT_A_TIME = 32_768
 _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
 _LEAST = 0.05
+# Part of the samples that count as outliers.
+_OUTLIERS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,16 +361,17 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
                 squares[k] += float(np.sum(error**2))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
-    rms, rms_with_drift = (float(np.sqrt(one / samples)) for one in squares)
+    settled = np.abs(trace.residual[_settled(voltage) :])
+    whole, with_drift = (float(np.sqrt(one / samples)) for one in squares)
     return RecordErrors(
         record=record.name,
         role=role,
         samples=samples,
         left_out=record.samples - samples,
         largest=worst[0],
-        rms=rms,
+        rms=whole,
         largest_with_drift=worst[1],
-        rms_with_drift=rms_with_drift,
+        rms_with_drift=with_drift,
         stroke=compared.stroke,
         offset=float(np.median(list(found.offsets.values()))) - compared.base,
         datum=compared.datum,
@@ -376,7 +379,16 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
         starts=tuple(starts),
+        settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
+        settled_rms=rms(settled),
     ), trace
+
+
+def _settled(voltage: Array) -> int:
+    """Return the sample of the second turning point of a voltage, its first sample aside; 0 if there is none."""
+    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
+    later = turns[turns > 0]
+    return int(later[1]) if len(later) > 2 else 0
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:

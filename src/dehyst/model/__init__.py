@@ -18,8 +18,9 @@ from dehyst.model.elements import (
 from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome
 from dehyst.model.physical import Physical
+from dehyst.model.promise import Promise, Validity, distances, legs, promise
 from dehyst.model.python_control import compensator_block, labels
-from dehyst.model.serialization import DESCRIPTION, FORMAT
+from dehyst.model.serialization import DESCRIPTION
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (
     NEAR,
@@ -44,11 +45,14 @@ __all__ = [
     "MaxwellSlip",
     "Motion",
     "Physical",
+    "Promise",
     "SmoothSlip",
     "Spring",
     "Stage",
     "State",
     "Thermal",
     "Transformer",
+    "Validity",
+    "promise",
     "simulated",
 ]

@@ -12,6 +12,7 @@ from typing import Any
 from dehyst._errors import ModelError
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_value
+from dehyst.model.promise import Validity
 
 
 class Outcome(Enum):
@@ -83,6 +84,10 @@ def _outcome(value: object, where: str) -> Outcome | None:
     return Outcome[value]
 
 
+def _validity(value: object, where: str) -> Validity | None:
+    return value if value is None or isinstance(value, Validity) else Validity.from_dict(value)
+
+
 def _entry(default: Any, read: Callable[[object, str], Any], key: str = "") -> Any:
     """Return a field with the check of its value and its key in a model file, by default its name."""
     return field(default=default, metadata={"read": read, "key": key})
@@ -119,8 +124,10 @@ class Identification:
         Allowed largest error of a path [% of the stroke].
     expected_rms, expected_largest : float or None
         Errors of a path like the records that the verdict promised [m].
-    tested : bool
+    validated : bool
         Whether they come from validation records.
+    validity : Validity or None
+        What the records tested: from it follows what to expect of a path.
 
     Raises
     ------
@@ -142,7 +149,8 @@ class Identification:
     goal: float | None = _entry(None, _size_or_none, "goal_percent")
     expected_rms: float | None = _entry(None, _size_or_none, "expected_rms_m")
     expected_largest: float | None = _entry(None, _size_or_none, "expected_largest_m")
-    tested: bool = _entry(False, _flag)
+    validated: bool = _entry(False, _flag, "tested")
+    validity: Validity | None = _entry(None, _validity)  # noqa: RUF009
 
     def __post_init__(self) -> None:
         keep(self, **{one.name: one.metadata["read"](getattr(self, one.name), one.name) for one in fields(self)})
@@ -159,7 +167,7 @@ class Identification:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Identification:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        return cls(**{name: data[key] for key, name in cls.keys().items()})
+        return cls(**{name: data[key] for key, name in cls.keys().items() if key in data})
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Identification | None:

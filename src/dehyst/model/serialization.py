@@ -144,7 +144,10 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     if "identification" not in data:
         found["identification"] = Identification.from_entries(data["provenance"])
     elif data["identification"] is not None:
-        entries = _part(data, "identification", set(Identification.keys()))
+        known = data["identification"]
+        # Files of earlier programs lack what the records tested.
+        later = {"identification": {"validity": None, **known} if isinstance(known, Mapping) else known}
+        entries = _part(later, "identification", set(Identification.keys()))
         found["identification"] = Identification.from_dict(entries)
     if data["limits"] is not None:
         known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()

@@ -1,14 +1,6 @@
 """Records: measurements of an actuator, and their files."""
 
-from dehyst.records.files import (
-    named_and_joined,
-    read,
-    read_table,
-    record_of,
-    time_of,
-    write_columns,
-    write_record,
-)
+from dehyst.records.files import read, read_table, record_of, time_of, write_columns, write_record
 from dehyst.records.formats.columns import Column, Table, listed, without_groups
 from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
 from dehyst.records.formats.file_content import MOST
@@ -18,7 +10,7 @@ from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
 from dehyst.records.hdf5 import sha256_of
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record
-from dehyst.records.recording import Recording, SampleBlock, demand_disk_space, salvage, unused_path
+from dehyst.records.recording import Recording, demand_disk_space, salvage, unused_path
 from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,
@@ -32,7 +24,7 @@ from dehyst.records.signals import (
     turning_points,
     white_noise,
 )
-from dehyst.records.tables import RATE, Choice, ColumnsError, axis_columns, chosen, notes_on
+from dehyst.records.tables import Choice
 from dehyst.records.transients import settled, transients
 
 __all__ = ["Record", "read", "read_table", "write_columns", "write_record"]

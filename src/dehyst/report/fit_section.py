@@ -33,8 +33,8 @@ def verdict(fit: Fit) -> str:
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (
-        f"is the largest error to expect on a path like the records, RMS {rms} (from {expected.basis}; the goal is "
-        f"{expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"is the largest error to expect on any path within these voltages, RMS {rms} (from {expected.basis}; the "
+        f"goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )
     why = "".join(f"<li>{words(one[0].upper() + one[1:])}.</li>" for one in expected.why_not_ready)

@@ -62,12 +62,9 @@ def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
 def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
-    if found.band is not None:
-        largest = number(100 * found.band.error / stroke, 2)
-        expected = f"Expect an error of {largest} % of the range at most on this path."
-    else:
-        promised = found.judgement.words(stroke)
-        expected = f"Expect a path like the records {promised}." if promised else "The error to expect is not known."
+    promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
+    expected = f"Expect {path} {promised} of the range." if promised else "The error to expect is not known."
+    expected = " ".join([expected, *found.judgement.untested])
     share = number(100 * found.misfit / stroke)
     lines = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
@@ -88,8 +85,8 @@ def _trajectory(found: Insight) -> list[Part]:
         for key, error in band.errors().items()
         if error or key != "clamped"
     ]
-    beside = f"<div><h3>Largest error to expect</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
-    caption = "How far the displacement may be from the wanted path if the compensating voltage is played."
+    beside = f"<div><h3>What a part of it comes from</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
+    caption = "How far the displacement may be from the wanted path if the compensating voltage is played: the promise."
     factor, unit = length_unit(float(np.ptp(band.displacement)))
     axis, x = _clock(band)
     path = [
@@ -97,7 +94,6 @@ def _trajectory(found: Insight) -> list[Part]:
         Series("wanted", x, band.wanted * factor, "measured", width=1.8),
     ]
     charts = Chart("Path", axis, Axis("displacement", unit), path), band_chart(band, stroke)
-    caption = f"{caption} {band.sentence(stroke)}".strip()
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
 
 
@@ -117,8 +113,7 @@ def band_chart(band: PredictionBand, stroke: float) -> Chart:
     """Return the error to expect along a path, part by part [% of a stroke in m]."""
     axis, x = _clock(band)
     kinds: tuple[tuple[str, Sequence[Array] | Array | None, Colour, float], ...] = (
-        ("all", (band.lowest, band.highest), _FREE, 0.3),
-        (f"{100 * band.level:g} %", band.likely, "measured", 0.35),
+        ("promise", (band.lowest, band.highest), "measured", 0.3),
         ("compatible with the records", band.open, "without", 0.6),
         ("noise", band.noise, _NOISE, 0.8),
     )

@@ -60,7 +60,7 @@ class Demo:
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     """Record two major loops and descending tops in one run for training, loops of other heights for validation."""
     drive = Sampling(sample_rate=_RATE)
-    tops = descending_tops(truth.highest, drive=drive)
+    tops = descending_tops(truth.highest, steps=6, random=24, drive=drive)
     others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
     return (
         Record(tops.time, tops.voltage, truth.play(tops.voltage), name="loops"),

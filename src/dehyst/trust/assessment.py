@@ -20,7 +20,6 @@ from dehyst.trust.experiment_design import advise
 from dehyst.trust.feasible_set import FeasibleSet, feasible_set
 from dehyst.trust.identifiability import StateKnowledge, part_identifiability
 from dehyst.trust.insight_result import Insight
-from dehyst.trust.model_error import HeldOut
 from dehyst.trust.precision import PRECISION, known_numbers
 from dehyst.trust.prediction_band import MajorLoopWidth, PredictionBand, top_start
 
@@ -97,7 +96,6 @@ def insight(
                 moved = (None, None) if path is None else (path.command.displacement, path.first)
                 free = feasible_set(evidence, *moved)
             if path is not None:
-                progress("identifying parts of the records")
                 band = path.band(evidence, intervals, free)
             loop = None if allowed is None else MajorLoopWidth.from_intervals(evidence, intervals, allowed)
         progress("judging each part")
@@ -168,7 +166,7 @@ class _WantedPath(NamedTuple):
             self.state,
             misfit=evidence.misfit,
             time=self.time,
-            held_out=HeldOut.of(evidence, intervals),
+            promise=self.command.promise,
         )
 
 

@@ -363,10 +363,9 @@ def _answer(found: Insight) -> Iterator[str]:
     another = of_another(found.actuator, found.misfit, stroke)
     if another is not None:
         yield f"WARNING: {another}"
-    elif found.band is not None:
-        yield f"Expect an error of {100 * found.band.error / stroke:.2g} % of the range at most on the trajectory."
     elif words := found.judgement.words(stroke):
-        yield f"Expect a path like the records {words}."
+        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the range."
+        yield from found.judgement.untested
     misfit = 100 * found.misfit / stroke
     yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
     for warning in warnings[another is not None :]:
@@ -518,12 +517,10 @@ def _band(found: Insight) -> Iterator[str]:
 
     stroke = found.evidence.stroke
     yield ""
-    yield "Largest error to expect on the trajectory, in % of the range:"
+    yield "What a part of it comes from, in % of the range:"
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"
-    if found.band.likely is not None:
-        yield found.band.sentence(stroke)
 
 
 def _bullets(sentences: Iterable[str]) -> Iterator[str]:

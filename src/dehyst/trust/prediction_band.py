@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst._views.fields import json_values
 from dehyst.control import Command, shortest_homing
 from dehyst.identification import cycle_time
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, Promise, State
 from dehyst.records import largest
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.feasible_set import FeasibleSet
-from dehyst.trust.model_error import ClassError, HeldOut
 from dehyst.waveforms import Excitation
 
 # What each of `PredictionBand.errors` comes from.
@@ -26,7 +24,6 @@ ERRORS = {
     "open": "models that the records do not contradict",
     "misfit": "largest misfit on the records themselves",
     "clamped": "voltages that are not allowed",
-    "all": "all together",
 }
 
 
@@ -49,9 +46,9 @@ class PredictionBand:
     warnings : tuple of str
         What was clamped or extrapolated.
     level : float
-        Of `likely`.
-    class_error : ClassError or None
-        The error of the model class on this path; None where it was not judged.
+        Of the intervals by noise.
+    promise : Promise or None
+        What was promised of this path; None of a model that does not hold what its records tested.
     time : (n,) array or None
         Of the path [s], if it was given.
     """
@@ -64,7 +61,7 @@ class PredictionBand:
     misfit: float
     warnings: tuple[str, ...]
     level: float = 0.9
-    class_error: ClassError | None = None
+    promise: Promise | None = None
     time: Array | None = None
 
     @classmethod
@@ -78,21 +75,14 @@ class PredictionBand:
         *,
         misfit: float,
         time: Array | None = None,
-        held_out: HeldOut | None = None,
+        promise: Promise | None = None,
     ) -> PredictionBand:
         """Play a command on every model that might be the true one, from its own `state`.
 
-        With the command's `time` [s], which counts where time matters. With `held_out`, models of parts of the records,
-        the error of the model class is judged as well.
+        With the command's `time` [s], which counts where time matters.
         """
         noise = intervals.prediction(command.voltage, state, time if intervals.actuator.needs_time else None)
         free_ = None if free is None else free.prediction(command.voltage, state)
-
-        def play(model: Actuator) -> Array:
-            clock = time if model.needs_time else None
-            motion = model.simulate(command.voltage, time=clock, state=state(model), extrapolate=True)
-            return np.asarray(motion.displacement)
-
         return cls(
             wanted,
             command.voltage,
@@ -102,79 +92,49 @@ class PredictionBand:
             misfit,
             command.warnings,
             intervals.level,
-            None if held_out is None else held_out.on(play, misfit),
+            promise,
             time,
         )
 
     @property
     def lowest(self) -> Array:
-        """(n,) lowest displacement to be expected [m]: the lower of both bands, less the misfit."""
-        free = self.noise if self.open is None else self.open
-        return np.asarray(np.minimum(self.noise[0], free[0]) - self.misfit)
+        """(n,) lowest displacement to be expected [m]: by the promise, without one by noise and the misfit.
+
+        Models that the records do not contradict are within.
+        """
+        return self._edge(0)
 
     @property
     def highest(self) -> Array:
         """(n,) highest displacement to be expected [m]."""
-        free = self.noise if self.open is None else self.open
-        return np.asarray(np.maximum(self.noise[1], free[1]) + self.misfit)
+        return self._edge(1)
 
-    @property
-    def likely(self) -> Array | None:
-        """(2, n) lowest and highest displacement [m] of the band of `level`, by noise and model error together.
-
-        Both add as independent errors do. Where the records leave directions open, it holds all of `open`.
-        """
-        if self.class_error is None:
-            return None
-        below, above = self.displacement - self.noise[0], self.noise[1] - self.displacement
-        low, high = (np.hypot(np.maximum(off, 0.0), self.class_error.half) for off in (below, above))
-        band = np.array([self.displacement - low, self.displacement + high])
-        if self.class_error.open and self.open is not None:
-            band = np.array([np.minimum(band[0], self.open[0]), np.maximum(band[1], self.open[1])])
-        return band
-
-    @property
-    def error(self) -> float:
-        """The largest distance from the wanted path to be expected [m]."""
-        return max(largest(self.highest - self.wanted), largest(self.wanted - self.lowest))
+    def _edge(self, k: int) -> Array:
+        way, further = (-1, np.minimum) if k == 0 else (1, np.maximum)
+        edge = self.noise[k] + way * self.misfit
+        if self.promise is not None:
+            edge = self.displacement + way * self.promise.half
+        return np.asarray(edge if self.open is None else further(edge, self.open[k] + way * self.misfit))
 
     def columns(self) -> dict[str, Array]:
         """Columns for a file, in volts and micrometres."""
-        likely = (
-            {} if self.likely is None else {"likely_lowest_um": self.likely[0], "likely_highest_um": self.likely[1]}
-        )
         return {
             "wanted_um": self.wanted * 1e6,
             "voltage_V": self.voltage,
             "expected_um": self.displacement * 1e6,
             "lowest_um": self.lowest * 1e6,
             "highest_um": self.highest * 1e6,
-            **{name: end * 1e6 for name, end in likely.items()},
         }
 
     def as_dict(self, stroke: float) -> dict[str, Any] | None:
-        """Return the band of `level` as JSON values; None where it was not judged."""
-        if self.likely is None or self.class_error is None:
+        """Return the promise as JSON values; None without one."""
+        if self.promise is None:
             return None
-        return {
-            "level": self.level,
-            "half_width_m": float(0.5 * (self.likely[1] - self.likely[0]).mean()),
-            **json_values(self.class_error, "model_error_m=half held_out_m=held_out growth parts_held_out=parts"),
-            "sentence": self.sentence(stroke),
-        }
-
-    def sentence(self, stroke: float) -> str:
-        """Return the band of `level` in words, lengths as parts of a stroke [m]; empty where it was not judged."""
-        if self.likely is None or self.class_error is None:
-            return ""
-        half = 0.5 * (self.likely[1] - self.likely[0])
-        return (
-            f"{100 * self.level:g} % of the path are expected within {100 * float(half.mean()) / stroke:.3g} % of the "
-            f"range on average, by noise and model error together. {self.class_error.sentence}"
-        )
+        half = float(0.5 * np.mean(self.highest - self.lowest))
+        return {"half_width_m": half, **self.promise.as_dict(), "sentence": self.promise.sentence(stroke)}
 
     def errors(self) -> dict[str, float]:
-        """Largest errors [m] that noise, open directions, the misfit and clamping may cause, and all together."""
+        """Largest errors [m] that noise, open directions, the misfit and clamping may cause."""
 
         def off(band: Array) -> float:
             return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
@@ -185,7 +145,6 @@ class PredictionBand:
             **free,
             "misfit": self.misfit,
             "clamped": largest(self.displacement - self.wanted),
-            "all": self.error,
         }
 
 

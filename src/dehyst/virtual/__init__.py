@@ -9,11 +9,11 @@ continues from the state that the last call reached; `relax` resets the state.
 """
 
 from dehyst.virtual.base import VirtualActuator
-from dehyst.virtual.bench import BenchAxis, VirtualBench
+from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
-from dehyst.virtual.stage import VirtualStage, spread_coupling
+from dehyst.virtual.stage import VirtualStage
 
 __all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "VirtualBench", "VirtualStage"]

@@ -2,9 +2,8 @@
 
 from dehyst.waveforms import standard
 from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, refuse_long, volts
-from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
 from dehyst.waveforms.one_axis import Steps, Triangle
-from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanOption, ScanPath, whole
+from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanPath, whole
 from dehyst.waveforms.standard import (
     RATIO,
     TURNS,

@@ -23,6 +23,8 @@ from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, vol
 
 _PAPER = Sampling()
 _MOST_TURNS = 1_000_000
+# Least height of a leg between random turning points, as a part of the range.
+_LEAST_LEG = 0.08
 # Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # Periods of the axes of a stage moving together, in those of the first one: powers of the plastic number repeat never.
@@ -43,21 +45,27 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER
     return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
 
 
-def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
+def descending_tops(
+    highest: float, *, steps: int = 10, majors: int = 2, random: int = 0, drive: Sampling = _PAPER
+) -> Excitation:
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
     As many tops as elements determine every stiffness that loops can determine. The first cycle homes the actuator,
     whatever its state was.
 
     `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first is `highest` once
-    more. `majors`: cycles up to `highest` before them. `drive`: how it is played. Raise `RecordError` as all
-    excitations do.
+    more. `majors`: cycles up to `highest` before them. `random`: turning points anywhere in between after them, always
+    the same ones. An identification holds parts of the record out: with such turning points, 24 or so, they are unlike
+    the rest, and test the model for any path. `drive`: how it is played. Raise `RecordError` as all excitations do.
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
     tops[0] = top
     falling = [v for peak in tops.tolist() for v in (peak, drive.base)]
-    return _through("descending-tops", _cycles(majors, "majors", top, drive.base, least=0) + falling, drive)
+    anywhere = [drive.base + (top - drive.base) * turn for turn in _random_turns(_count(random, "random", least=0))]
+    return _through(
+        "descending-tops", [*_cycles(majors, "majors", top, drive.base, least=0), *falling, *anywhere], drive
+    )
 
 
 def reversal_curves(
@@ -254,6 +262,15 @@ def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
     """Return the two turning points as many times as there are cycles, for one of several such rows."""
     return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
+
+
+def _random_turns(count: int) -> list[float]:
+    """Return so many turning points, tops and bottoms by turns, as parts of the range, and the way back to 0."""
+    rng, turns = np.random.default_rng(0), [0.0]
+    for k in range(count):
+        below, above = (turns[-1] + _LEAST_LEG, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_LEG)
+        turns.append(float(rng.uniform(below, above)))
+    return [*turns[1:], 0.0] if count else []
 
 
 def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:

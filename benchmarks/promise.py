@@ -1,0 +1,311 @@
+"""How often the promise of a model is kept, and how sharp it is. Writes `promise.json`.
+
+Actuators by mechanisms that are no instance of the model are recorded, identified, and made to follow paths of five
+kinds in the open loop. A promise is kept if the largest error of the path, its mean aside, is not above it; it is sharp
+if it is not much larger than the error that was reached.
+
+    python benchmarks/promise.py [calibrate] [unseen] [--jobs N]
+
+calibrate  ten mechanisms; prints the factors that they ask for
+unseen     three mechanisms that had no part in finding the factors
+
+The factors in `dehyst.model.promise` are the medians over fits that leave one mechanism out each; the table beside
+them is of the mechanism that was left out.
+"""
+
+import argparse
+import copy
+import json
+import sys
+import zlib
+from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
+
+import dehyst
+from dehyst import Compensator, Record
+from dehyst.model import simulated
+from dehyst.model.promise import newness
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from strangers.disturbances import QUIET, Raw, Scale, filtered
+from strangers.more_truths import MORE, UNSEEN
+from strangers.protocols import PROTOCOLS, Part, Protocol, leg_samples, random_turns, through
+from strangers.truths import TRUTHS, Bench
+
+OUTPUT = Path(__file__).with_suffix(".json")
+CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "unknown start")
+KINDS = ("tops", "curves", "growing", "random", "tops and random", "staircase", "speeds", "decaying")
+PATHS = ("random", "inner", "loops", "raster", "stairs")
+SHARE = 0.9
+PARTS = ("calibrate", "unseen")
+
+
+def _tops_and_random(rng, fast):
+    turns = [0.0, 1.0, 0.0, 1.0, *(t for top in np.linspace(0.85, 0.15, 5) for t in (0.0, top)), 0.0]
+    turns += [*random_turns(rng, 24), 0.0]
+    return [Part(through(turns, leg_samples(turns, 200)))]
+
+
+ALL_PROTOCOLS = {**PROTOCOLS, "tops and random": Protocol("tops and random", _tops_and_random)}
+
+
+def joined(turns, counts):
+    """Paths without velocity and acceleration at the turns."""
+    legs = [np.array([turns[0]])]
+    for (a, b), n in zip(pairwise(turns), counts, strict=True):
+        w = np.arange(1, n + 1) / n
+        legs.append(a + (b - a) * w**3 * (10 - 15 * w + 6 * w**2))
+    return np.concatenate(legs)
+
+
+def paths(rng, n):
+    """Paths as parts of the stroke, by kind; `n` samples a period."""
+    anywhere = [0.0, *random_turns(rng, 24, 0.03, 0.96)]
+    inner = [0.0, 0.3, *random_turns(rng, 24, 0.3, 0.7)]
+    loops = [0.0, *(x for c in (0.25, 0.5, 0.75, 0.4) for x in (c, *(c + 0.05, c - 0.05) * 4))]
+    raster = [0.0, *(0.9, 0.1) * 8]
+    levels = [*np.linspace(0, 0.9, 7), *np.linspace(0.75, 0.1, 6)]
+    stairs = [np.zeros(1)]
+    for a, b in pairwise(levels):
+        stairs += [joined([a, b], [n // 8])[1:], np.full(n // 4, b)]
+    return {
+        "random": joined(anywhere, leg_samples(anywhere, n)),
+        "inner": joined(inner, leg_samples(inner, n)),
+        "loops": joined(loops, leg_samples(loops, n)),
+        "raster": joined(raster, [n // 2] * (len(raster) - 1)),
+        "stairs": np.concatenate(stairs),
+    }
+
+
+class Stage:
+    """A truth on its bench, with all voltages that were played."""
+
+    def __init__(self, truth):
+        self.bench, self.truth, self.now, self.times, self.volts = Bench(truth), truth, 0.0, [], []
+
+    def play(self, u, step):
+        """Play u; return times, voltages and displacements."""
+        time, volts = (
+            self.now + step * np.arange(1, u.size + 1),
+            self.truth.low + (self.truth.high - self.truth.low) * u,
+        )
+        self.now = float(time[-1])
+        self.times.append(time)
+        self.volts.append(volts)
+        return time, volts, self.bench.play(time, volts)
+
+
+def recorded(stage, protocol, condition, rng):
+    """Play a protocol; return the records under a condition."""
+    truth, n = stage.truth, protocol.samples
+    parts = protocol.parts(rng("protocol"), truth.fast)
+    step, fastest = truth.period / n, max(part.speed for part in parts)
+    if condition == "unknown start":
+        turns = [0.0, *random_turns(rng("start"), 5), parts[0].u[0]]
+        stage.play(through(turns, leg_samples(turns, n)), step)
+        stage.times, stage.volts = [], []
+    elif parts[0].u[0]:
+        stage.play(through([0.0, parts[0].u[0]], [n // 4]), step)
+    noise, records = rng("disturbance"), []
+    scale = Scale(truth.stroke, truth.high - truth.low, truth.period, truth.period / 200 / fastest)
+    for k, part in enumerate(parts):
+        time, volts, y = stage.play(part.u, step / part.speed)
+        y = y + noise.normal(0, QUIET * truth.stroke, y.size)
+        if condition == "noise 0.3 %":
+            y = y + noise.normal(0, 0.003 * truth.stroke, y.size)
+        elif condition == "drift 2 %":
+            y = y + 0.02 * truth.stroke * (time - time[0]) / np.ptp(time)
+        elif condition == "sensor filter":
+            y = filtered(Raw(time, volts, y, ""), scale, noise)
+        elif condition == "10 bit":
+            bits = truth.stroke * 1.2 / 1023, (truth.high - truth.low) / 1023
+            y, volts = (bit * np.round(one / bit) for bit, one in zip(bits, (y, volts), strict=True))
+        records.append(Record(time, volts, y, f"{truth.name}-{k}"))
+    return records, step
+
+
+def case(job):
+    """Identify one truth from one protocol under one condition, and follow all paths: a row for each."""
+    name, kind, condition, seed = job
+    truth, protocol = {**TRUTHS, **MORE, **UNSEEN}[name], ALL_PROTOCOLS[kind]
+    about = {"truth": name, "protocol": kind, "condition": condition, "seed": seed}
+
+    def rng(what):
+        return np.random.default_rng([seed, zlib.crc32(f"{name}/{kind}/{condition}:{what}".encode())])
+
+    stage = Stage(truth)
+    records, step = recorded(stage, protocol, condition, rng)
+    last = (stage.volts[-1][-1] - truth.low) / (truth.high - truth.low)
+    homing = through([last, 0.0, 1.0, 0.0, 1.0, 0.0], [protocol.samples // 2] * 5)
+    reached = float(np.ptp(stage.play(homing, step)[2][-protocol.samples :]))
+    try:
+        fit = dehyst.identify(records)
+    except ValueError as error:
+        return [{**about, "refused": str(error)}]
+    model, rows = fit.actuator, []
+    validity = model.identification.validity
+    volts, times = np.concatenate(stage.volts), np.concatenate(stage.times)
+    homed = simulated(model, volts, times)
+    for path, u in paths(rng("path"), protocol.samples).items():
+        when = stage.now + step * np.arange(u.size)
+        wanted = float(homed.displacement[-1]) + reached * u
+        ahead = CubicSpline(when, wanted)(np.minimum(when + model.delay, when[-1])) if model.delay else wanted
+        command = Compensator(model, model.limits).trajectory(ahead, time=when, state=homed.state)
+        error = (wanted - np.append(wanted[0], copy.deepcopy(stage.bench).play(when[1:], command.voltage[1:])))[1:]
+        error -= error.mean()
+        promised = command.promise
+        rows.append(
+            {
+                **about,
+                "path": path,
+                "largest": float(np.abs(error).max()),
+                "rms": float(error.std()),
+                "promised_largest": promised.largest,
+                "promised_rms": promised.rms,
+                "untested": len(promised.untested),
+                "new": newness(validity, command.voltage)[2],
+                "telling": validity.telling,
+                "held_out": validity.rms,
+                "shown": validity.largest,
+                "disagreement": validity.disagreement,
+                "lag": validity.lag,
+                "stroke": validity.stroke,
+                "clamped": float(np.mean(command.clamped)),
+                "ready": fit.expectation.readiness.name,
+            }
+        )
+    return rows
+
+
+def factors(rows, key):
+    """Return held_out, disagreement and floor of the sharpest bound that holds `SHARE` of the rows."""
+    stroke, reached = (np.array([row[name] for row in rows]) for name in ("stroke", key))
+    held_out, apart = (np.array([row[name] for row in rows]) / stroke for name in ("held_out", "disagreement"))
+    columns = np.column_stack(
+        [held_out, apart * np.clip([row["new"] / 0.15 for row in rows], 0, 1), np.ones(len(rows))]
+    )
+    wanted = np.log(reached / stroke)
+
+    def loss(logs):
+        off = wanted - 0.5 * np.log(columns**2 @ np.exp(2 * logs) + 1e-18)
+        return float(np.sum(np.where(off > 0, SHARE * off, (SHARE - 1) * off)))
+
+    found = [
+        minimize(loss, start, method="Nelder-Mead", options={"maxiter": 4000, "xatol": 1e-3, "fatol": 1e-5})
+        for start in (np.log([4.0, 1.0, 3e-3]), np.log([2.0, 5.0, 1e-3]))
+    ]
+    return np.exp(min(found, key=lambda one: one.fun).x)
+
+
+def summary(rows, by):
+    """Return coverage and sharpness of rows by a key."""
+    table = {}
+    for value in dict.fromkeys(row[by] for row in rows) if by else [""]:
+        own = [row for row in rows if not by or row[by] == value]
+        ratio = np.array([row["promised_largest"] / row["largest"] for row in own])
+        other = np.array([row["promised_rms"] / row["rms"] for row in own])
+        table[value] = {
+            "paths": len(own),
+            "kept": float(np.mean(ratio >= 1)),
+            "kept_rms": float(np.mean(other >= 1)),
+            "sharpness": float(np.median(ratio)),
+            "sharpness_rms": float(np.median(other)),
+            "over_three": float(np.mean(ratio > 3)),
+            "missed_by_twice": float(np.mean(ratio < 0.5)),
+            "ready_and_missed_by_twice": int(
+                sum(row["ready"] == "READY" and row["largest"] > 2 * row["promised_largest"] for row in own)
+            ),
+        }
+    return table
+
+
+def shown(title, table):
+    print(title)
+    for value, one in table.items():
+        kept, kept_rms, over = (100 * one[name] for name in ("kept", "kept_rms", "over_three"))
+        print(
+            f"  {value or 'all':<18}{one['paths']:>5}  kept {kept:3.0f} %, RMS {kept_rms:3.0f} %"
+            f"  over three {over:3.0f} %"
+            f"  sharpness {one['sharpness']:.2f}, RMS {one['sharpness_rms']:.2f}"
+            f"  ready, missed by twice {one['ready_and_missed_by_twice']}"
+        )
+
+
+def reliability(rows):
+    """Return pairs: a factor on the promise, and the share of largest errors that it would hold."""
+    ratio = np.array([row["largest"] / row["promised_largest"] for row in rows])
+    return [[float(f), float(np.mean(ratio <= f))] for f in (0.25, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)]
+
+
+def jobs_of(truths, seed, every=False):
+    """Two conditions of each truth and protocol, by turns; all with `every`."""
+    jobs = []
+    for i, truth in enumerate(truths):
+        for j, kind in enumerate(KINDS):
+            k = i * 3 + j + seed
+            some = sorted({CONDITIONS[k % 6], CONDITIONS[(k + 3) % 6]})
+            jobs += [(truth, kind, condition, seed) for condition in (CONDITIONS if every else some)]
+    return jobs
+
+
+def measured(part, seed, jobs):
+    """Return the rows of a part, and what `promise.json` holds of it."""
+    truths, rows = [*TRUTHS, *MORE] if part == "calibrate" else [*UNSEEN], []
+    with ProcessPoolExecutor(jobs) as pool:
+        for found in pool.map(case, jobs_of(truths, seed)):
+            rows += found
+            print(*(found[0][key] for key in ("truth", "protocol", "condition")), flush=True)
+    return rows, tables_of(rows, part, seed)
+
+
+def tables_of(rows, part, seed):
+    """Return what `promise.json` holds of the rows of a part."""
+    good = [row for row in rows if "largest" in row]
+    tables = {by or "all": summary(good, by) for by in ("", "truth", "protocol", "condition", "path")}
+    for by, table in tables.items():
+        shown(f"by {by}", table)
+    result = {"seed": seed, "refused": len(rows) - len(good), "tables": tables, "reliability": reliability(good)}
+    return result | ({"factors": asked_for(good)} if part == "calibrate" else {})
+
+
+def asked_for(rows):
+    """Return the factors that rows ask for: medians over fits that leave one truth out each."""
+    found = {}
+    for telling in (True, False):
+        own = [row for row in rows if row["telling"] is telling and not row["lag"]]
+        names = dict.fromkeys(row["truth"] for row in own)
+        for key in ("largest", "rms"):
+            each = [factors([row for row in own if row["truth"] != left], key) for left in names]
+            found[f"{key}, {'telling' if telling else 'others'}"] = np.median(each, axis=0).tolist()
+            print(
+                key,
+                telling,
+                np.round([np.median(each, axis=0), np.min(each, axis=0), np.max(each, axis=0)], 5).tolist(),
+            )
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Measure the promise; see the top of this file.")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; default: both")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rows", type=Path, help="folder for all rows")
+    given = parser.parse_args()
+    results = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
+    for part in given.parts or PARTS:
+        if part not in PARTS:
+            parser.error(f"no part '{part}'; try {' or '.join(PARTS)}")
+        rows, results[part] = measured(part, given.seed, given.jobs)
+        if given.rows:
+            (given.rows / f"{part}.json").write_text(json.dumps(rows))
+    OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

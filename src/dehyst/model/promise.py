@@ -1,0 +1,332 @@
+"""The promise: how far a path will be missed, from what the records of an identification tested.
+
+A promise is a bound that nine of ten paths should keep (theory section 18). It grows with the error on parts of the
+records that were held out, with how far models disagree that explain the records about as well, and with how far the
+path turns from where the records turned. Its factors were found on virtual actuators of mechanisms that are no instance
+of the model, and are tested on mechanisms that had no part in finding them: `benchmarks/promise.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._validation import keep, number
+from dehyst._views.fields import json_values
+from dehyst.records import turning_points
+
+# A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
+_BAND = 0.02
+# Legs that are kept of the records.
+_MOST = 600
+# Held-out legs that are on average so far from all others, as a part of the range, test any path.
+_TELLING = 0.06
+# Beyond the held-out legs by this part of the range, a path is as new as it can be.
+_NEW = 0.15
+# Speeds and holds count as tested up to this ratio, and voltages within this part of the range.
+_ALIKE, _BEYOND = 1.5, 0.02
+# A lag is known to this factor, and a curved loop moves faster in places than its voltage does.
+_LAG_KNOWN = 1.15
+# A voltage rests where it moves at less than this part of the mean speed of its leg.
+_AT_REST = 0.1
+# Turning points of a path of which nothing is known but its range.
+_TURNS = 60
+
+
+@dataclass(frozen=True)
+class Factors:
+    """How a promise follows from errors that were measured: the root of the sum of squares.
+
+    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`: a part of the stroke; where the held-out
+    error is less than `full`, another part of it, the floor falls in proportion.
+    """
+
+    held_out: float
+    disagreement: float
+    floor: float
+    full: float = 0.0
+
+    def bound(self, validity: Validity, new: Array) -> Array:
+        """Return the bound [m] of legs that are `new` from 0 to 1 (k,)."""
+        full = self.full * validity.stroke
+        floor = self.floor * validity.stroke * (min(1.0, validity.rms / full) if full else 1.0)
+        squares = (self.held_out * validity.rms) ** 2 + floor**2
+        return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
+
+
+# Of the largest and of the RMS error: where held-out legs test any path, and where they do not.
+LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002)
+RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005)
+
+
+def legs(voltage: Array, span: float) -> NDArray[np.intp]:
+    """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V]."""
+    at = np.array([0, *turning_points(voltage, _BAND * span), len(voltage) - 1], dtype=np.intp)
+    pairs = np.column_stack([at[:-1], at[1:]])
+    return pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > 0.5 * _BAND * span]
+
+
+def distances(path: Array, others: Array) -> Array:
+    """Return how far each leg (k, 2) is from the nearest of the `others` (m, 2) that goes the same way, in their unit.
+
+    The distance of the turning points, and how far the leg goes beyond the other one's end; at most its own height.
+    """
+    found = np.abs(path[:, 1] - path[:, 0])
+    for sign in (1.0, -1.0):
+        known = others[sign * (others[:, 1] - others[:, 0]) > 0]
+        mine = np.flatnonzero(sign * (path[:, 1] - path[:, 0]) > 0)
+        if not known.size:
+            continue
+        for part in np.array_split(mine, 1 + mine.size // 2000):
+            beyond = np.maximum(sign * (path[part, 1][:, None] - known[:, 1]), 0.0)
+            apart = np.hypot(path[part, 0][:, None] - known[:, 0], beyond).min(axis=1)
+            found[part] = np.minimum(found[part], apart)
+    return np.asarray(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Validity:
+    """The domain of validity of a model: what its records tested, and how far it missed what was held out.
+
+    Attributes
+    ----------
+    rms : float
+        RMS error of held-out parts [m], without what the sensor adds.
+    largest : float
+        Largest error of the records themselves after their second turning point [m], without the sensor's.
+    disagreement : float
+        RMS distance of other structures that explain the records about as well [m].
+    stroke : float
+        Range of the widest loop [m].
+    limits : (float, float)
+        Lowest and highest voltage of the records [V].
+    legs : (k, 2) array
+        Voltages between which the records went [V].
+    new : (float, float)
+        How far held-out rises, and falls, were from all others, as a part of the range: root mean square.
+    speeds : (float, float)
+        Lowest and highest mean speed of a leg [V/s].
+    hold : float
+        Longest time at one voltage [s].
+    lag : float
+        Time [s] by which the displacement lags the voltage, if the records leave open whether the sensor lags; else 0.
+    """
+
+    rms: float
+    largest: float
+    disagreement: float
+    stroke: float
+    limits: tuple[float, float]
+    legs: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    new: tuple[float, float] = (0.0, 0.0)
+    speeds: tuple[float, float] = (0.0, 0.0)
+    hold: float = 0.0
+    lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
+        numbers = {name: number(getattr(self, name), name) for name in ("rms", "largest", "disagreement", "stroke")}
+        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag")}
+        pairs = {name: tuple(number(one, name) for one in getattr(self, name)) for name in ("limits", "new", "speeds")}
+        wrong = [name for name, value in numbers.items() if not 0 <= value < np.inf]
+        if wrong or not np.isfinite(kept).all() or not self.stroke or any(len(pair) != 2 for pair in pairs.values()):
+            raise ModelError(f"validity: {', '.join(wrong) or 'legs or pairs'}: need finite numbers of 0 or more")
+        if not pairs["limits"][0] < pairs["limits"][1]:
+            raise ModelError(f"validity: limits: got {pairs['limits']}, need the lower one first")
+        kept.setflags(write=False)
+        keep(self, legs=kept, **numbers, **pairs)
+
+    @classmethod
+    def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
+        """Return what time [s] and voltage [V] of `records` tested; `numbers`: the errors, by their names."""
+        given = list(records)
+        ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
+        limits = min(ends), max(ends)
+        span, pairs, speeds, hold = limits[1] - limits[0], [], [], 0.0
+        for time, voltage in given:
+            at = legs(voltage, span)
+            pairs.append(voltage[at])
+            speeds.append(speeds_of(time, voltage, at))
+            hold = max(hold, longest_hold(time, voltage, span))
+        speed = np.concatenate(speeds)
+        kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * _BAND * span)), axis=0) * (0.25 * _BAND * span)
+        kept = kept[:: 1 + len(kept) // _MOST]
+        fastest = (float(speed.min()), float(speed.max())) if speed.size else (0.0, 0.0)
+        return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, **numbers)
+
+    @property
+    def span(self) -> float:
+        """Range of the voltages [V]."""
+        return self.limits[1] - self.limits[0]
+
+    @property
+    def telling(self) -> bool:
+        """Whether held-out legs were so unlike the others that they test any path, as random turning points are."""
+        return min(self.new) >= _TELLING
+
+    @cached_property
+    def anywhere(self) -> Promise:
+        """The promise for a path that turns anywhere within the recorded voltages, at recorded speeds."""
+        turns = np.random.default_rng(1).uniform(*self.limits, _TURNS)
+        return promise(self, np.concatenate([[self.limits[0], self.limits[1]], turns]))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        lengths = {f"{name}_m": getattr(self, name) for name in ("rms", "largest", "disagreement", "stroke")}
+        pairs = {"limits_V": self.limits, "new": self.new, "speeds_V_per_s": self.speeds}
+        return {
+            **lengths,
+            **{name: list(pair) for name, pair in pairs.items()},
+            "hold_s": self.hold,
+            "lag_s": self.lag,
+            "legs_V": self.legs.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: object) -> Validity:
+        """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
+        names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
+        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")} | {"new": "new"}
+        if not isinstance(data, Mapping) or set(data) != set(names):
+            raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
+        try:
+            return cls(**{name: data[key] for key, name in names.items()})
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"validity: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """How far a path will be missed, as a bound that nine of ten paths should keep.
+
+    Attributes
+    ----------
+    rms, largest : float
+        RMS and largest error of the path, its mean error aside [m].
+    half : (n,) array
+        The bound along the path [m]: wider on legs that are unlike those of the records.
+    untested : tuple of str
+        What the records do not test of this path, each a sentence; the promise does not hold for that.
+    if_actuator_lags : (float, float) or None
+        RMS and largest error [m] if the lag in the records is the actuator's; None unless that is open.
+    """
+
+    rms: float
+    largest: float
+    half: Array
+    untested: tuple[str, ...] = ()
+    if_actuator_lags: tuple[float, float] | None = None
+
+    def sentence(self, stroke: float) -> str:
+        """Return the promise in words, errors in percent of a `stroke` [m]."""
+        rms_, largest = (100 * error / stroke for error in (self.rms, self.largest))
+        return " ".join([f"Expect an error of {largest:.2g} % at most and {rms_:.2g} % RMS.", *self.untested])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without the bound along the path."""
+        return json_values(self, "rms_m=rms largest_m=largest untested if_actuator_lags_m=if_actuator_lags")
+
+
+def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = None) -> Promise:
+    """Return how far a path will be missed when its voltage is played.
+
+    Parameters
+    ----------
+    validity : Validity
+        Of the model that gave the voltage.
+    voltage : (n,) array_like
+        That follows the path [V].
+    time : (n,) array_like, optional
+        [s]; without it speeds and holds are taken for those of the records.
+    """
+    v = np.asarray(voltage, dtype=np.float64)
+    clock = None if time is None else np.asarray(time, dtype=np.float64)
+    at, beyond, whole = newness(validity, v)
+    rms, largest = (float(_bound(factors, validity, np.array([whole]))[0]) for factors in (RMS, LARGEST))
+    largest, lagging = max(largest, validity.largest), None
+    each = _bound(LARGEST, validity, beyond) if len(at) else np.array([largest])
+    half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
+    if validity.lag:
+        lagging = rms, largest
+        moved, fastest = _moved_in_lag(validity, v, clock)
+        rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
+    return Promise(rms, largest, half, tuple(_untested(validity, v, clock, at, beyond)), lagging)
+
+
+def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
+    """Return the legs (k, 2) of a voltage (n,) [V], and how far each, and all, go beyond the held-out ones.
+
+    As parts of the range: the distance from the records' legs less that of the held-out ones. Of all the larger of two
+    root mean squares, of rises and of falls, which have errors of their own.
+    """
+    at = legs(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
+    path = voltage[at]
+    apart, rising = distances(path / validity.span, validity.legs / validity.span), path[:, 1] > path[:, 0]
+    ways = (rising, validity.new[0]), (~rising, validity.new[1])
+    means = [float(np.sqrt(np.mean(apart[way] ** 2))) - held_out for way, held_out in ways if way.any()]
+    return at, apart - np.where(rising, *validity.new), max(0.0, *means, 0.0)
+
+
+def longest_hold(time: Array, voltage: Array, span: float) -> float:
+    """Return the longest time [s] that a voltage stays within a fiftieth of the `span`; a slow one takes some too."""
+    place = np.round(voltage / (_BAND * span))
+    begins = np.append(0, np.flatnonzero(np.diff(place)) + 1)
+    return float(np.max(time[np.append(begins[1:] - 1, len(time) - 1)] - time[begins], initial=0.0))
+
+
+def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
+    """Return the mean speed [V/s] of each of the `legs` (k, 2), the time at rest aside."""
+    if not len(at):
+        return np.zeros(0)
+    step, height = np.diff(time), np.abs(np.diff(voltage[at], axis=1)[:, 0])
+    mean = height / np.maximum(np.diff(time[at], axis=1)[:, 0], 1e-300)
+    own = np.clip(np.searchsorted(at[:, 0], np.arange(step.size), side="right") - 1, 0, len(at) - 1)
+    moving = np.abs(np.diff(voltage)) > _AT_REST * mean[own] * step
+    moved = np.append(0.0, np.cumsum(step * moving))
+    return np.asarray(height / np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300))
+
+
+def _bound(factors: tuple[Factors, Factors], validity: Validity, beyond: Array) -> Array:
+    """Return the bound [m] of legs that lie `beyond` the held-out ones by a part of the range (k,)."""
+    new = np.clip(beyond / _NEW, 0.0, 1.0)
+    inside, outside = (one.bound(validity, new) for one in factors)
+    return outside if not validity.telling else np.sqrt((1 - new) * inside**2 + new * outside**2)
+
+
+def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> tuple[float, float]:
+    """Return how far a path moves within the lag: root mean square and largest [m]."""
+    speed = np.array([validity.speeds[1]])
+    if time is not None and time.size > 1:
+        speed = np.abs(np.diff(voltage) / np.diff(time))
+    moved = _LAG_KNOWN * speed * validity.lag * validity.stroke / validity.span
+    return float(np.sqrt(np.mean(moved**2))), float(moved.max())
+
+
+def _untested(
+    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], beyond: Array
+) -> Iterator[str]:
+    """Yield what the records do not test of a path."""
+    over = max(validity.limits[0] - float(voltage.min()), float(voltage.max()) - validity.limits[1])
+    if over > _BEYOND * validity.span:
+        yield f"The path goes {over:.3g} V beyond the voltages of the records."
+    outside = int(np.count_nonzero(beyond > _NEW))
+    if outside:
+        yield f"{outside} of {len(beyond)} rises and falls begin where no record turned."
+    if time is None or time.size < 2:
+        return
+    speed = speeds_of(time, voltage, at)
+    slowest, fastest = validity.speeds
+    if speed.size and fastest and float(speed.max()) > _ALIKE * fastest:
+        yield f"The path moves at up to {speed.max():.3g} V/s; the records moved at {fastest:.3g} V/s at most."
+    if speed.size and float(speed.min()) * _ALIKE < slowest:
+        yield f"The path moves at down to {speed.min():.3g} V/s; the records moved at {slowest:.3g} V/s at least."
+    hold = longest_hold(time, voltage, validity.span)
+    if hold > _ALIKE * validity.hold:
+        yield f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."

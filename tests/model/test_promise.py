@@ -1,0 +1,101 @@
+"""The promise: what it grows with, what it names as not tested, and that a file keeps it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import Actuator, ModelError
+from dehyst.model import MaxwellSlip, Spring, Validity, promise
+from dehyst.model.promise import distances, legs
+
+SPAN, STROKE = 100.0, 1e-5
+
+
+def motion(*turns, leg=1.0, hold=0.0):
+    """Voltage with straight legs of a second, held at the end."""
+    voltage = np.concatenate([[turns[0]], *(np.linspace(a, b, 101)[1:] for a, b in pairwise(turns))])
+    time = 0.01 * leg * np.arange(voltage.size)
+    return np.append(time, time[-1] + hold) if hold else time, np.append(voltage, voltage[-1]) if hold else voltage
+
+
+def known(*turns, **numbers):
+    numbers_ = {"rms": 1e-8, "largest": 0.0, "disagreement": 2e-8, "stroke": STROKE, **numbers}
+    return Validity.by_records([motion(*turns)], **numbers_)
+
+
+TOPS = known(0, 100, 0, 80, 0, 60, 0, 40, 0)
+
+
+def test_legs_are_from_turn_to_turn_and_alike_legs_are_near():
+    _, voltage = motion(0, 100, 30, 70)
+    np.testing.assert_allclose(voltage[legs(voltage, SPAN)], [[0, 100], [100, 30], [30, 70]])
+    known = np.array([[0.0, 1.0], [1.0, 0.0]])
+    # Shorter ones that begin alike were passed; one begins 0.3 later; one goes on beyond the end by 0.1.
+    path = np.array([[0.0, 0.5], [0.7, 0.2], [1.0, -0.1]])
+    np.testing.assert_allclose(distances(path, known), [0.0, 0.3, 0.1])
+    # A leg is at most its own height away, and the other way does not help.
+    np.testing.assert_allclose(distances(np.array([[0.5, 0.55]]), known[1:]), [0.05])
+
+
+def test_a_path_like_the_records_is_promised_more_than_one_that_turns_elsewhere():
+    alike, other = (promise(TOPS, motion(*turns)[1]) for turns in ((0, 90, 0, 50, 0), (0, 90, 60, 80, 60, 90, 40)))
+    assert alike.largest < other.largest
+    assert alike.rms < other.rms
+    assert (alike.untested, len(other.untested)) == ((), 1)
+    # Along the path the promise is wider only where it turns elsewhere.
+    assert other.half[0] == pytest.approx(alike.half[0])
+    assert other.half[250] > 1.2 * other.half[0]
+
+
+def test_records_that_turn_at_random_promise_more():
+    turns = [0, 100, *np.random.default_rng(0).uniform(0, 100, 60)]
+    assert known(*turns, new=(0.08, 0.08)).anywhere.largest < 0.8 * known(*turns).anywhere.largest
+
+
+def test_speeds_holds_and_voltages_beyond_the_records_are_named():
+    usual = motion(0, 100, 0)
+    assert promise(TOPS, usual[1], usual[0]).untested == ()
+    fast, held, beyond = motion(0, 100, 0, leg=0.3), motion(0, 100, hold=10), motion(0, 110, 0)
+    for time, voltage in (fast, held, beyond):
+        assert len(promise(TOPS, voltage, time).untested) == 1
+    # A slow leg stays long at each voltage as well.
+    time, voltage = motion(0, 40, 0, leg=3)
+    assert len(promise(TOPS, voltage, time).untested) == 2
+
+
+def test_an_open_lag_is_in_the_promise_by_the_speed_of_the_path():
+    lagging = known(0, 100, 0, 80, 0, lag=0.01)
+    time, voltage = motion(0, 100, 0)
+    slow, fast = promise(lagging, voltage, 2 * time), promise(lagging, voltage, time)
+    assert fast.largest - slow.largest == pytest.approx(1.15 * 0.5 * 0.01 * STROKE, rel=1e-6)
+    assert fast.if_actuator_lags[1] == pytest.approx(fast.largest - 1.15 * 0.01 * STROKE)
+
+
+@given(st.lists(st.floats(0, 100), min_size=2, max_size=12), st.floats(0, 1e-7), st.floats(0, 1e-7))
+def test_a_promise_never_falls_with_the_errors_and_is_never_nothing(turns, rms, more):
+    _, voltage = motion(*turns)
+    less, greater = (promise(known(0, 100, 0, rms=size), voltage) for size in (rms, rms + more))
+    assert 0 < less.rms <= greater.rms < greater.largest
+    assert np.all(less.half <= greater.half)
+    assert less.half.shape == voltage.shape
+
+
+def test_a_model_file_keeps_it():
+    model = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, STROKE], [0.0, 100.0])).with_identification(validity=TOPS)
+    again = Actuator.from_dict(model.as_dict())
+    assert again.identification.validity.as_dict() == TOPS.as_dict()
+    entries = model.as_dict()
+    del entries["identification"]["validity"]
+    assert Actuator.from_dict(entries).identification.validity is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("rms_m", -1.0), ("rms_m", "x"), ("limits_V", [1, 0]), ("legs_V", [[0.0, float("nan")]]), ("new", [0])],
+)
+def test_impossible_values_are_refused(key, value):
+    with pytest.raises(ModelError):
+        Validity.from_dict({**TOPS.as_dict(), key: value})
