@@ -265,4 +265,4 @@ def test_creep_in_displacement_is_refused():
     actuators = [replace(one, displacement_creep=creep) for one in plain_stage().stage.actuators]
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
-        code(StageCompensator(stage, (10.0, 150.0), period=PERIOD))
+        code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))

@@ -17,7 +17,7 @@ from compiled_exports import KINDS
 from node_programs import column, exported, node
 
 import dehyst
-from dehyst import Compensator, FileFormatError, ModelError
+from dehyst import Compensator, FileFormatError, ModelError, Thermal
 from dehyst.cli import main
 from dehyst.exports import export_wasm, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
@@ -389,3 +389,11 @@ def test_the_command_writes_what_the_function_writes(tmp_path):
     assert status == 2 and "other.js: is there already" in err
     assert not (tmp_path / "other.wasm").exists()
     assert run("export", "model.json", "other.wasm", "--force", cwd=tmp_path)[0] == 0
+
+
+def test_a_model_that_depends_on_temperature_is_refused(tmp_path):
+    warm = replace(KINDS["plain"]().actuator, thermal=Thermal(0.004))
+    compensator = Compensator(warm, (0, 100))
+    for export in (lambda: wasm_module(compensator), lambda: dehyst.export_fmu(compensator, tmp_path / "a.fmu")):
+        with pytest.raises(ModelError, match="depends on temperature"):
+            export()
