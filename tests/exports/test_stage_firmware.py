@@ -250,7 +250,8 @@ class TestCommand:
         shutil.rmtree(tmp_path / "c")
 
     @pytest.mark.parametrize(
-        "options", [("--fmu",), ("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")]
+        "options",
+        [("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")],
     )
     def test_what_is_for_single_actuators_is_refused(self, file, tmp_path, options):
         (tmp_path / "x.csv").write_text("voltage_V\n0\n")

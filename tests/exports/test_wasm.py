@@ -376,7 +376,13 @@ def test_the_command_writes_what_the_function_writes(tmp_path):
     program = "console.log(JSON.stringify(new Compensator(module).about))"
     about = json.loads(node(tmp_path, program)) if shutil.which("node") else {"name": actuator.name}
     assert about["name"] == actuator.name
-    for options in (["--fmu"], ["--name", "stage"], ["--no-measure"], ["--number", "float"], ["--kind", "actuator"]):
+    for options in (
+        ["--fmu", "3.0"],
+        ["--name", "stage"],
+        ["--no-measure"],
+        ["--number", "float"],
+        ["--kind", "actuator"],
+    ):
         assert run("export", "model.json", "other.wasm", *options, cwd=tmp_path)[0] == 2
     (tmp_path / "other.js").write_text("mine")
     status, _, err = run("export", "model.json", "other.wasm", cwd=tmp_path)
