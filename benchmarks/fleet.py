@@ -90,7 +90,7 @@ def found(output: Path, truth: list[dict]) -> dict:
 
 
 def aged(output: Path, truth: list[dict]) -> dict:
-    """Return which serials `dehyst fleet drift` wants to recalibrate."""
+    """Return which serials `dehyst fleet report` wants to recalibrate."""
     drifts = drifts_of(load(output), by="serial", over="session")
     by_kind = {kind: {one["serial"] for one in truth if one["kind"] == kind} for kind in {one["kind"] for one in truth}}
     wrong = by_kind["noisy"] | by_kind["drifting"] | by_kind["duplicate"]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
+    from dehyst.adaptation import AdaptiveCompensator, update
     from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
@@ -75,6 +76,7 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
+        "adaptation": "AdaptiveCompensator update",
         "baselines": "compare",
         "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
         "wave_table",
@@ -91,14 +93,13 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep", "DehystError"]
-__all__ += ["DisplacementCreep", "Dynamics"]
-__all__ += ["FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip", "MissingExtraError", "ModelError"]
-__all__ += ["Motion", "Outcome", "Physical", "Record", "RecordError", "RecordErrors", "RigError", "SmoothSlip"]
-__all__ += ["Snapshot", "Spring", "Stage", "StageCompensator", "StageFit", "State", "Structure", "Thermal", "Trace"]
-__all__ += ["Transformer", "VoltageLimits", "__version__", "calibrate", "check", "compare", "export", "export_fmu"]
-__all__ += ["export_wasm", "identify", "identify_stage", "insight", "read", "shortest_homing", "wave_table"]
-__all__ += ["write_record"]
+__all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
+__all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]
+__all__ += ["MaxwellSlip", "MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record"]
+__all__ += ["RecordError", "RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage"]
+__all__ += ["StageCompensator", "StageFit", "State", "Structure", "Thermal", "Trace", "Transformer", "VoltageLimits"]
+__all__ += ["__version__", "calibrate", "check", "compare", "export", "export_fmu", "export_wasm", "identify"]
+__all__ += ["identify_stage", "insight", "read", "shortest_homing", "update", "wave_table", "write_record"]
 
 
 def __getattr__(name: str) -> object:

@@ -38,8 +38,10 @@ _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 GENERATOR = f"dehyst {__version__}"
 # Column of a displacement that a model gives: no measured table has it.
 COMPUTED = "expected_um"
+# Begins the first line of the path of a scan, with its declaration as JSON.
+SCAN = "# dehyst-scan: "
 _HEAD = 4096
-_FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"')
+_FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
 # HTML, SVG, FMU, WebAssembly, and a table of a fleet, whose metadata are at the end of the file.
 _GENERATED = re.compile(
     rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst |<\?xml.{0,1500}?<dc:title>dehyst '
@@ -206,9 +208,9 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
 
 
 def format_of(path: PathLike) -> str | None:
-    """Return the "format" at the beginning of a JSON file; None for any other file."""
+    """Return the "format" at the beginning of a JSON file, or that of the path of a scan; None for any other file."""
     match = _FORMAT.match(_sample(path))
-    return match[1].decode() if match else None
+    return (match[1] or match[2]).decode() if match else None
 
 
 def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
@@ -248,7 +250,7 @@ def _kind(content: bytes) -> str | None:
     """Return what files that begin alike have in common; None if nothing shows it."""
     head = content[:_HEAD]
     if match := _FORMAT.match(head):
-        return match[1].decode()
+        return (match[1] or match[2]).decode()
     if _GENERATED.match(content if head.startswith(b"PAR1") else head):
         return "dehyst"
     if head.startswith(b"PK\3\4"):

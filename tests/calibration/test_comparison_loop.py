@@ -17,9 +17,9 @@ from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.comparison_loop import agreement, cycles, replay
 from dehyst.calibration.plan import ExcitationPlan, steps
 from dehyst.calibration.session import NullProgress, Session
-from dehyst.cli.output.instrument_errors import _left
 from dehyst.instruments import open_rig
 from dehyst.instruments.simulated import SimulatedRig
+from dehyst.operations.bench import _left
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
 from dehyst.waveforms import staircase
@@ -331,7 +331,7 @@ def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
 
 
 def calibrated(address, out):
-    command = [*DEHYST, "calibrate", address, "-o", str(out), "--rounds", "0"]
+    command = [*DEHYST, "calibrate", address, "-o", str(out), "--options", '{"rounds": 0}']
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
@@ -388,5 +388,7 @@ def test_only_what_can_be_mended_is_said_to_go_on(tmp_path):
     another, full = FileFormatError("holds a calibration of another"), unwritten("a.h5", OSError(28, "No space left"))
     full.__cause__ = OSError(28, "No space left")
     for error, goes_on in ((another, False), (full, True), (RecordError("another actuator"), False)):
-        (said,) = _left(tmp_path, error)
+        with pytest.raises(type(error)), _left(tmp_path, again=True):
+            raise error
+        (said,) = error.__notes__
         assert ("the same command goes on from there" in said) == goes_on

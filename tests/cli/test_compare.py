@@ -67,7 +67,7 @@ def test_json_and_a_baseline_that_fails(folder):
 
 
 def test_a_virtual_actuator_needs_no_record(folder):
-    status, out, _ = run("compare", "--truth", "play", "--only", "linear ratio", "--json", cwd=folder)
+    status, out, _ = run("compare", "--truths", "play", "--only", "linear ratio", "--json", cwd=folder)
     assert status == 0
     found = json.loads(out)
     assert found["truths"] == ["play"]
@@ -81,7 +81,7 @@ def test_a_virtual_actuator_needs_no_record(folder):
         (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
         (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
         (["tops.csv", "-o", "tops.csv"], "is also an input of this command"),
-        (["tops.csv", "--truth", "glass"], "'glass' is not one of"),
+        (["tops.csv", "--truths", "glass"], "got 'glass', need play"),
     ],
 )
 def test_wrong_input_is_named(folder, arguments, said):
@@ -93,10 +93,8 @@ def test_wrong_input_is_named(folder, arguments, said):
 @pytest.mark.parametrize(
     "words",
     [
-        ["--truth", "play", "--decimal", "."],
-        ["--truth", "play", "--voltage", "foo"],
-        ["--truth", "play", "--sample-rate", "5"],
-        ["--truth", "play", "--lead", "3"],
+        ["--truths", "play", "--columns", "decimal=point"],
+        ["--truths", "play", "--lead", "3"],
         ["tops.csv", "--lead", "3"],
     ],
 )

@@ -4,7 +4,6 @@ import json
 import pickle
 from dataclasses import replace
 
-import click
 import pytest
 from click.testing import CliRunner
 from summaries import anatomy
@@ -12,24 +11,13 @@ from summaries import anatomy
 import dehyst
 from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
 from dehyst.cli import main
-from dehyst.cli.output.terminal import error_text, options_of
-from dehyst.cli.start import start_words
+from dehyst.cli.commands import OperationCommand
 from dehyst.control import PossibleStart
+from dehyst.operations.registry import find
+from dehyst.operations.start import start_words
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
-
-
-def commands(command=main, words=()):
-    """All commands that can be run, with their words."""
-    if isinstance(command, click.Group):
-        for name, inner in command.commands.items():
-            yield from commands(inner, (*words, name))
-    else:
-        yield " ".join(words), command
-
-
-COMMANDS = dict(commands())
 
 
 @pytest.mark.parametrize("kind", [ModelError, RecordError, FileFormatError, LinkError])
@@ -57,19 +45,18 @@ def test_an_error_is_made_of_its_fields(kind):
 @pytest.mark.parametrize(
     ("command", "error", "shown"),
     [
-        ("identify", {"argument": "slope_floor", "got": 2.0}, "--slope-floor: got 2.0"),
-        ("identify", {"argument": "elements, knots", "got": 3}, "--elements, --knots: got 3"),
+        ("identify", {"argument": "goal", "got": 2.0}, "--goal: got 2.0"),
+        ("identify", {"argument": "elements, knots", "got": 3}, "elements in --options, knots in --options: got 3"),
         ("identify", {"argument": "voltage", "got": "no samples"}, "voltage: got no samples"),
-        ("export", {"argument": "slew_rate", "got": -1.0}, "--slew: got -1.0"),
-        ("excite raised-cosine", {"argument": "peaks", "got": (0.0,)}, "PEAKS: got (0.0,)"),
-        ("compensate", {"argument": "cycles", "got": 3}, "--start-up: got 3"),
+        ("export", {"argument": "slew_rate", "got": -1.0}, "--slew-rate: got -1.0"),
+        ("excite", {"argument": "volts", "got": (0.0,)}, "VOLTS: got (0.0,)"),
         ("insight", {"hint": "give limits", "change": ("limits",)}, "give limits (--limits LOW HIGH)"),
+        ("show", {"hint": "give", "change": ("sample_rate",)}, "give (--columns rate=HZ)"),
         ("simulate", {"argument": "slope_floor", "got": 1}, "slope_floor: got 1"),
     ],
 )
 def test_a_command_shows_its_options(command, error, shown):
-    assert error_text(ModelError(**error), COMMANDS[command]) == shown
-    assert options_of(COMMANDS[command])
+    assert OperationCommand(find(command)).text(ModelError(**error)) == shown
 
 
 @pytest.fixture(scope="module")
@@ -87,14 +74,14 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize(
     ("line", "argument", "flag"),
     [
-        ("identify loops.csv --slope-floor 7", "slope_floor", "--slope-floor: "),
-        ("identify loops.csv --delay 1e6", "delay", "--delay: "),
-        ("compensate creeps.json path.csv -o out.csv", "", "(--time NAME, --sample-rate HZ)"),
-        ("compensate plain.json path.csv -o out.csv --slew -1 --sample-rate 10", "slew_rate", "--slew: "),
-        ("insight plain.json loops.csv --level 7", "level", "--level: "),
-        ("export creeps.json firmware", "", "(--period S)"),
+        ('identify loops.csv --options {"slope_floor":7}', "slope_floor", "slope_floor in --options: "),
+        ("identify loops.csv --goal 1e6", "goal", "--goal: "),
+        ("compensate creeps.json path.csv -o out.csv", "", "(--columns time=NAME, --columns rate=HZ)"),
+        ("compensate plain.json path.csv -o out.csv --slew-rate -1 --columns rate=10", "slew_rate", "--slew-rate: "),
+        ('insight plain.json loops.csv --options {"level":7}', "level", "level in --options: "),
+        ("export creeps.json firmware", "", "(--period NUMBER)"),
         ("export plain.json firmware --period -1", "period", "--period: "),
-        ("excite raised-cosine 0 -o out.csv", "peaks", "PEAKS: "),
+        ("excite raised-cosine 0 -o out.csv", "peaks", "peaks: "),
         ("excite staircase 100 -o out.csv --sample-rate 0.01", "sample_rate", "--sample-rate: "),
     ],
 )
@@ -103,8 +90,7 @@ def test_errors_of_commands_name_options(folder, monkeypatch, line, argument, fl
     done = CliRunner().invoke(main, line.split())
     assert done.exit_code == 2 and flag in done.stderr
     done = CliRunner().invoke(main, [*line.split(), "--json"])
-    if "excite" not in line:
-        assert json.loads(done.stdout)["error"]["argument"] == argument
+    assert json.loads(done.stdout)["error"]["argument"] == argument
 
 
 def test_columns_are_suggested_as_data(folder, monkeypatch):
@@ -113,11 +99,13 @@ def test_columns_are_suggested_as_data(folder, monkeypatch):
     error = json.loads(done.stdout)["error"]
     assert done.exit_code == 2 and error["kind"] == "ColumnsError"
     assert error["suggestion"].keys() == {"time", "voltage", "voltage_scale", "displacement"}
+    (command,) = error["commands"]
+    assert command.startswith("dehyst show units.csv --columns ")
 
 
 def test_the_help_of_knots_is_what_is_done():
     shown = CliRunner().invoke(main, ["identify", "--help"]).stdout
-    assert "[default: N + 1, at most 41]" in " ".join(shown.split())
+    assert "default N + 1, 41 at most" in " ".join(shown.split())
     record = demo.record_loops(PlayActuator(plays=60))[0]
     for elements, knots in ((20, 21), (50, 41)):
         fit = dehyst.identify(record, elements=elements, norm="l2", delay=0.0)

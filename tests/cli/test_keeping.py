@@ -8,17 +8,15 @@ import sys
 import time
 from types import SimpleNamespace
 
-import click
 import plain_records
 import pytest
 from command_line import TIMEOUT, run
 
 import dehyst
 from dehyst import Actuator
-from dehyst.cli.identify import BestSoFar, identify
-from dehyst.cli.output import terminal
-from dehyst.cli.studies import paper
+from dehyst.cli import terminal
 from dehyst.identification import Deadline
+from dehyst.operations.identify import _BestSoFar as BestSoFar
 from dehyst.records import read, write_record
 from dehyst.studies import demo
 from dehyst.studies.paper import run as paper_study
@@ -106,7 +104,7 @@ def test_a_second_ctrl_c_stops_at_once(folder):
 @posix
 def test_ctrl_c_while_the_first_model_is_written_ends_the_search_only(tmp_path, monkeypatch, capfd):
     output, deadline = tmp_path / "m.json", Deadline(None)
-    best, actuator = BestSoFar(deadline, output), plain_records.plant(4)
+    best, actuator = BestSoFar(output), plain_records.plant(4)
     save = Actuator.save
 
     def interrupted(self, path):
@@ -114,7 +112,7 @@ def test_ctrl_c_while_the_first_model_is_written_ends_the_search_only(tmp_path, 
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(Actuator, "save", interrupted)
-    with click.Context(identify, obj=None), best.ended_by_interrupt():
+    with terminal.TerminalRun().ended_by(lambda: deadline.end("Ctrl-C"), lambda: best.usable):
         best.keep(actuator)
     assert deadline.ended
     assert output.exists()
@@ -155,7 +153,7 @@ def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
     first = []
     fit = dehyst.identify(read(folder / "loops.csv"), structure="maxwell_slip", first_model=first.append)
     fit.actuator.save(folder / "m.json")
-    best = BestSoFar(Deadline(), folder / "m.json")
+    best = BestSoFar(folder / "m.json")
     best.keep(first[0])
     assert not is_provisional(folder)
     best.remove()
@@ -197,26 +195,25 @@ def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, cap
     assert capfd.readouterr().err == "dehyst: trial 5\ndehyst: trial 10\n"
 
 
-def test_the_paper_reports_its_progress_beside_a_terminal(monkeypatch, capfd, tmp_path):
+def test_the_paper_reports_its_progress_beside_a_terminal(monkeypatch, tmp_path):
     now = [0.0]
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
 
-    def run(progress):
+    def study(progress):
         for now[0], words in ((1.0, "recording"), (6.0, "identifying")):
             progress(words)
-        return SimpleNamespace(as_dict=dict)
+        return SimpleNamespace(as_dict=dict, experiments={})
 
     def write(result, folder, progress):
         now[0] = 12.0
         progress("drawing Fig. 1 of 12")
         return []
 
-    monkeypatch.setattr(paper_study, "run", run)
+    monkeypatch.setattr(paper_study, "run", study)
     monkeypatch.setattr(paper_study, "write", write)
-    paper.callback(tmp_path / "new", True)
-    said = capfd.readouterr()
-    assert said.err == "dehyst: identifying\ndehyst: drawing Fig. 1 of 12\n"
-    assert json.loads(said.out) == {"written": []}
+    status, out, err = run("paper", "-o", tmp_path / "new", "--json")
+    assert (status, err) == (0, "dehyst: identifying\ndehyst: drawing Fig. 1 of 12\n")
+    assert json.loads(out) == {"written": []}
 
 
 def test_progress_on_a_terminal_stays_on_one_line(monkeypatch, capfd):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dehyst.cli.output.live import display, picture
+from dehyst.cli.live import display, picture
 
 
 class Lot(NamedTuple):

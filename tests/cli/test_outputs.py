@@ -3,16 +3,18 @@
 import os
 import re
 import zipfile
+from pathlib import Path
 
-import click
 import pytest
 from click.testing import CliRunner
-from command_line import run_as_process as run
+from command_line import run
 
-import dehyst.cli.registry
 from dehyst import Compensator, FileFormatError, Record, write_record
 from dehyst._io import demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
+from dehyst.cli import main
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
+from dehyst.operations.declaration import Role
+from dehyst.operations.registry import ENTRIES, find
 from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
 from dehyst.studies import demo
@@ -91,55 +93,45 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 # Every command
 
 
-def commands(group=dehyst.cli.registry.main, names=()):
-    """Names and object of every command."""
-    for name, one in group.commands.items():
-        if isinstance(one, click.Group):
-            yield from commands(one, (*names, name))
-        else:
-            yield (*names, name), one
-
-
-READ = {"records", "validate", "model", "voltage_file", "trajectory", "protocol", "file", "join"}
-READ |= {"dataset", "prior", "table"}
-FOLDERS = {"demo", "paper", "calibrate", "export", "check", "workbench"}
+FOLDERS = {"demo", "paper", "calibrate", "export", "check"}
 
 
 def writing():
-    """Every command with each of its parameters that names a file or a folder and is not known to be read."""
-    for names, one in commands():
-        for parameter in one.params:
-            if isinstance(parameter.type, click.Path) and parameter.name not in READ:
-                yield pytest.param(names, one, parameter, id=f"{'-'.join(names)}-{parameter.name}")
+    """Every operation with each of its parameters that names a file or a folder to write."""
+    for name in ENTRIES:
+        operation = find(name)
+        for one in operation.parameters:
+            if one.kind.type is Path and one.kind.role is not Role.INPUT:
+                yield pytest.param(operation, one.name, id=f"{name}-{one.name}")
 
 
-def call(names, one, parameter, target):
-    """Return arguments with which a command would write to the target if the records that it reads were there."""
-    made = []
-    for other in one.params:
-        if other is parameter or not (other.required or isinstance(other, click.Argument)):
-            continue
-        value = {"FLOAT": "1", "PATH": f"absent-{other.name}"}.get(other.type.name.upper(), "sim://play")
-        made += [value] if isinstance(other, click.Argument) else [other.opts[0], value]
-    own = [str(target)] if isinstance(parameter, click.Argument) else [parameter.opts[0], str(target)]
-    needs = {"cycle": ["--scan", "triangle"]}.get(parameter.name, [])
-    if needs:
-        made.remove("absent-trajectory")
-    if names == ("insight",) and parameter.name == "output":
-        needs = ["--trajectory", "absent-path"]
-    if names == ("compensate",) and not needs:
-        made = [word for word in made if word != "absent-trajectory"] + ["absent-trajectory"]
-    return [*names, *made, *own, *needs]
+def call(operation, name, target):
+    """Return the words of a command that would write to the target if what it reads were there."""
+    values = {name: Path(target)}
+    for one in operation.parameters:
+        if one.required and one.name != name:
+            texts = {Path: f"absent-{one.name}", float: "1", str: "sim://play"}
+            made = one.kind.parse(one.kind.choices[0] if one.kind.choices else texts[one.kind.type])
+            values[one.name] = (made,) if one.kind.several else made
+    if operation.name == "excite":
+        values["volts"] = (10.0,)
+    if operation.name == "scan":
+        values |= {"low": 1.0, "high": 2.0, "frequency": 1.0}
+    if operation.name == "insight" and name == "output":
+        values["trajectory"] = Path("absent-path")
+    if operation.name == "compensate" and name == "table":
+        values["trajectory"] = Path("scan.csv")
+    return operation.command(values)[1:]
 
 
 def test_all_outputs_are_looked_at():
-    found = {f"{' '.join(one.values[0])} {one.values[2].name}" for one in writing()}
+    found = {f"{one.values[0].name} {one.values[1]}" for one in writing()}
     assert found >= {
         "identify output",
         "identify report",
         "simulate output",
         "compensate output",
-        "compensate cycle",
+        "compensate table",
         "insight output",
         "insight report",
         "compare output",
@@ -149,32 +141,33 @@ def test_all_outputs_are_looked_at():
         "calibrate output",
         "export directory",
         "check history",
-        "excite staircase output",
-        "excite homing output",
+        "excite output",
+        "scan output",
     }
 
 
-@pytest.mark.parametrize(("names", "one", "parameter"), [one for one in writing() if one.values[0][0] not in FOLDERS])
-def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, names, one, parameter):
+@pytest.mark.parametrize(("operation", "name"), [one for one in writing() if one.values[0].name not in FOLDERS])
+def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, operation, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious.csv").write_text("mine")
-    arguments = call(names, one, parameter, "precious.csv")
-    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
+    assert run("scan", "triangle", "--low", 1, "--high", 2, "--frequency", 1, "-o", "scan.csv")[0] == 0
+    arguments = call(operation, name, "precious.csv")
+    done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 2, done.output
     assert "precious.csv: is there already" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
-    forced = CliRunner().invoke(dehyst.cli.registry.main, [*arguments, "--force"])
+    forced = CliRunner().invoke(main, [*arguments, "--force"])
     assert "is there already" not in forced.stderr and "No such option" not in forced.stderr
 
 
-@pytest.mark.parametrize(("names", "one", "parameter"), [one for one in writing() if one.values[0][0] in FOLDERS])
-def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, names, one, parameter):
+@pytest.mark.parametrize(("operation", "name"), [one for one in writing() if one.values[0].name in FOLDERS])
+def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, operation, name):
     monkeypatch.chdir(folder)
     target = folder / "precious"
     target.mkdir()
     (target / "report.html").write_text("mine")
-    arguments = ["model.json" if word == "absent-model" else word for word in call(names, one, parameter, "precious")]
-    done = CliRunner().invoke(dehyst.cli.registry.main, arguments)
+    arguments = ["model.json" if word == "absent-model" else word for word in call(operation, name, "precious")]
+    done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 2, done.output
     assert re.search("holds other files .report.html|report.html: is there already", done.stderr), done.stderr
     assert [path.name for path in target.iterdir()] == ["report.html"]
@@ -183,7 +176,7 @@ def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, names, o
 
 def test_an_fmu_of_others_is_not_replaced_and_an_own_one_is(folder, monkeypatch):
     monkeypatch.setenv("CC", str(folder / "absent" / "cc"))
-    command = ["export", "model.json", "x.fmu", "--fmu", "--limits", "0", "100"]
+    command = ["export", "model.json", "x.fmu", "--fmu", "3.0", "--limits", "0", "100"]
     (folder / "x.fmu").write_text("mine")
     status, _, err = run(*command, cwd=folder)
     assert status == 2 and "is there already" in err and (folder / "x.fmu").read_text() == "mine"
@@ -221,8 +214,9 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
     from dehyst.waveforms import standard
 
     made, output = standard.raised_cosine, tmp_path / "v.csv"
-    monkeypatch.setattr(standard, "raised_cosine", lambda *a, **k: output.write_text("mine") and made(*a, **k))
-    done = CliRunner().invoke(dehyst.cli.registry.main, ["excite", "raised-cosine", "10", "-o", str(output)])
+    mine = {"raised-cosine": lambda *a, **k: output.write_text("mine") and made(*a, **k)}
+    monkeypatch.setattr("dehyst.operations.waves.EXCITATIONS", mine)
+    done = CliRunner().invoke(main, ["excite", "raised-cosine", "10", "-o", str(output)])
     assert done.exit_code == 2 and "is there already" in done.stderr
     assert output.read_text() == "mine"
 
@@ -264,7 +258,7 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path):
 def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "loops.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
-    done = CliRunner().invoke(dehyst.cli.registry.main, ["identify", "loops.csv", "-o", "-"])
+    done = CliRunner().invoke(main, ["identify", "loops.csv", "-o", "-"])
     assert done.exit_code == 2
     assert "-: is no name of a file" in done.stderr
     assert not (tmp_path / "-").exists()

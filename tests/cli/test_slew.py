@@ -1,4 +1,4 @@
-"""Without `--slew` the speed of the model's records bounds a path; what is faster is remarked with its factor."""
+"""Without `--slew-rate` the speed of the model's records bounds a path; what is faster is remarked with its factor."""
 
 import json
 from dataclasses import replace
@@ -15,7 +15,7 @@ from dehyst.records import signals as slew
 
 SPEED = 50.0
 PLAIN = replace(plain_records.plant(6), limits=(0.0, 200.0), recorded_slew_rate=SPEED)
-SCAN = ("--scan", "triangle", "--low", 3, "--high", 9, "--sample-rate", 100)
+SCAN = ("triangle", "--low", 3, "--high", 9, "--sample-rate", 100)
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,9 @@ def folder(tmp_path_factory):
         write_columns(target / f"{name}.csv", {"time_s": time, "displacement_um": wanted})
         write_columns(target / f"{name}_axes.csv", {"time_s": time, "x_um": wanted, "y_um": wanted})
     write_columns(target / "timeless.csv", {"displacement_um": wanted})
+    for frequency in (0.1, 2):
+        words = (*SCAN, "--frequency", frequency, "-o", f"scan-{frequency}.csv")
+        assert run("scan", *words, cwd=target)[0] == 0
     return target
 
 
@@ -63,7 +66,7 @@ def test_the_speed_of_the_records_is_the_default(folder, path, start):
 
 
 def test_the_factor_is_that_of_the_path(folder):
-    _, result, table = compensated(folder, "fast.csv", "--slew", "none")
+    _, result, table = compensated(folder, "fast.csv", "--slew-rate", "none")
     assert (result["slew_V_per_s"], result["slew_from"], result["clamped"]) == (None, "none", 0)
     (remark,) = factors(result)
     voltage = table.column("voltage")[result["homing_samples"] :]
@@ -76,15 +79,15 @@ def test_the_factor_is_that_of_the_path(folder):
     [
         ("model", ("fast.csv", "--start", "top")),
         ("model", ("fast.csv",)),
-        ("model", (*SCAN, "--frequency", 2, "--cycle", "table.csv")),
-        ("stage", ("fast_axes.csv", "--axes", "x=x_um y=y_um")),
+        ("model", ("scan-2.csv", "--table", "table.csv")),
+        ("stage", ("fast_axes.csv", "--columns", "x=x_um, y=y_um")),
     ],
 )
 def test_a_path_that_is_held_back_says_so_and_names_the_ways_out(folder, model, words):
     status, out, err = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", cwd=folder)
     assert status == 1 and ", held back by the slew rate: missed by up to " in out.splitlines()[0]
-    assert "--slew V/S" in err and "--slew none" in err and "5 %" in err
-    status, out, _ = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", "--slew", "none", cwd=folder)
+    assert "--slew-rate V/S" in err and "--slew-rate none" in err and "5 %" in err
+    status, out, _ = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", "--slew-rate", "none", cwd=folder)
     assert "missed" not in out.splitlines()[0]
 
 
@@ -103,7 +106,7 @@ def test_a_single_sample_is_refused_in_words_of_the_command(folder):
 
 
 def test_a_slew_rate_that_is_given_counts(folder):
-    status, result, table = compensated(folder, "fast.csv", "--slew", 1000)
+    status, result, table = compensated(folder, "fast.csv", "--slew-rate", 1000)
     assert (status, result["slew_V_per_s"], result["slew_from"]) == (0, 1000, "option")
     assert SPEED < steepest(table) <= 1000 * (1 + 1e-6)
     assert len(factors(result)) == 1
@@ -117,15 +120,15 @@ def test_without_a_speed_or_a_time_nothing_bounds_and_that_is_said(folder, model
 
 
 def test_scans_and_their_tables_are_bounded_with_their_homing(folder):
-    for words in (("--frequency", 0.1), ("--frequency", 0.1, "--cycle", "table.csv"), ("--frequency", 2)):
-        status, result, table = compensated(folder, *SCAN, *words)
+    for words in (("scan-0.1.csv",), ("scan-0.1.csv", "--table", "table.csv"), ("scan-2.csv",)):
+        status, result, table = compensated(folder, *words)
         assert result["slew_V_per_s"] == SPEED and steepest(table) <= SPEED * (1 + 1e-6)
-        assert status == len(factors(result)) == (words[1] == 2)
+        assert status == len(factors(result)) == (words == ("scan-2.csv",))
 
 
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--no-home",)])
 def test_each_axis_of_a_stage_has_the_speed_of_its_records(folder, start):
-    names = ("--axes", "x=x_um y=y_um")
+    names = ("--columns", "x=x_um, y=y_um")
     status, result, table = compensated(folder, "fast_axes.csv", *names, *start, model="stage.json")
     for axis, speed in (("x", SPEED), ("y", 2 * SPEED)):
         assert (result["slew_V_per_s"][axis], result["slew_from"][axis]) == (speed, "records")
@@ -135,7 +138,7 @@ def test_each_axis_of_a_stage_has_the_speed_of_its_records(folder, start):
         assert {one.name: one.data for one in table.columns}["vx_V"][0] == pytest.approx(200.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("words", [("slow.csv",), (*SCAN, "--frequency", 0.1, "--cycle", "table.csv")])
+@pytest.mark.parametrize("words", [("slow.csv",), ("scan-0.1.csv", "--table", "table.csv")])
 @pytest.mark.parametrize("columns", ["record", "voltages"])
 def test_a_path_begins_at_the_last_voltage_of_a_file(folder, columns, words):
     """Also where the model needs another voltage to be where the record ends, and for voltages that leave it open."""
@@ -159,7 +162,7 @@ def test_a_path_begins_at_the_last_voltage_of_a_file(folder, columns, words):
 
 def test_a_wrong_slew_rate_is_refused(folder):
     for wrong in ("fast", "-1", "0", "inf", "nan"):
-        status, _, err = run("compensate", "model.json", "slow.csv", "-o", "o.csv", "--slew", wrong, cwd=folder)
+        status, _, err = run("compensate", "model.json", "slow.csv", "-o", "o.csv", "--slew-rate", wrong, cwd=folder)
         assert status == 2 and "slew" in err
 
 

@@ -1,4 +1,4 @@
-"""Commands with several axes: identify --axes, and the others with a stage file."""
+"""Commands with several axes: records with axes in --columns, and models of several axes."""
 
 import json
 from itertools import pairwise
@@ -7,13 +7,14 @@ import coupled_stage
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from command_line import rare, refused, result
 
 from dehyst.cli import main
 from dehyst.model import Stage
 from dehyst.records import Record, read, read_table, write_columns
 from dehyst.trust import start_of
 
-AXES = "vx_V:x_um vy_V:y_um"
+AXES = "x=vx_V:x_um, y=vy_V:y_um"
 
 
 def run(*words, status=0):
@@ -38,7 +39,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("stage")
     training, _ = coupled_stage.excited()
     write(path / "stage.csv", training)
-    run("identify", path / "stage.csv", "--axes", AXES, "-o", path / "stage.json", "--report", path / "stage.html")
+    run("identify", path / "stage.csv", "--columns", AXES, "-o", path / "stage.json", "--report", path / "stage.html")
     return path
 
 
@@ -72,9 +73,10 @@ def test_axes_are_taken_by_their_names(folder):
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
     write_columns(folder / "named-path.csv", path)
     run(*words, "-o", folder / "named.csv")
-    run(*words, "-o", folder / "turned.csv", "--axes", "y=vy_V:y_um x=vx_V:x_um")
+    run(*words, "-o", folder / "turned.csv", "--columns", "y=vy_V:y_um, x=vx_V:x_um")
     assert (folder / "named.csv").read_bytes() == (folder / "turned.csv").read_bytes()
-    assert "the stage has x, y" in run(*words, "-o", folder / "n.csv", "--axes", "a=vx_V:x_um b=vy_V:y_um", status=2)
+    other = ("--columns", "a=vx_V:x_um, b=vy_V:y_um", "-o", folder / "n.csv")
+    assert refused(*words, *other)["argument"] == "axes"
 
 
 def test_bare_columns_are_taken_by_their_names_too(folder):
@@ -82,14 +84,14 @@ def test_bare_columns_are_taken_by_their_names_too(folder):
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
     write_columns(folder / "bare-path.csv", path | {"b_um": path["y_um"]})
     run(*words, "-o", folder / "bare.csv")
-    for number, axes in enumerate(["y_um x_um", "y=b_um x=x_um", "y=b_um x_um"]):
-        run(*words, "-o", folder / f"bare{number}.csv", "--axes", axes)
+    for number, axes in enumerate(["y=y_um, x=x_um", "y=b_um, x=x_um"]):
+        run(*words, "-o", folder / f"bare{number}.csv", "--columns", axes)
         assert (folder / f"bare{number}.csv").read_bytes() == (folder / "bare.csv").read_bytes()
-    output = run(*words, "-o", folder / "n.csv", "--axes", "x_um b_um", status=2)
-    assert "need a column for each of the axes x, y" in output
-    assert "'x=x_um'" in output
+    assert refused(*words, "-o", folder / "n.csv", "--columns", "x=x_um")["argument"] == "axes"
+    run(*words, "-o", folder / "middle.csv", "--columns", "x=x_um, y=middle")
+    assert np.ptp(read_table(folder / "middle.csv").column("displacement", "y_um")) < 1e-12
     run("simulate", folder / "stage.json", folder / "bare.csv", "-o", folder / "s.csv")
-    run("simulate", folder / "stage.json", folder / "bare.csv", "-o", folder / "t.csv", "--axes", "vy_V vx_V")
+    run("simulate", folder / "stage.json", folder / "bare.csv", "-o", folder / "t.csv", "--columns", "y=vy_V, x=vx_V")
     assert (folder / "s.csv").read_bytes() == (folder / "t.csv").read_bytes()
 
 
@@ -97,7 +99,7 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     t = np.arange(0, 5, 0.02)
     write_columns(folder / "o.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
     words = ["compensate", folder / "stage.json", folder / "o.csv", "--json"]
-    homed = result_of(run(*words, "--home", "--slew", "300", "-o", folder / "homed.csv"))
+    homed = result_of(run(*words, "--home", "--slew-rate", "300", "-o", folder / "homed.csv"))
     assert homed["start"]["y"]["largest_difference_percent"] < 1e-6
     table = read_table(folder / "homed.csv")
     steps = np.diff(table.column("time"))
@@ -148,16 +150,15 @@ def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
     t = np.arange(0, 5, 0.02)
     write_columns(folder / "own.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
     words = ["compensate", folder / "stage.json", folder / "own.csv", "-o", folder / "own-v.csv", "--home"]
-    run(*words, "--slew", "300", "--axis-slew", "x", "150", "--axis-limits", "y", "0", "119")
+    run(*words, "--slew-rate", "300", "--slew-rate", "x=150", "--limits", "y=0", "119")
     table = read_table(folder / "own-v.csv")
     steps = np.diff(table.column("time"))
     voltage = {axis: table.column("voltage", f"v{axis}_V") for axis in "xy"}
     steepest = {axis: np.abs(np.diff(values) / steps).max() for axis, values in voltage.items()}
     assert steepest["x"] <= 150 * (1 + 1e-6) < steepest["y"] <= 300 * (1 + 1e-6)
     assert voltage["y"].max() <= 119
-    assert "need one of x, y" in run(*words, "--axis-slew", "z", "150", status=2)
-    single = run("calibrate", "sim://play", "--axis-slew", "1", "100", "--dry-run", status=2)
-    assert "--axis-slew: has no effect" in single
+    assert refused(*words, "--slew-rate", "z=150")["argument"] == "slew_rate"
+    assert refused("calibrate", "sim://play", "--slew-rate", "1=100", "--dry-run")["argument"] == "slew_rate"
 
 
 def test_an_export_begins_where_its_limits_lead(folder):
@@ -172,16 +173,17 @@ def test_an_interrupted_identification_of_axes_reports_that_nothing_is_written(f
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("dehyst.identification.identify_stage", interrupted)
-    words = ["identify", folder / "stage.csv", "--axes", AXES, "-o", folder / "never.json"]
+    monkeypatch.setattr("dehyst.operations.identify.identify_stage", interrupted)
+    words = ["identify", folder / "stage.csv", "--columns", AXES, "-o", folder / "never.json"]
     done = CliRunner().invoke(main, [str(word) for word in words])
     assert "nothing was written" in done.output
     assert not (folder / "never.json").exists()
 
 
 def test_a_scan_moves_two_axes(folder):
-    words = ["--scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5"]
-    run("compensate", folder / "stage.json", *words, "-o", folder / "scan.csv")
+    path = folder / "path-of-scan.csv"
+    run("scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5", "-o", path)
+    run("compensate", folder / "stage.json", path, "-o", folder / "scan.csv")
     table = read_table(folder / "scan.csv")
     for axis in "xy":
         assert np.ptp(table.column("displacement", f"{axis}_um")) > 4e-6
@@ -194,9 +196,9 @@ def test_a_voltage_beyond_its_limit_ends_with_status_1(folder):
 
 def test_show_check_and_insight(folder):
     assert "condition" in run("show", folder / "stage.json")
-    assert "Axis y" in run("show", folder / "stage.csv", "--axes", AXES)
+    assert "Axis y" in run("show", folder / "stage.csv", "--columns", AXES)
     assert "Coupling: as in the model" in run("check", folder / "stage.json", folder / "stage.csv")
-    words = run("insight", folder / "stage.json", folder / "stage.csv", "--repeats", "0")
+    words = run("insight", folder / "stage.json", folder / "stage.csv", *rare(repeats=0))
     assert "half the interval" in words
     assert "never moved alone" not in words
 
@@ -212,33 +214,28 @@ def test_excite_writes_axes_one_after_the_other_then_together(tmp_path):
 
 
 def test_a_single_axis_warns_of_the_other_voltage(folder):
-    words = [
-        "identify",
-        folder / "stage.csv",
-        "--voltage",
-        "vx_V",
-        "--displacement",
-        "x_um",
-        "--structure",
-        "maxwell_slip",
-    ]
-    done = CliRunner().invoke(main, [str(word) for word in words])
-    assert "follows the voltage 'vy_V'" in done.output
-    assert "--axes" in done.output
+    given = ("--columns", "voltage=vx_V, displacement=x_um", "--structure", "maxwell_slip")
+    _, found = result("identify", folder / "stage.csv", *given)
+    assert "'vy_V'" in found["remarks"][0]
 
 
 def test_options_that_a_stage_does_not_take_are_refused(folder):
-    words = ["compensate", folder / "stage.json", "--scan", "lissajous", "--low", "4", "--high", "9"]
-    words += ["--frequency", "0.5", "-o", folder / "s.csv", "--cycle", folder / "t.csv"]
-    assert "--cycle: has no effect with a stage" in run(*words, status=2)
-    assert "--fmu" in run("export", folder / "stage.json", folder / "s.fmu", "--fmu", status=2)
+    path = folder / "figure.csv"
+    run("scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5", "-o", path)
+    words = ["compensate", folder / "stage.json", path, "-o", folder / "s.csv", "--table", folder / "t.csv"]
+    assert refused(*words)["argument"] == "table"
+    assert refused("export", folder / "stage.json", folder / "s.fmu", "--fmu", "3.0")["argument"] == "fmu"
+    words = ["insight", folder / "stage.json", folder / "stage.csv", "--report", folder / "i.html"]
+    assert refused(*words)["argument"] == "report"
+    words = ["show", folder / "stage.json", "-o", folder / "o.csv"]
+    assert refused(*words)["argument"] == "output"
 
 
 def test_a_record_of_axes_is_shown_written_and_drawn(folder):
     words = [
         "show",
         folder / "stage.csv",
-        "--axes",
+        "--columns",
         AXES,
         "-o",
         folder / "shown.npz",
@@ -298,7 +295,7 @@ def test_a_stage_is_simulated_from_a_start_after_a_homing_and_late(folder):
 def test_the_zero_and_the_present_voltage_of_a_stage(folder):
     t = np.arange(0, 5, 0.02)
     write_columns(folder / "z.csv", {"time_s": t, "x_um": 3 + np.sin(t), "y_um": 4 + np.sin(t)})
-    words = ["compensate", folder / "stage.json", folder / "z.csv", "--home", "--slew", "300"]
+    words = ["compensate", folder / "stage.json", folder / "z.csv", "--home", "--slew-rate", "300"]
     run(*words, "-o", folder / "z0.csv", "--present", "20")
     table = read_table(folder / "z0.csv")
     assert table.column("voltage", "vx_V")[0] == table.column("voltage", "vy_V")[0] == 20

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import places
 import pytest
-from command_line import WRITTEN, run
+from command_line import WRITTEN, rare, run
 
 import dehyst
 from dehyst import Actuator, Record
@@ -47,7 +47,7 @@ def column(folder, file, name):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_without_a_start_the_path_is_homed_first(folder, model):
-    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", "--slew", "none", cwd=folder)
+    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
     assert status == 0 and got["certified"] and got["start"]["name"] == "unknown"
     assert got["start"]["largest_difference_percent"] <= got["start"]["model_error_percent"]
     assert got["samples"] == got["homing_samples"] + 200
@@ -67,7 +67,7 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
 
 
 def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
-    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew", "none", cwd=folder)
+    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
     first, slew, second, promised = out.splitlines()
     assert slew == "slew rate: not limited"
     assert status == 0 and "(homed first, " in first and " samples, " in first
@@ -77,7 +77,9 @@ def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
 
 def test_compensate_promises_what_identify_promised(folder):
     """One judgement: the numbers of the verdict, and what an unknown start leaves open."""
-    _, got = answer("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew", "none", cwd=folder)
+    _, got = answer(
+        "compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none", cwd=folder
+    )
     known, judged = Actuator.load(folder / "model.json").identification, got["judgement"]
     assert (judged["rms_m"], judged["largest_m"]) == (known.expected_rms, known.expected_largest)
     assert 100 * judged["start_m"] == pytest.approx(
@@ -92,7 +94,7 @@ def test_a_path_without_time_is_homed_without_time(folder):
 
 
 def test_without_a_homing_the_error_is_reported(folder):
-    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew", "none")
+    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none")
     _, got = answer(*given, cwd=folder)
     assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
     assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
@@ -108,8 +110,8 @@ def test_a_present_voltage_begins_the_homing(folder):
 
 
 def test_homing_is_another_name_of_home(folder):
-    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--slew", "none", "--homing")
-    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--slew", "none", "--home")
+    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--slew-rate", "none", "--home")
+    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--slew-rate", "none", "--home")
     assert run(*old, cwd=folder)[0] == run(*new, cwd=folder)[0] == 0
     assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
 
@@ -186,7 +188,7 @@ def test_a_record_is_a_start_as_it_began(folder, model):
         missed[start] = np.abs(1e-6 * column(folder, "s.csv", "expected_um") - y).max() / np.ptp(y)
     assert missed["as:began.csv"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
     write_columns(folder / "wish.csv", {"time_s": time[:100], "displacement_um": 1e6 * y[:100]})
-    given = ("compensate", model, "wish.csv", "-o", "v.csv", "--start", "as:began.csv", "--slew", "none")
+    given = ("compensate", model, "wish.csv", "-o", "v.csv", "--start", "as:began.csv", "--slew-rate", "none")
     _, got = answer(*given, cwd=folder)
     assert got["start"]["name"] == "as:began.csv" and got["homing_samples"] == 0
     assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
@@ -196,8 +198,8 @@ def test_a_record_is_a_start_as_it_began(folder, model):
 
 def test_insight_predicts_a_path_from_a_start(folder):
     """From the state in which a record began, the voltages are those of compensate."""
-    given = ("insight", "model.json", "loops.csv", "--trajectory", "path.csv", "--repeats", "20", "-o", "band.csv")
-    plan = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew", "none")
+    given = ("insight", "model.json", "loops.csv", "--trajectory", "path.csv", *rare(repeats=20), "-o", "band.csv")
+    plan = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none")
     voltages = {}
     for start in ("as:loops.csv", "loops.csv", "bottom"):
         _, got = answer(*given, "--start", start, cwd=folder)
@@ -212,7 +214,7 @@ def test_insight_predicts_a_path_from_a_start(folder):
     write_columns(folder / "few.csv", {"voltage_V": np.array([0.0, 40.0, 10.0, 30.0])})
     _, got = answer(*given, "--start", "few.csv", cwd=folder)
     assert got["judgement"]["start_m"] > 0 and any("few.csv leaves" in one for one in got["warnings"])
-    status, _, err = run("insight", "model.json", "loops.csv", "--repeats", "0", "--start", "top", cwd=folder)
+    status, _, err = run("insight", "model.json", "loops.csv", *rare(repeats=0), "--start", "top", cwd=folder)
     assert status == 2 and "--start: has no effect" in err
 
 
@@ -272,8 +274,9 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
 
 def test_a_homing_beyond_the_records_is_said(folder):
     """Limits that are wider than the model's let the homing go there."""
-    table = ("--scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "--cycle", "t.csv")
-    for path in (("path.csv",), table):
+    scan = ("triangle", "--low", 3, "--high", 10, "--frequency", 5)
+    assert run("scan", *scan, "-o", "scan.csv", cwd=folder)[0] == 0
+    for path in (("path.csv",), ("scan.csv", "--table", "t.csv")):
         for limits, said in ((("--limits", "-500", "500"), True), ((), False)):
             status, _, err = run("compensate", "creep.json", *path, "-o", "w.csv", *limits, cwd=folder)
             assert status in (0, 1)
@@ -301,7 +304,8 @@ def test_a_start_that_is_nothing_is_refused(folder, command):
 
 
 def test_a_wave_table_is_homed_unless_the_start_is_known(folder):
-    scan = ("--scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "--cycle", "t.csv", "-o", "o.csv")
+    assert run("scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "-o", "scan.csv", cwd=folder)[0] == 0
+    scan = ("scan.csv", "--table", "t.csv", "-o", "o.csv")
     _, got = answer("compensate", "model.json", *scan, cwd=folder)
     assert got["homing_samples"] > 0 and got["start"]["largest_difference_percent"] < 1e-3
     _, got = answer("compensate", "model.json", *scan, "--no-home", cwd=folder)
@@ -320,7 +324,7 @@ def test_an_export_begins_where_a_record_ends(folder):
 
 
 def test_identify_reports_where_each_record_began(folder):
-    _, got = answer("identify", "loops.csv", "--norm", "l2", "--structure", "maxwell_slip", cwd=folder)
+    _, got = answer("identify", "loops.csv", "--options", '{"norm": "l2"}', "--structure", "maxwell_slip", cwd=folder)
     (error,) = got["errors"]
     assert len(error["starts"]) == 1
     # What comes before the loops is left out.
@@ -330,7 +334,7 @@ def test_identify_reports_where_each_record_began(folder):
 
 
 def test_measured_records_end_to_end(tmp_path):
-    given = ("--structure", "maxwell_slip", "--elements", 10, "--norm", "l2", "-o", "model.json")
+    given = ("--structure", "maxwell_slip", *rare(elements=10, norm="l2"), "-o", "model.json")
     assert run("identify", places.DATA / "major.csv", *given, cwd=tmp_path)[0] in (0, 1)
     low, high = Actuator.load(tmp_path / "model.json").reach
     time = np.arange(500) * 0.01

@@ -13,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 from command_line import run_as_process as run
 
-import dehyst.cli.registry
+import dehyst.cli.commands
+import dehyst.operations
 from dehyst.records import read_table
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
@@ -106,7 +107,7 @@ def test_ctrl_c_is_a_sentence():
     code = (
         "import os, signal, time, dehyst.studies.demo\n"
         "dehyst.studies.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
-        "from dehyst.cli.registry import main; main()"
+        "from dehyst.cli import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "demo"],
@@ -156,7 +157,7 @@ def test_every_command_refuses_a_device_as_its_model(folder, monkeypatch):
         ["export", "/dev/zero", "c"],
         ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
     ):
-        done = CliRunner().invoke(dehyst.cli.registry.main, command)
+        done = CliRunner().invoke(dehyst.cli.commands.main, command)
         assert done.exit_code == 2 and "/dev/zero: is a device, a pipe or a socket" in done.stderr, command
 
 
@@ -168,8 +169,8 @@ def test_a_model_of_gigabytes_is_refused_by_its_size(folder):
 
 
 def test_commands_print_by_one_door():
-    source = Path(dehyst.cli.registry.__file__).parent
-    paths = sorted(set(source.glob("*.py")) - {source / "terminal.py", source / "live.py"})
+    rooms = Path(dehyst.cli.commands.__file__).parent, Path(dehyst.operations.__file__).parent
+    paths = {path for room in rooms for path in room.glob("*.py")} - {rooms[0] / "terminal.py", rooms[0] / "live.py"}
     assert len(paths) > 8
     for path in paths:
         assert not re.search(r"click\.s?echo|\bprint\(|sys\.std(out|err)\.write", path.read_text()), path.name

@@ -580,7 +580,7 @@ def test_on_the_command_line(tmp_path):
     def dehyst_export(*more):
         return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
 
-    done = dehyst_export("--json", "--slew", "2e4", "--period", "1e-3")
+    done = dehyst_export("--json", "--slew-rate", "2e4", "--period", "1e-3")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     compensator = Compensator(
@@ -595,7 +595,7 @@ def test_on_the_command_line(tmp_path):
     done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
     assert (tmp_path / "c" / "stage.h").exists()
     assert done.returncode == 0
-    late = dehyst_export("--force", "--slew", "2e4")
+    late = dehyst_export("--force", "--slew-rate", "2e4")
     assert late.returncode == 2
     assert "(--period S)" in late.stderr
     assert "memory begins at 0 um, " in done.stdout

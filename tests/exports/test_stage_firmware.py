@@ -250,7 +250,8 @@ class TestCommand:
         shutil.rmtree(tmp_path / "c")
 
     @pytest.mark.parametrize(
-        "options", [("--fmu",), ("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")]
+        "options",
+        [("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")],
     )
     def test_what_is_for_single_actuators_is_refused(self, file, tmp_path, options):
         (tmp_path / "x.csv").write_text("voltage_V\n0\n")
@@ -264,4 +265,4 @@ def test_creep_in_displacement_is_refused():
     actuators = [replace(one, displacement_creep=creep) for one in plain_stage().stage.actuators]
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
-        code(StageCompensator(stage, (10.0, 150.0), period=PERIOD))
+        code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))

@@ -17,7 +17,7 @@ from compiled_exports import KINDS
 from node_programs import column, exported, node
 
 import dehyst
-from dehyst import Compensator, FileFormatError, ModelError
+from dehyst import Compensator, FileFormatError, ModelError, Thermal
 from dehyst.cli import main
 from dehyst.exports import export_wasm, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
@@ -361,7 +361,7 @@ def test_the_types_have_every_member():
         text = wasm_module(KINDS[kind]())
         about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
         assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
-        assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
+        assert about["needsPeriod"] == (kind in ("creep", "all", "moving", "behind"))
 
 
 def test_the_command_writes_what_the_function_writes(tmp_path):
@@ -376,10 +376,24 @@ def test_the_command_writes_what_the_function_writes(tmp_path):
     program = "console.log(JSON.stringify(new Compensator(module).about))"
     about = json.loads(node(tmp_path, program)) if shutil.which("node") else {"name": actuator.name}
     assert about["name"] == actuator.name
-    for options in (["--fmu"], ["--name", "stage"], ["--no-measure"], ["--number", "float"], ["--kind", "actuator"]):
+    for options in (
+        ["--fmu", "3.0"],
+        ["--name", "stage"],
+        ["--no-measure"],
+        ["--number", "float"],
+        ["--kind", "actuator"],
+    ):
         assert run("export", "model.json", "other.wasm", *options, cwd=tmp_path)[0] == 2
     (tmp_path / "other.js").write_text("mine")
     status, _, err = run("export", "model.json", "other.wasm", cwd=tmp_path)
     assert status == 2 and "other.js: is there already" in err
     assert not (tmp_path / "other.wasm").exists()
     assert run("export", "model.json", "other.wasm", "--force", cwd=tmp_path)[0] == 0
+
+
+def test_a_model_that_depends_on_temperature_is_refused(tmp_path):
+    warm = replace(KINDS["plain"]().actuator, thermal=Thermal(0.004))
+    compensator = Compensator(warm, (0, 100))
+    for export in (lambda: wasm_module(compensator), lambda: dehyst.export_fmu(compensator, tmp_path / "a.fmu")):
+        with pytest.raises(ModelError, match="depends on temperature"):
+            export()

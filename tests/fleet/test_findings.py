@@ -102,18 +102,17 @@ def test_scores_are_of_the_side_and_no_score_without_a_distribution():
 def test_the_page_and_the_commands(table, tmp_path):
     status, text, _ = run("fleet", "report", str(table), "-o", str(tmp_path / "fleet.html"))
     page = (tmp_path / "fleet.html").read_text()
-    assert status == 0 and "Look at (" in text and "Same samples (1)" in text
+    assert status == 1 and "Look at (" in text and "Same samples (1)" in text
     assert "S002/1" in page and "http" not in page.replace("http-equiv", "")
     status, text, _ = run("fleet", "report", str(table), "--json")
-    assert status == 0 and json.loads(text)["outcomes"] == {"identified": COUNT - 1, "refused": 1}
-    status, text, _ = run("fleet", "drift", str(table), "--json")
-    assert status == 1 and f"S{AGEING:03d}" in json.loads(text)["recalibrate"]
+    found = json.loads(text)
+    assert status == 1 and found["outcomes"] == {"identified": COUNT - 1, "refused": 1}
+    assert f"S{AGEING:03d}" in found["drift"]["recalibrate"]
 
 
 def test_the_report_says_first_what_to_do_and_has_what_drift_finds(table, tmp_path):
     _, text, _ = run("fleet", "report", str(table), "-o", str(tmp_path / "fleet.html"), "--json")
-    _, drift, _ = run("fleet", "drift", str(table), "--json")
-    assert json.loads(text)["drift"] == json.loads(drift)
+    assert json.loads(text)["drift"] == drifts_of(load(table), by="serial", over="session").as_dict()
     page = (tmp_path / "fleet.html").read_text()
     headings = re.findall(r"<h2[^>]*>([^<]*)</h2>", page)
     assert headings[:4] == ["To recalibrate", "To look at", "Without a model", "Same samples"]
@@ -275,8 +274,8 @@ def test_an_actuator_out_of_its_limits_is_to_be_recalibrated_below_the_goal(tabl
     assert any(
         "limits: from a deviation of 0.8 % (a tenth of the goal; that of the fleet is" in x for x in found.lines()
     )
-    status, text, _ = run("fleet", "drift", str(table), "--goal", "8", "--json")
-    assert status == 1 and set(json.loads(text)["recalibrate"]) == set(due)
+    status, text, _ = run("fleet", "report", str(table), "--goal", "8", "--json")
+    assert status == 1 and set(json.loads(text)["drift"]["recalibrate"]) == set(due)
 
 
 def test_costs_that_are_low_again_are_not_out_of_limits():
@@ -301,8 +300,8 @@ def test_models_of_one_session_count_once_and_are_remarked(table, tmp_path):
     ageing = next(one for one in found.ageing if one.serial == f"S{AGEING:03d}")
     assert ageing.sessions == (0, 1, 2) and abs(ageing.signed[-1] + 9.9) < 0.5
     assert "models share serial and session with another, as S000/2 (2 models)" in found.remarks[0]
-    _, text, errors = run("fleet", "drift", str(tmp_path / "m.parquet"), "--json")
-    assert "share serial and session" in errors and json.loads(text)["warnings"]
+    _, text, errors = run("fleet", "report", str(tmp_path / "m.parquet"), "--json")
+    assert "share serial and session" in errors and json.loads(text)["drift"]["warnings"]
     one = edited(table, tmp_path / "one.parquet", with_column("session", lambda old: [0 for _ in old]))
     with pytest.raises(FileFormatError, match=r"nothing to compare; \d+ models share serial and session"):
         drifts_of(one, by="serial", over="session")

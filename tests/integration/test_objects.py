@@ -149,17 +149,9 @@ def test_a_table_of_many_rows_is_cut_and_counted():
     assert "and 10 more" in page.text
 
 
-def test_the_summary_of_a_fit_is_what_the_command_prints(fit, tmp_path, capsys):
-    from dehyst.cli.output.printing import print_fit
-
-    print_fit(fit, None, None, verbose=True)
-    assert capsys.readouterr().out == fit.summary(full=True) + "\n"
+def test_the_full_summary_of_a_fit_has_the_outcome_and_its_records(fit):
     assert re.search(r"training +\d+ +\d+ +\d\.\d+ %", fit.summary(full=True))
     assert fit.summary(full=True).splitlines()[1] == fit.outcome.value
-    print_fit(fit, None, None, verbose=False)
-    out = capsys.readouterr().out
-    assert out.startswith(fit.summary() + "\n")
-    assert "--verbose" in out.removeprefix(fit.summary())
 
 
 @pytest.mark.parametrize("remarks", [0, 1, 3, 4, 9])
@@ -182,15 +174,6 @@ def test_the_summary_of_an_assessment_begins_with_the_error_to_expect(insight):
     brief, full = (insight.summary(full).splitlines() for full in (False, True))
     assert brief[0] == full[0]
     assert len(brief) < len(full)
-
-
-def test_the_summary_of_an_assessment_is_what_the_command_prints(insight, capsys):
-    from dehyst.cli.output.printing import print_insight
-
-    print_insight(insight, None, None, verbose=True)
-    assert capsys.readouterr().out == insight.summary(full=True) + "\n"
-    print_insight(insight, None, None, verbose=False)
-    assert capsys.readouterr().out.startswith(insight.summary() + "\n")
 
 
 def test_tables_have_units_in_their_names(things):

@@ -239,12 +239,13 @@ def test_a_block_refuses_what_simulate_refuses():
     assert ACTUATOR.to_control(extrapolate=True).output(0, block.start, [100.0])[0] > 5e-4
 
 
-@pytest.mark.parametrize("more", [(), ("--cycle", "table.csv")])
+@pytest.mark.parametrize("more", [(), ("--table", "table.csv")])
 def test_the_command_names_the_reach_and_writes_nothing(tmp_path, monkeypatch, more):
     monkeypatch.chdir(tmp_path)
     ACTUATOR.save("model.json")
-    scan = ["--scan", "triangle", "--low", "2", "--high", "12", "--frequency", "10"]
-    ran = CliRunner().invoke(main, ["compensate", "model.json", *scan, *more, "-o", "out.csv"])
+    scan = ["triangle", "--low", "2", "--high", "12", "--frequency", "10", "-o", "scan.csv"]
+    assert CliRunner().invoke(main, ["scan", *scan]).exit_code == 0
+    ran = CliRunner().invoke(main, ["compensate", "model.json", "scan.csv", *more, "-o", "out.csv"])
     said = f"{ran.output}{ran.exception}"
     assert ran.exit_code != 0
     assert "got 2 to 12 um, the model reaches" in said

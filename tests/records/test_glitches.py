@@ -336,9 +336,7 @@ def folder(tmp_path_factory, clean_fit):
 
 
 def test_the_command_line_reports_glitches_and_rare_voltages(folder):
-    status, out, _ = run(
-        "identify", "bad.csv", "--structure", "maxwell_slip", "-o", "found.json", "--verbose", cwd=folder
-    )
+    status, out, _ = run("identify", "bad.csv", "--structure", "maxwell_slip", "-o", "found.json", "--all", cwd=folder)
     assert (status, "voltage glitch at sample 1100" in out) == (0, True)
     assert Actuator.load(folder / "found.json").limits == (0.0, 200.0)
     status, out, _ = run("identify", "rare.csv", "--structure", "maxwell_slip", "--json", cwd=folder)

@@ -4,11 +4,15 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep Dynamics FileFormatError
-            Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion Outcome Physical Record
-            RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage StageCompensator StageFit State Structure
-            Thermal Trace Transformer VoltageLimits __version__ calibrate check compare export export_fmu export_wasm
-            identify identify_stage insight read shortest_homing wave_table write_record
+            Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep
+            Dynamics FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion
+            Outcome Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage
+            StageCompensator StageFit State Structure Thermal Trace Transformer VoltageLimits __version__ calibrate
+            check compare export export_fmu export_wasm identify identify_stage insight read shortest_homing update
+            wave_table write_record
+        """,
+        "adaptation": """
+            AdaptiveCompensator AdaptiveSnapshot Exchange Update update
         """,
         "baselines": """
             BASELINES ModelComparison compare

@@ -227,7 +227,7 @@ def test_the_command(tmp_path):
     )
     write_columns(wanted, {"time_s": time, "displacement_um": path * 1e6})
     said = CliRunner().invoke(
-        main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--repeats", "20", "--verbose"]
+        main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--options", '{"repeats": 20}', "--all"]
     )
     assert said.exit_code in (0, 1)
     for words in (

@@ -244,7 +244,7 @@ def test_a_workbench_that_ends_leaves_no_command_behind(tmp_path, loops):
 def workers(folder):
     """Return the processes that run a command in a folder."""
     listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
-    pids = [line.split()[0] for line in listed.splitlines() if "dehyst.cli.worker" in line]
+    pids = [line.split()[0] for line in listed.splitlines() if "dehyst.workbench.worker" in line]
     return [pid for pid in pids if works_in(pid, folder)]
 
 

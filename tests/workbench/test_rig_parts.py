@@ -9,8 +9,9 @@ import time
 import numpy as np
 import pytest
 
+from dehyst._process import LONGEST, Outlet, lines_of
 from dehyst.instruments import RigError, Samples
-from dehyst.workbench.rig.messages import LONGEST, Outlet, lines_of, number, pair, path, text
+from dehyst.workbench.rig.messages import number, pair, path, text
 from dehyst.workbench.rig.tasks import MOST, LiveFeed, thinned
 
 
@@ -43,7 +44,7 @@ def test_a_line_that_is_too_long_is_one_refusal(pieces):
 
 def test_messages_are_written_in_order_and_changes_of_the_state_merged():
     reading, writing = os.pipe()
-    outlet = Outlet(writing)
+    outlet = Outlet(writing, "rig")
     outlet.state(status="armed", words=["a"])
     outlet.error("no")
     outlet.state(status="playing")

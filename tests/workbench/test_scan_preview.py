@@ -6,8 +6,10 @@ from command_line import run
 
 from dehyst._errors import DehystError
 from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.operations.registry import find
 from dehyst.records import read_table
-from dehyst.workbench.requests import requested, scan_columns
+from dehyst.workbench.data import scan_columns
+from dehyst.workbench.server import json_of
 
 SCANS = (
     {"kind": "triangle", "low": 2, "high": 8, "frequency": 5, "cycles": 3, "rising": 0.3},
@@ -22,14 +24,13 @@ SCANS = (
 def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
     model, output = tmp_path / "model.json", tmp_path / "v.csv"
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 12e-6], [0, 100])).save(model)
-    words = ["--scan", scan["kind"], "--sample-rate", 1000, "--start", "bottom", "--no-home"]
-    for name, value in scan.items():
-        flag = f"--{name.replace('_', '-')}"
-        if name == "levels":
-            words += [flag, ",".join(map(str, value))]
-        elif name != "kind":
-            words += [flag, *(value if isinstance(value, list) else [value])]
-    run("compensate", model, *words, "--limits", 0, 100, "-o", output)
+    made = find("scan")
+    path = {**scan, "sample_rate": 1000, "output": str(tmp_path / "path.csv")}
+    axis = path.pop("axis", None)
+    run(*made.command(made.of_json(path))[1:])
+    columns = [] if axis is None else ["--columns", f"displacement={axis}_um"]
+    words = ["--start", "bottom", "--no-home", "--limits", 0, 100, *columns, "-o", output]
+    run("compensate", model, path["output"], *words)
     table = read_table(output)
     time, wanted = scan_columns(scan, 1000)
     written = table.columns[table.names.index("displacement_um")].data
@@ -38,24 +39,24 @@ def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
 
 
 @pytest.mark.parametrize(
-    ("scan", "rate", "sentence"),
+    ("scan", "rate", "argument"),
     [
-        ({"kind": "circle"}, 1000, "need one of triangle"),
-        ({"kind": "triangle", "low": 2, "high": 8}, 1000, "got no frequency"),
-        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "lines": 3}, 1000, "lines: got 3"),
-        ({"kind": "triangle", "low": 8, "high": 2, "frequency": 1}, 1000, "the lower one first"),
-        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1}, "x", "need a number"),
-        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "cycles": 1000}, 1e5, "need 2000000 at most"),
-        ({"kind": "raster", "low": 2, "high": 8, "frequency": 1, "lines": 3.5}, 1000, "lines: got 3.5"),
-        ([], 1000, "need one of triangle"),
+        ({"kind": "circle"}, 1000, "kind"),
+        ({"kind": "triangle", "low": 2, "high": 8}, 1000, "frequency"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "lines": 3}, 1000, "lines"),
+        ({"kind": "triangle", "low": 8, "high": 2, "frequency": 1}, 1000, "low, high"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1}, "x", "rate"),
+        ({"kind": "triangle", "low": 2, "high": 8, "frequency": 1, "cycles": 1000}, 1e5, "rate"),
+        ({"kind": "raster", "low": 2, "high": 8, "frequency": 1, "lines": 3.5}, 1000, "lines"),
     ],
 )
-def test_what_is_no_scan_is_refused_with_the_reason(scan, rate, sentence):
-    with pytest.raises(DehystError, match=sentence):
+def test_what_is_no_scan_is_refused_with_its_field(scan, rate, argument):
+    with pytest.raises(DehystError) as refused:
         scan_columns(scan, rate)
+    assert refused.value.as_dict()["argument"] == argument
 
 
-@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
+@pytest.mark.parametrize("text", ["[1]", "{", "[" * 100_000])
 def test_a_query_that_is_no_object_is_refused(text):
     with pytest.raises(DehystError, match="no JSON"):
-        requested(text)
+        json_of(text)

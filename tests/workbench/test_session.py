@@ -1,16 +1,16 @@
-"""The session without processes or a browser: what follows from what, with commands that answer as they are told."""
+"""The session without processes or a browser: what follows from what, with workers that answer as they are told."""
 
 import asyncio
 import json
 
 import pytest
 
-from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
+from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring
+from dehyst.workbench.data import RequestError, written_path
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Finished
-from dehyst.workbench.requests import RequestError, identify_words, path_words, read_words, written_path
 from dehyst.workbench.server import Events
-from dehyst.workbench.session import SessionError, WorkbenchSession
+from dehyst.workbench.session import ModelEntry, SessionError, WorkbenchSession
 
 SHOWN = {
     "samples": 100,
@@ -38,15 +38,20 @@ FIT = {"sentence": "Identified.", "verdict": VERDICT, "errors": [], "repairs": [
 
 
 class Told:
-    """A command that waits until it is let go, or sent a signal."""
+    """A worker that waits until it is let go, or is ended."""
 
-    def __init__(self, words, folder, progress, answer):
-        self.words, self.progress, self.answer = words, progress, answer
-        self.free, self.signals = asyncio.Event(), []
+    alive = True
 
-    async def run(self):
+    def __init__(self, folder, answer):
+        self.answer, self.steps, self.signals = answer, [], []
+        self.free = asyncio.Event()
+
+    async def run(self, step, progress):
+        self.steps.append(step)
+        self.progress = progress
         await self.free.wait()
-        return self.answer(self)
+        self.free.clear()
+        return self.answer(step)
 
     def finish(self):
         self.signals.append("finish")
@@ -54,35 +59,49 @@ class Told:
 
     def stop(self):
         self.signals.append("stop")
+        self.alive, self.answer = False, lambda _: Finished(stopped=True)
         self.free.set()
+
+    async def close(self):
+        self.alive = False
 
 
 class Stage:
-    """A session whose commands are told what to answer."""
+    """A session whose workers are told what to answer."""
 
     def __init__(self, path):
-        self.commands, self.changes = [], 0
-        self.session = WorkbenchSession(Folder(path), self.changed, self.command)
+        self.workers, self.changes = [], 0
+        self.session = WorkbenchSession(Folder(path), self.changed, self.worker)
 
     def changed(self):
         self.changes += 1
 
-    def command(self, words, folder, progress):
-        made = Told(words, folder, progress, lambda _: Finished(0, SHOWN))
-        self.commands.append(made)
+    def worker(self, folder):
+        made = Told(folder, lambda _: Finished(SHOWN))
+        self.workers.append(made)
         return made
 
-    async def next(self, answer=None):
-        """Let the last command end."""
-        command = self.commands[-1]
-        if answer is not None:
-            command.answer = lambda _: answer
-        command.free.set()
+    @property
+    def step(self):
+        """The last step that was begun."""
+        return self.workers[-1].steps[-1]
+
+    async def next(self, *answers):
+        """Let the last worker end its steps, with these answers."""
+        given = list(answers)
+        while self.session.jobs._tasks:
+            await asyncio.sleep(0)
+            worker = self.workers[-1]
+            if given:
+                answer = given.pop(0)
+                worker.answer = lambda _, answer=answer: answer
+            worker.free.set()
+            await asyncio.sleep(0.001)
         await self.session.jobs.settled()
 
     async def record(self, name="loops.csv"):
         entry = self.session.add_record(f"uploads/{name}", name)
-        await self.next()
+        await self.next(Finished(SHOWN))
         return entry
 
     async def model(self, answer, **request):
@@ -101,8 +120,8 @@ def played(steps):
             try:
                 await steps(stage)
             finally:
-                for command in stage.commands:
-                    command.free.set()
+                for worker in stage.workers:
+                    worker.free.set()
                 await stage.session.close()
 
         asyncio.run(run())
@@ -116,20 +135,20 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
     entry = await stage.record()
     assert (entry.status, entry.samples, entry.voltage) == ("ready", 100, [0, 100])
     assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'", "The record is short."]
-    assert stage.session.state()["log"] == ["dehyst show uploads/loops.csv -o records/loops.npz --force --json"]
+    assert stage.session.state()["log"] == ["dehyst show uploads/loops.csv --output records/loops.npz --force"]
     assert stage.changes > 1
 
 
 @played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await stage.next(Finished(2, None, {"message": "no voltage", "suggestion": {"voltage": "U:V"}}))
+    await stage.next(Finished(error={"message": "no voltage", "suggestion": {"voltage": "U:V"}}))
     assert (entry.status, entry.error) == ("refused", "no voltage")
     assert entry.hint == {"options": {"voltage": "U:V"}}
     assert stage.session.state()["log"] == []
     assert entry.columns == []
     stage.session.read_record(entry.id, {"voltage": "U:V"})
-    await stage.next()
+    await stage.next(Finished(SHOWN))
     assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
 
 
@@ -137,21 +156,21 @@ async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
 async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     columns = {"file_columns": [{"name": "U", "unit": ""}, {"name": "s", "unit": "um"}]}
-    await stage.next(Finished(2, columns, {"message": "uploads/a.csv: no voltage"}))
+    await stage.next(Finished(error={**columns, "message": "uploads/a.csv: no voltage"}))
     assert (entry.status, entry.error, entry.columns) == ("refused", "a.csv: no voltage", ["U", "s"])
     assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
     stage.session.read_record(entry.id, {"voltage": "U:kg"})
-    await stage.next(Finished(2, None, {"message": "the unit 'kg' is unknown"}))
+    await stage.next(Finished(error={"message": "the unit 'kg' is unknown"}))
     assert (entry.status, entry.columns) == ("refused", ["U", "s"])
     stage.session.read_record(entry.id, {"columns": "voltage:V,displacement"})
     renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
-    await stage.next(Finished(0, {**SHOWN, **renamed}))
+    await stage.next(Finished({**SHOWN, **renamed}))
     assert (entry.status, entry.columns) == ("ready", ["U", "s"])
 
 
 @played
 async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
-    entry = await stage.model(Finished(2, None, {"message": "no loop"}))
+    entry = await stage.model(Finished(error={"message": "no loop"}))
     assert (entry.status, entry.error) == ("failed", "no loop")
     with pytest.raises(SessionError, match="upload the file again"):
         stage.session.read_record(entry.train[0], {"time": "t"})
@@ -159,7 +178,7 @@ async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
 
 @played
 async def test_a_model_without_a_verdict_has_failed(stage):
-    entry = await stage.model(Finished(1, {**FIT, "verdict": None, "sentence": "No model."}))
+    entry = await stage.model(Finished({**FIT, "verdict": None, "sentence": "No model."}))
     assert (entry.status, entry.error) == ("failed", "No model.")
     with pytest.raises(SessionError, match="is not ready"):
         stage.session.insight(entry.id)
@@ -174,8 +193,11 @@ async def test_a_model_is_not_ready_before_its_ranges_are_known(stage):
         entry.range_v, entry.range_um = [0.0, 100.0], [0.0, 10.0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dehyst.workbench.session.fill_ranges", fill_ranges)
-        entry = await stage.model(Finished(0, FIT))
+        patch.setattr(ModelEntry, "fill_ranges", fill_ranges)
+        record = await stage.record()
+        entry = stage.session.identify({"train": [record.id]})
+        (stage.session.folder.path / entry.file).write_text("{}")
+        await stage.next(Finished(FIT))
     assert seen == ["identifying"]
     assert (entry.status, entry.range_v, entry.range_um) == ("ready", [0.0, 100.0], [0.0, 10.0])
 
@@ -184,42 +206,110 @@ async def test_a_model_is_not_ready_before_its_ranges_are_known(stage):
 async def test_the_first_end_asks_for_the_best_so_far_the_second_stops(stage):
     record = await stage.record()
     entry = stage.session.identify({"train": [record.id]})
-    await asyncio.sleep(0)
-    command = stage.commands[-1]
-    command.finish = lambda: command.signals.append("finish")
+    await asyncio.sleep(0.01)
+    worker = stage.workers[-1]
+    worker.finish = lambda: worker.signals.append("finish")
     stage.session.end(entry.id)
-    assert (command.signals, entry.status, entry.early) == (["finish"], "identifying", True)
-    command.answer = lambda _: Finished(-15, None)
+    assert (worker.signals, entry.status, entry.early) == (["finish"], "identifying", True)
     stage.session.end(entry.id)
     await stage.session.jobs.settled()
-    assert (command.signals, entry.status) == (["finish", "stop"], "cancelled")
+    assert (worker.signals, entry.status) == (["finish", "stop"], "cancelled")
     with pytest.raises(SessionError, match="is not being identified"):
         stage.session.end(entry.id)
 
 
 @played
-async def test_two_commands_run_at_a_time_and_a_waiting_one_can_be_cancelled(stage):
+async def test_two_jobs_run_at_a_time_in_kept_workers_and_a_waiting_one_can_be_cancelled(stage):
     for name in ("a.csv", "b.csv", "c.csv"):
         stage.session.add_record(f"uploads/{name}", name)
     await asyncio.sleep(0.01)
     jobs = list(stage.session.jobs.entries.values())
     assert [job.progress for job in jobs] == ["", "", "waiting for its turn"]
     stage.session.cancel(jobs[2].id)
-    for command in stage.commands[:2]:
-        command.free.set()
+    for worker in stage.workers:
+        worker.free.set()
     await stage.session.jobs.settled()
     assert [job.status for job in jobs] == ["done", "done", "cancelled"]
     assert [one.status for one in stage.session.records.values()] == ["ready", "ready", "refused"]
-    assert len(stage.session.state()["log"]) == 2
+    assert len(stage.session.state()["log"]) == len(stage.workers) == 2
+    await stage.record("d.csv")
+    assert len(stage.workers) == 2
+
+
+@played
+async def test_the_path_of_a_scan_is_written_before_its_voltage(stage):
+    entry = await stage.model(Finished(FIT))
+    scan = {"kind": "raster", "low": 1, "high": 2, "frequency": 1, "lines": 4, "axis": "y", "turns": ""}
+    stage.session.follow(entry.id, {"scan": scan, "rate": 50, "limits": [0, 100], "slew": "none"})
+    await stage.next(Finished({}), Finished(error={"message": "no"}))
+    first, second = [one for worker in stage.workers for one in worker.steps][-2:]
+    assert first.operation == "scan" and first.parameters["output"] == second.parameters["trajectory"]
+    assert second.command[2:4] == [entry.file, first.parameters["output"]]
+    assert {"--limits", "--slew-rate", "displacement=y_um"} <= {*second.command}
+    log = stage.session.state()["log"]
+    assert log[-1].startswith("dehyst scan raster") and stage.session.voltages == {}
+
+
+@played
+async def test_what_an_operation_refuses_is_not_begun(stage):
+    entry = await stage.model(Finished(FIT))
+    begun = len(stage.session.jobs.entries)
+    for request in (
+        {"scan": {"kind": "rm"}},
+        {"scan": {"kind": "triangle", "low": "1; rm"}},
+        {"scan": {"kind": "triangle", "low": True}},
+        {"scan": {"kind": "triangle", "rounding": "--force"}},
+        {"scan": {"kind": "steps", "levels": ["a"]}},
+        {"scan": "triangle"},
+        {"scan": {"kind": "triangle", "low": 10**400}},
+        {"points": [[0, 1], [1, 2]], "rate": 10, "limits": [0, "b"]},
+        {"points": [[0, 1], [1, 2]], "rate": 10, "slew": "fast"},
+        {},
+    ):
+        with pytest.raises(DehystError):
+            stage.session.follow(entry.id, request)
+    for options in ({"structure": "--force"}, {"goal": "1"}, {"output": "x"}, {"norm": 3}):
+        with pytest.raises(DehystError):
+            stage.session.identify({"train": entry.train, "options": options})
+    record = stage.session.add_record("uploads/b.csv", "b.csv")
+    await stage.next(Finished(SHOWN))
+    for options in ({"voltage": 3}, {"output": "x"}, {"sample_rate": "5"}, {"voltage": "x" * 2000}):
+        with pytest.raises(DehystError):
+            stage.session.read_record(record.id, options)
+    assert len(stage.session.jobs.entries) == begun + 1
+
+
+@played
+async def test_a_record_of_several_axes_is_identified_and_followed(stage):
+    parts = {"x": {**SHOWN, "problems": []}, "y": {**SHOWN, "voltage_V": [-5, 120], "problems": ["short"]}}
+    entry = stage.session.add_record("uploads/two.csv", "two.csv")
+    await stage.next(Finished(parts))
+    assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
+    assert "y: short" in entry.words
+    model = stage.session.identify({"train": [entry.id]})
+    errors = [{"record": "two (x)", "role": "training", **dict.fromkeys(("samples", "left_out"), 1)}]
+    errors[0] |= {"largest_percent": 1.0, "rms_percent": 0.5}
+    worse = {**FIT, "verdict": {**VERDICT, "largest_percent": 2.0}, "errors": errors, "remarks": ["look"]}
+    await stage.next(Finished({"sentence": "Identified.", "fits": {"x": {**FIT, "errors": errors}, "y": worse}}))
+    assert stage.step.parameters["columns"] == "x=vx_V:x_m, y=vy_V:y_m"
+    assert (model.status, model.verdict["largest_percent"], len(model.table)) == ("ready", 2.0, 2)
+    assert model.verdict["remarks"] == ["y: look"]
+    points = {"x": [[0, 1], [1, 2]], "y": [[0, 3], [2, 1]]}
+    stage.session.follow(model.id, {"points": points, "rate": 10})
+    await stage.next(Finished(error={"message": "no"}))
+    header = (stage.session.folder.path / stage.step.parameters["trajectory"]).read_text().splitlines()
+    assert header[0] == "time_s,x_um,y_um" and len(header) == 22
+    with pytest.raises(SessionError, match="different axes"):
+        stage.session.identify({"train": [entry.id, (await stage.record()).id]})
 
 
 @played
 async def test_deleting_an_entry_ends_what_is_made_for_it(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await asyncio.sleep(0)
+    await asyncio.sleep(0.01)
     stage.session.delete(entry.id)
     await stage.session.jobs.settled()
-    assert stage.commands[-1].signals == ["stop"]
+    assert stage.workers[-1].signals == ["stop"]
     assert stage.session.state()["records"] == []
     with pytest.raises(SessionError, match="there is none"):
         stage.session.delete(entry.id)
@@ -239,14 +329,10 @@ async def test_a_calibration_brings_its_model(stage):
     assert entry.verdict["largest_um"] == pytest.approx(0.05)
     assert (entry.seconds, entry.rig, entry.report) == (None, "a stage, axis 1", "calibrations/rig/report.html")
     stage.session.insight(entry.id)
-    assert stage.commands[-1].words == [
-        "insight",
-        "calibrations/rig/model.json",
-        "calibrations/rig/records/look.h5",
-        "--report",
-        "reports/model-insight.html",
-        "--json",
-    ]
+    await asyncio.sleep(0.01)
+    files = {"model": "calibrations/rig/model.json", "records": ["calibrations/rig/records/look.h5"]}
+    files["report"] = "reports/model-insight.html"
+    assert (stage.step.operation, stage.step.parameters) == ("insight", files)
 
 
 def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
@@ -257,8 +343,8 @@ def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
         stage.session.identify({"train": [record.id]})
         stage.session._save()
         stage.session.folder.close()
-        for command in stage.commands:
-            command.free.set()
+        for worker in stage.workers:
+            worker.free.set()
 
     async def second():
         stage = Stage(tmp_path / "bench")
@@ -286,37 +372,6 @@ def test_a_damaged_state_is_refused_with_its_name(tmp_path, damage):
             WorkbenchSession(folder)
     finally:
         folder.close()
-
-
-def test_no_value_becomes_an_option():
-    words = read_words("uploads/a.csv", "records/a.npz", {"voltage": "--output=/etc/passwd"})
-    assert words[-1] == "--voltage=--output=/etc/passwd"
-    scan = {"kind": "triangle", "low": 1, "high": 2.5, "rounding": "cosine"}
-    words = path_words("m.json", "v.csv", {"scan": scan, "rate": 1e3, "limits": [-5, 5], "slew": 10}, None)
-    assert words[2:7] == ["--scan", "triangle", "--sample-rate=1000", "--low=1", "--high=2.5"]
-    assert words[-5:] == ["--limits", "-5.0", "5.0", "--slew", "10.0"]
-
-
-@pytest.mark.parametrize(
-    "request_",
-    [
-        {"scan": {"kind": "rm"}},
-        {"scan": {"kind": "triangle", "output": "x"}},
-        {"scan": {"kind": "triangle", "low": "1; rm"}},
-        {"scan": {"kind": "triangle", "low": True}},
-        {"scan": {"kind": "triangle", "rounding": "--force"}},
-        {"scan": {"kind": "steps", "levels": ["a"]}},
-        {"scan": "triangle"},
-        {"scan": {"kind": "triangle"}, "limits": [5, -5]},
-        {"scan": {"kind": "triangle"}, "limits": [0, float("nan")]},
-        {"scan": {"kind": "triangle"}, "slew": "1"},
-        {"scan": {"kind": "triangle", "low": 10**400}},
-    ],
-    ids=str,
-)
-def test_a_scan_with_other_words_is_refused(request_):
-    with pytest.raises(RequestError):
-        path_words("m.json", "v.csv", request_, None)
 
 
 @pytest.mark.parametrize(
@@ -402,16 +457,3 @@ def test_an_upload_that_ends_early_leaves_nothing(tmp_path):
         assert list((folder.path / "uploads").iterdir()) == []
     finally:
         folder.close()
-
-
-def test_identify_has_its_outputs_and_validation_last():
-    from dehyst.workbench.entries import ModelEntry
-
-    entry = ModelEntry("m1", "stage", "models/stage.json", options={"structure": "maxwell_slip", "time_limit": None})
-    entry.report = "reports/stage.html"
-    words = identify_words(entry, ["records/a.npz"], ["records/b.npz"])
-    assert words[:2] == ["identify", "records/a.npz"]
-    assert words[-3:] == ["--structure=maxwell_slip", "--validate", "records/b.npz"]
-    assert {"models/stage.npz", "reports/stage.html"} <= set(words)
-    entry.options["sensor_lag"] = 0
-    assert "--sensor-lag=0.0" in identify_words(entry, ["records/a.npz"], [])

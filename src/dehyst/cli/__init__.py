@@ -1,5 +1,5 @@
-"""The command line: commands parse, call and print."""
+"""The command line: the operations as commands."""
 
-from dehyst.cli.registry import main
+from dehyst.cli.commands import main
 
 __all__ = ["main"]

@@ -26,7 +26,13 @@ from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import CONFIG, CORE
 from dehyst.exports.footprint import run
-from dehyst.exports.model_header import ExportedStart, ModelText, config_header, demand_compensator
+from dehyst.exports.model_header import (
+    ExportedStart,
+    ModelText,
+    config_header,
+    demand_compensator,
+    demand_no_temperature,
+)
 from dehyst.exports.naming import printable, shipped
 
 Version: TypeAlias = Literal["2.0", "3.0"]
@@ -119,6 +125,7 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
         If there is no C compiler, it fails, or this is not Linux on x86-64: the FMU then holds sources only.
     """
     demand_compensator(compensator)
+    demand_no_temperature(compensator, "an FMU")
     for name, value, known in (("version", version, get_args(Version)), ("kind", kind, get_args(Kind))):
         if value not in known:
             raise ModelError(argument=name, got=repr(value), need=" or ".join(map(repr, known)))

@@ -128,6 +128,15 @@ def demand_compensator(value: object) -> None:
         )
 
 
+def demand_no_temperature(compensator: Compensator, target: str) -> None:
+    """Raise `ModelError` if a `compensator` depends on temperature, for which a `target` has no input."""
+    if compensator.actuator.thermal is not None:
+        raise ModelError(
+            f"the actuator depends on temperature, for which {target} has no input",
+            hint="export it in C, where dehyst_loop_scale sets gain and offset, or leave its part thermal out",
+        )
+
+
 def config_header(number: Number) -> str:
     """Return `dehyst_config.h`, which says in one place what number type the core and the model have."""
     return f"""/* The choices of a build, which every file of it includes. */

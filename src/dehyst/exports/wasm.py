@@ -10,7 +10,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.exports.model_header import ExportedStart, demand_compensator, demand_no_temperature
 from dehyst.exports.naming import shipped, shipped_bytes
 
 _MAGIC = b"\0asm\1\0\0\0"
@@ -61,6 +61,7 @@ def wasm_files(path: PathLike) -> list[Path]:
 def wasm_module(compensator: Compensator) -> bytes:
     """Return the module of a `compensator`, as `export_wasm` writes it; raise `ModelError` if it is no Compensator."""
     demand_compensator(compensator)
+    demand_no_temperature(compensator, "WebAssembly")
     core = shipped_bytes("core.wasm")
     if not core.startswith(_MAGIC):
         raise FileFormatError("exports/templates/core.wasm: not the file of this version; install dehyst again")

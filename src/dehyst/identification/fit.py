@@ -84,7 +84,7 @@ class Fit:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
 
-        `full` returns what `--verbose` prints: errors, structures, parts, repairs and all remarks beside.
+        `full` returns what `--all` prints: errors, structures, parts, repairs and all remarks beside.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 

@@ -148,7 +148,7 @@ class Thermal:
             keep(self, **{name: value})
 
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
-        """Return gains and offsets [m] at a `temperature` [degrees Celsius], one for all `samples` or one for each.
+        """Return gains and offsets [m] at a `temperature` [degrees Celsius], one for all or one for each of `samples`.
 
         Raise `ModelError` if their number differs, or a gain is not positive.
         """

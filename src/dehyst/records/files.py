@@ -288,14 +288,17 @@ def write_hdf5(path: PathLike, record: Record) -> None:
     write_atomically(path, hdf5.pack(record.columns("m"), record.name, record.meta, path))
 
 
-def write_columns(path: PathLike, columns: Mapping[str, ArrayLike], *, digits: int | None = None) -> None:
+def write_columns(
+    path: PathLike, columns: Mapping[str, ArrayLike], *, digits: int | None = None, head: Sequence[str] = ()
+) -> None:
     """Write named (n,) arrays as CSV.
 
     `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
-    as many as give the same numbers when read; rounding never widens the range of a column. Raise `FileFormatError` if
-    the suffix is not one of text, the columns differ in length, or the file cannot be written.
+    as many as give the same numbers when read; rounding never widens the range of a column. `head` has lines to
+    write before the names. Raise `FileFormatError` if the suffix is not one of text, the columns differ in length, or
+    the file cannot be written.
     """
-    write_atomically(path, "\n".join([*_lines(path, columns, digits), ""]))
+    write_atomically(path, "\n".join([*head, *_lines(path, columns, digits), ""]))
 
 
 def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:

@@ -146,6 +146,10 @@ class ColumnsError(FileFormatError):
         super().__init__(f"{reason}{advice}", change=list(dict.fromkeys([*options, *change])))
         self.reason, self.options = reason, dict(options)
 
+    def as_dict(self) -> dict[str, object]:
+        """Return JSON values, with the options to try."""
+        return {**super().as_dict(), "suggestion": dict(self.options)}
+
 
 def notes_on(options: Mapping[str, str]) -> list[str]:
     """Return sentences about options that are proposed: what to replace, and what is guessed."""

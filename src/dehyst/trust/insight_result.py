@@ -161,7 +161,7 @@ class Insight:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
 
-        `full` returns what `--verbose` prints: what is known of each part and number, and of the state, beside.
+        `full` returns what `--all` prints: what is known of each part and number, and of the state, beside.
         """
         return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 

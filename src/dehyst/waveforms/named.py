@@ -45,9 +45,7 @@ def _kind(scan: type[Scan]) -> ScanKind:
 SCANS = {scan.__name__.lower(): _kind(scan) for scan in _SCANS}
 
 
-def scan_of(
-    kind: str, options: Mapping[str, Any], sample_rate: float | None, *, written: Callable[[str], str] = str
-) -> Scan:
+def scan_of(kind: str, options: Mapping[str, Any], sample_rate: float | None) -> Scan:
     """Return the scan of a `kind`, a name of `SCANS`, that options define.
 
     Parameters
@@ -56,8 +54,6 @@ def scan_of(
         Values by name, as `OPTIONS` declares them: lengths in micrometres, the phase in degrees, levels as numbers.
     sample_rate : float, optional
         [Hz].
-    written : function
-        Writes the name of an option in messages.
 
     Raises
     ------
@@ -66,13 +62,10 @@ def scan_of(
     """
     scan = SCANS[kind]
     if missing := [name for name in scan.needs if name not in options]:
-        needs = ", ".join(map(written, scan.needs))
-        raise RecordError(f"{written('scan')} {kind}: got no {' and no '.join(map(written, missing))}, need {needs}")
+        raise RecordError(argument=", ".join(missing), got=f"none for a {kind}", need=", ".join(scan.needs))
     if foreign := [name for name in options if name not in scan.takes]:
-        takes = ", ".join(map(written, scan.takes))
-        raise RecordError(
-            f"{written(foreign[0])}: got {options[foreign[0]]!r} with {written('scan')} {kind}, which takes {takes}"
-        )
+        got = f"{options[foreign[0]]!r} for a {kind}, which takes {', '.join(scan.takes)}"
+        raise RecordError(argument=foreign[0], got=got)
     given = {name: OPTIONS[name].in_si(value) for name, value in options.items()}
     if scan.figure:
         x = between(given.pop("low"), given.pop("high"))

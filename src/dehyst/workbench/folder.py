@@ -119,7 +119,7 @@ class Folder:
 
     def note(self, words: Sequence[str]) -> None:
         """Append a command to the script."""
-        self._append(shlex.join(["dehyst", *words]).replace("\n", " "))
+        self._append(shlex.join(words).replace("\n", " "))
 
     def remark(self, words: str) -> None:
         """Append a comment to the script."""

@@ -15,8 +15,9 @@ from dehyst._errors import DehystError, LinkError
 from dehyst.records.recording import salvage
 from dehyst.waveforms.excitation import positive
 from dehyst.workbench import folder as places
+from dehyst.workbench.data import limits_of, number_of
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.requests import limits_of, number_of
+from dehyst.workbench.jobs import Step
 from dehyst.workbench.rig.link import RigLink
 
 _NONE: dict[str, Any] = {"status": "none", "words": [], "error": None, "plan": None, "result": None, "silent": None}
@@ -233,10 +234,9 @@ class RigDesk:
     def _calibrate(self, body: Mapping[str, Any]) -> dict[str, Any]:
         plan = _plan_of(body)
         place = self._folder.new(places.CALIBRATIONS, str(body.get("name") or "rig"))
-        low, high = self.state.get("limits") or (0.0, 0.0)
-        words = ["calibrate", str(self.state.get("address")), "-o", place, "--limits", f"{low:g}", f"{high:g}"]
-        words += ["--slew", f"{self.state.get('slew'):g}", *(f"--{name}={value:g}" for name, value in plan.items())]
-        self._place, self._remark = place, f"moves the actuator: {shlex.join(['dehyst', *words])}"
+        bounds = {"limits": [self.state.get("limits") or (0.0, 0.0)], "slew_rate": [self.state.get("slew")]}
+        asked = {"rig": str(self.state.get("address")), "output": place, **bounds, **plan}
+        self._place, self._remark = place, f"moves the actuator: {shlex.join(Step('calibrate', asked).command)}"
         return {"folder": str(self._folder.path / place), **plan}
 
     def _play(self, body: Mapping[str, Any]) -> dict[str, Any]:

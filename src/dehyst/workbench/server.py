@@ -1,21 +1,28 @@
-"""News for all open pages: the state when it changed, and live samples."""
+"""The HTTP interface of a workbench: its page, its news, and what the page requests."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import mimetypes
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+import os
+import shutil
+import stat
+import tempfile
+import zipfile
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
+from functools import wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
@@ -23,18 +30,18 @@ from dehyst._io import read_json
 from dehyst.waveforms.named import OPTIONS, SCANS
 from dehyst.web import files
 from dehyst.workbench import folder as places
-from dehyst.workbench.folder import Folder
-from dehyst.workbench.jobs import packed, record_columns, trace_columns, trace_heads, voltage_columns, wasm
-from dehyst.workbench.requests import (
+from dehyst.workbench.data import (
     RequestError,
-    TooLargeError,
-    answered,
-    archived,
-    body_of,
     number_of,
-    requested,
+    packed,
+    record_columns,
     scan_columns,
+    trace_columns,
+    trace_heads,
+    voltage_columns,
+    wasm,
 )
+from dehyst.workbench.folder import Folder
 from dehyst.workbench.rig_desk import RigDesk
 from dehyst.workbench.session import WorkbenchSession
 
@@ -184,10 +191,82 @@ _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:"
 )
-
-
 # Code with which a WebSocket is closed that sent something else than text.
 _NO_TEXT = 1003
+# Bytes of a request that is not an upload.
+_MOST_JSON = 8_000_000
+
+
+class TooLargeError(DehystError, ValueError):
+    """A request or an upload larger than allowed."""
+
+    status = 413
+
+
+_Handler: TypeAlias = Callable[["Workbench", Request], Awaitable[Any]]
+
+
+def answered(handler: _Handler) -> _Handler:
+    """Answer with JSON values, or with an error and its fields: one of dehyst has a status or 400, of the disk 500."""
+
+    @wraps(handler)
+    async def answer(self: Workbench, request: Request) -> Response:
+        try:
+            found = await handler(self, request)
+            return found if isinstance(found, Response) else JSONResponse(found or {})
+        except ClientDisconnect:
+            # Nobody reads this answer.
+            return Response(status_code=400)
+        except DehystError as error:
+            return JSONResponse({**error.as_dict(), "error": str(error)}, getattr(error, "status", 400))
+        except OSError as error:
+            return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; is it still there?"}, 500)
+
+    return answer
+
+
+def json_of(text: bytes | str) -> dict[str, Any]:
+    """Return the JSON object in a text; raise RequestError if there is none."""
+
+    def no_number(word: str) -> float:
+        raise ValueError(f"{word} is no number")
+
+    try:
+        value = json.loads(text or b"{}", parse_constant=no_number)
+        # A half of a letter outside the basic plane can neither be stored nor sent again.
+        json.dumps(value, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"the request is no JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise RequestError("the request is no JSON object")
+    return value
+
+
+async def body_of(request: Request) -> dict[str, Any]:
+    """Return the JSON object that a request brings."""
+    text = b""
+    async for part in request.stream():
+        text += part
+        if len(text) > _MOST_JSON:
+            raise TooLargeError(f"the request has more than {_MOST_JSON / 1e6:g} MB; draw a shorter path")
+    return json_of(text)
+
+
+async def archived(folder: Path) -> Response:
+    """Return a folder as a ZIP archive: its own files and folders, no links."""
+    place = Path(tempfile.mkdtemp(prefix="dehyst-"))
+    archive = place / f"{folder.name}.zip"
+
+    def pack() -> None:
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as writer:
+            for inner, _, names in os.walk(folder):
+                for path in (Path(inner), *(Path(inner) / name for name in sorted(names))):
+                    if path == Path(inner) or stat.S_ISREG(path.lstat().st_mode):
+                        writer.write(path, path.relative_to(folder.parent))
+
+    await asyncio.to_thread(pack)
+    remove = BackgroundTask(shutil.rmtree, place, ignore_errors=True)
+    return FileResponse(archive, filename=archive.name, background=remove)
 
 
 class Workbench:
@@ -210,31 +289,37 @@ class Workbench:
 
     def app(self) -> Starlette:
         """Return the application."""
-        get, post, page = ["GET"], ["POST"], PageFiles()
-        routes = [
-            Route("/", page.index, methods=get),
-            Route("/page/{name}", page.file, methods=get),
-            Route("/api/state", self.get_state, methods=get),
-            WebSocketRoute("/api/events", self.news),
-            Route("/api/records", self.upload, methods=["PUT"]),
-            Route("/api/records/{key}/read", self.read, methods=post),
-            Route("/api/records/{key}/data", self.record_data, methods=get),
-            Route("/api/models", self.identify, methods=post),
-            Route("/api/models/{key}/end", self.end, methods=post),
-            Route("/api/models/{key}/fit", self.fit, methods=get),
-            Route("/api/models/{key}/wasm", self.wasm, methods=get),
-            Route("/api/models/{key}/traces", self.traces, methods=get),
-            Route("/api/models/{key}/traces/{number:int}", self.trace, methods=get),
-            Route("/api/models/{key}/insight", self.insight, methods=post),
-            Route("/api/models/{key}/path", self.path, methods=post),
-            Route("/api/models/{key}/export", self.export, methods=post),
-            Route("/api/scan", self.scan, methods=get),
-            Route("/api/voltages/{key}/data", self.voltage_data, methods=get),
-            Route("/api/jobs/{key}/cancel", self.cancel, methods=post),
-            Route("/api/rig/{what}", self.drive, methods=post),
-            Route("/api/{kind:str}/{key}", self.delete, methods=["DELETE"]),
-            Route("/files/{path:path}", self.file, methods=get),
-        ]
+        page = PageFiles()
+        handlers = {
+            "GET": {
+                "/": page.index,
+                "/page/{name}": page.file,
+                "/api/state": self.get_state,
+                "/api/records/{key}/data": self.record_data,
+                "/api/models/{key}/fit": self.fit,
+                "/api/models/{key}/wasm": self.wasm,
+                "/api/models/{key}/traces": self.traces,
+                "/api/models/{key}/traces/{number:int}": self.trace,
+                "/api/scan": self.scan,
+                "/api/voltages/{key}/data": self.voltage_data,
+                "/files/{path:path}": self.file,
+            },
+            "POST": {
+                "/api/records/{key}/read": self.read,
+                "/api/models": self.identify,
+                "/api/models/{key}/end": self.end,
+                "/api/models/{key}/insight": self.insight,
+                "/api/models/{key}/path": self.path,
+                "/api/models/{key}/export": self.export,
+                "/api/jobs/{key}/cancel": self.cancel,
+                "/api/rig/{what}": self.drive,
+            },
+            "PUT": {"/api/records": self.upload},
+            "DELETE": {"/api/{kind:str}/{key}": self.delete},
+        }
+        routes: list[BaseRoute] = [WebSocketRoute("/api/events", self.news)]
+        for method, paths in handlers.items():
+            routes += [Route(path, handler, methods=[method]) for path, handler in paths.items()]
         return Starlette(routes=routes, lifespan=self._life)
 
     def state(self) -> dict[str, Any]:
@@ -259,10 +344,6 @@ class Workbench:
         with suppress(DehystError):
             self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
 
-    async def get_state(self, _: Request) -> Response:
-        """Return the state."""
-        return JSONResponse(self.state())
-
     async def news(self, socket: WebSocket) -> None:
         """Send the news to a page, and listen to its heartbeat."""
         await socket.accept()
@@ -286,7 +367,12 @@ class Workbench:
                 await sending
 
     @answered
-    async def upload(self, request: Request) -> Response:
+    async def get_state(self, _: Request) -> Any:
+        """Return the state."""
+        return self.state()
+
+    @answered
+    async def upload(self, request: Request) -> Any:
         """Receive a file, and read it as a record."""
         name = Path(request.query_params.get("name", "record.csv").replace("\\", "/")).name
         place = self.session.folder.new(places.UPLOADS, Path(name).stem, Path(name).suffix[:10])
@@ -299,7 +385,7 @@ class Workbench:
             if not upload.size:
                 raise RequestError(f"{name}: is empty; choose a file with time, voltage and displacement")
             upload.complete()
-        return JSONResponse({"id": self.session.add_record(place, name).id})
+        return {"id": self.session.add_record(place, name).id}
 
     def _demand_size(self, size: int) -> None:
         if size > self.upload_limit:
@@ -309,39 +395,38 @@ class Workbench:
             )
 
     @answered
-    async def read(self, request: Request) -> Response:
+    async def read(self, request: Request) -> Any:
         """Read a record again, with options."""
         options = (await body_of(request)).get("options", {})
         if not isinstance(options, dict):
             raise RequestError("options: need an object with a text for each option")
         self.session.read_record(request.path_params["key"], options)
-        return JSONResponse({})
 
     @answered
-    async def record_data(self, request: Request) -> Response:
-        """Return the columns of a record."""
+    async def record_data(self, request: Request) -> Any:
+        """Return the columns of a record, or of an axis of it."""
         entry = self.session.record(request.path_params["key"])
-        return await self._columns(record_columns, entry.file)
+        axis = _axis(request, entry.axes)
+        return await self._columns(lambda file: record_columns(file, axis), entry.file)
 
     @answered
-    async def identify(self, request: Request) -> Response:
+    async def identify(self, request: Request) -> Any:
         """Start an identification."""
-        return JSONResponse({"id": self.session.identify(await body_of(request)).id})
+        return {"id": self.session.identify(await body_of(request)).id}
 
     @answered
-    async def end(self, request: Request) -> Response:
+    async def end(self, request: Request) -> Any:
         """End an identification."""
         self.session.end(request.path_params["key"])
-        return JSONResponse({})
 
     @answered
-    async def fit(self, request: Request) -> Response:
+    async def fit(self, request: Request) -> Any:
         """Return the numbers of a fit."""
         entry = self.session.model(request.path_params["key"], ready=True)
         return FileResponse(self.session.folder.path / entry.fit, media_type="application/json")
 
     @answered
-    async def wasm(self, request: Request) -> Response:
+    async def wasm(self, request: Request) -> Any:
         """Return a model as WebAssembly, for one period between samples."""
         entry = self.session.model(request.path_params["key"], ready=True)
         period = request.query_params.get("period", "0.001")
@@ -349,17 +434,19 @@ class Workbench:
             seconds = number_of(float(period), "period")
         except ValueError as error:
             raise RequestError(f"period: got {period[:40]!r}, need seconds") from error
+        if entry.axes:
+            raise RequestError(f"{entry.name}: has several axes, whose voltages depend on one another; need one axis")
         module = await asyncio.to_thread(wasm, self.session.folder.path / entry.file, seconds)
         return Response(module, media_type="application/wasm")
 
     @answered
-    async def traces(self, request: Request) -> Response:
+    async def traces(self, request: Request) -> Any:
         """Return which records a model has traces of."""
         entry = self.session.model(request.path_params["key"], ready=True)
-        return JSONResponse(await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces))
+        return await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces)
 
     @answered
-    async def trace(self, request: Request) -> Response:
+    async def trace(self, request: Request) -> Any:
         """Return the columns of a trace."""
         entry = self.session.model(request.path_params["key"], ready=True)
         number = request.path_params["number"]
@@ -368,59 +455,56 @@ class Workbench:
         return await self._columns(lambda file: trace_columns(file, number), entry.traces)
 
     @answered
-    async def scan(self, request: Request) -> Response:
+    async def scan(self, request: Request) -> Any:
         """Return the path of a scan."""
-        of = requested(request.query_params.get("of", ""))
-        scan = {name: value for name, value in of.items() if name != "rate"}
-        columns = await asyncio.to_thread(scan_columns, scan, of.get("rate"))
+        of = json_of(request.query_params.get("of", ""))
+        columns = await asyncio.to_thread(scan_columns, of, of.pop("rate", None))
         return Response(packed(columns), media_type="application/octet-stream")
 
     @answered
-    async def voltage_data(self, request: Request) -> Response:
-        """Return the columns of a voltage."""
+    async def voltage_data(self, request: Request) -> Any:
+        """Return the columns of a voltage, or of an axis of it."""
         entry = self.session.voltage(request.path_params["key"])
-        return await self._columns(voltage_columns, entry.file)
+        axis = _axis(request, entry.axes)
+        return await self._columns(lambda file: voltage_columns(file, axis), entry.file)
 
     @answered
-    async def insight(self, request: Request) -> Response:
+    async def insight(self, request: Request) -> Any:
         """Start an assessment."""
-        return JSONResponse({"job": self.session.insight(request.path_params["key"])})
+        return {"job": self.session.insight(request.path_params["key"])}
 
     @answered
-    async def path(self, request: Request) -> Response:
+    async def path(self, request: Request) -> Any:
         """Start the computation of a voltage."""
-        return JSONResponse({"job": self.session.follow(request.path_params["key"], await body_of(request))})
+        return {"job": self.session.follow(request.path_params["key"], await body_of(request))}
 
     @answered
-    async def export(self, request: Request) -> Response:
+    async def export(self, request: Request) -> Any:
         """Start an export."""
         body = await body_of(request)
         kind = str(body.pop("kind", ""))
-        return JSONResponse({"job": self.session.export(request.path_params["key"], kind, body)})
+        return {"job": self.session.export(request.path_params["key"], kind, body)}
 
     @answered
-    async def cancel(self, request: Request) -> Response:
+    async def cancel(self, request: Request) -> Any:
         """End a job."""
         self.session.cancel(request.path_params["key"])
-        return JSONResponse({})
 
     @answered
-    async def drive(self, request: Request) -> Response:
+    async def drive(self, request: Request) -> Any:
         """Do something with the rig."""
         body = await body_of(request)
         if "voltage" in body:
             body["file"] = self.session.voltage(str(body.pop("voltage"))).file
         await self.rig.request(request.path_params["what"], body)
-        return JSONResponse({})
 
     @answered
-    async def delete(self, request: Request) -> Response:
+    async def delete(self, request: Request) -> Any:
         """Take an entry from the list."""
         self.session.delete(request.path_params["key"])
-        return JSONResponse({})
 
     @answered
-    async def file(self, request: Request) -> Response:
+    async def file(self, request: Request) -> Any:
         """Return a file of the folder, or a folder of it as a ZIP archive."""
         relative = request.path_params["path"]
         path = self.session.folder.inside(relative)
@@ -433,8 +517,13 @@ class Workbench:
     async def _columns(self, columns: Callable[[Path], Any], file: str) -> Response:
         if not file:
             raise RequestError("it has no samples yet; wait until it is read")
+        packing = asyncio.to_thread(lambda: packed(columns(self.session.folder.path / file)))
+        return Response(await packing, media_type="application/octet-stream")
 
-        def pack() -> bytes:
-            return packed(columns(self.session.folder.path / file))
 
-        return Response(await asyncio.to_thread(pack), media_type="application/octet-stream")
+def _axis(request: Request, axes: Sequence[str]) -> str:
+    """Return the axis that a request names, by default the first of several; empty for the only one."""
+    axis = request.query_params.get("axis", axes[0] if axes else "")
+    if axis not in (axes or [""]):
+        raise RequestError(f"axis: got {axis[:40]!r}, need {', '.join(axes) or 'none'}")
+    return axis

@@ -1,7 +1,7 @@
-"""The session of a workbench: what is there, what can be done with it, and what is being done.
+"""The session of a workbench: records, models and voltages, what can be done with them, and what is being done.
 
-It knows neither HTTP nor a browser. Everything is done by commands of dehyst, each in a process of its own, and noted
-in the folder's script.
+It knows neither HTTP nor a browser. Everything is done by operations, in worker processes, and noted as commands in the
+folder's script.
 """
 
 from __future__ import annotations
@@ -9,37 +9,205 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import finite, write_json
 from dehyst._version import __version__
+from dehyst.model import Actuator, Stage
+from dehyst.operations.files import Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry, restored
+from dehyst.workbench.data import voltage_columns, written_path
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.jobs import (
-    CommandRun,
-    Finished,
-    Jobs,
-    Runner,
-    fill_model,
-    fill_ranges,
-    fill_record,
-    fill_voltage,
-)
-from dehyst.workbench.requests import export_words, identify_words, path_words, read_words, written_path
+from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
 _SOON = 0.5
 # Columns of a file from which the page offers to choose.
 _MOST_COLUMNS = 500
+_MICRO = 1e6
+# Options of an identification that the page may give.
+_IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
+# Suffixes of exports.
+_EXPORTS = {"c": "", "fmu": ".fmu", "wasm": ".wasm"}
 
 
 class SessionError(DehystError, ValueError):
     """A request that the session cannot fulfil: what was got, what is needed."""
+
+
+@dataclass
+class RecordEntry:
+    """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
+
+    `columns` are the names of the file's, none if it is no table. `options` are those with which it was read; `hint`
+    those that may help to read it. `axes` are the names of several coupled ones.
+    """
+
+    id: str
+    name: str
+    source: str
+    file: str = ""
+    status: str = "reading"
+    error: str | None = None
+    hint: dict[str, Any] | None = None
+    columns: list[str] = field(default_factory=list)
+    options: dict[str, Any] = field(default_factory=dict)
+    axes: list[str] = field(default_factory=list)
+    samples: int = 0
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    voltage: list[float] = field(default_factory=list)
+    displacement_um: list[float] = field(default_factory=list)
+    noise_nm: float = 0.0
+    words: list[str] = field(default_factory=list)
+
+    @property
+    def reading(self) -> dict[str, str]:
+        """How operations read its `file`: with the columns of its axes."""
+        pairs = (f"{axis}=v{axis}_V:{axis}_m" for axis in self.axes)
+        return {"columns": ", ".join(pairs)} if self.axes else {}
+
+    def fill(self, result: Mapping[str, Any]) -> None:
+        """Fill in what `show` returned."""
+        parts = list(result.values()) if "samples" not in result else [result]
+        first = parts[0]
+        self.axes = list(result) if "samples" not in result else []
+        self.status, self.words = "ready", []
+        self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
+        self.rate_hz, self.noise_nm = float(first["sample_rate_Hz"]), max(float(one["noise_nm"]) for one in parts)
+        for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
+            setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
+        for axis, one in zip(self.axes or [""], parts, strict=True):
+            scales = {name: f", {scale}" for name, scale in one["scales"].items()}
+            said = [f"{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()]
+            self.words += [f"{axis}: {words}" if axis else words for words in (*said, *one["problems"])]
+
+
+@dataclass
+class ModelEntry:
+    """A model: which records it is from, and what is known of it.
+
+    `rig` names the instrument of a calibrated model, which has no records of the list, and no `seconds` of its own.
+    `table` has an entry a record: role, largest and RMS error [% of the stroke]. `axes` has an entry for each of
+    several coupled ones: name, range_v, range_um and slew_v_per_s; the model's own ranges hold all of them.
+    """
+
+    id: str
+    name: str
+    file: str
+    train: list[str] = field(default_factory=list)
+    validate: list[str] = field(default_factory=list)
+    rig: str = ""
+    report: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    status: str = "identifying"
+    progress: str = ""
+    seconds: float | None = 0.0
+    provisional: bool = False
+    early: bool = False
+    error: str | None = None
+    verdict: dict[str, Any] | None = None
+    summary: list[str] = field(default_factory=list)
+    table: list[dict[str, Any]] = field(default_factory=list)
+    axes: list[dict[str, Any]] = field(default_factory=list)
+    range_v: list[float] = field(default_factory=list)
+    range_um: list[float] = field(default_factory=list)
+    slew_v_per_s: float | None = None
+    band_percent: float | None = None
+    insight: dict[str, Any] | None = None
+
+    @property
+    def fit(self) -> str:
+        """The file of the fit's numbers."""
+        return self.file.removesuffix(".json") + ".fit.json"
+
+    @property
+    def traces(self) -> str:
+        """The file of its traces."""
+        return self.file.removesuffix(".json") + ".npz"
+
+    def fill(self, finished: Finished) -> None:
+        """Fill in what `identify` returned, or why there is no model."""
+        fit = finished.result
+        if fit is None:
+            stopped = self.early or finished.stopped
+            self.status = "cancelled" if stopped else "failed"
+            self.error = "it was ended before there was a model" if stopped else finished.words
+            return
+        fits = fit.get("fits", {"": fit})
+        verdicts = [one["verdict"] for one in fits.values() if one.get("verdict") is not None]
+        if len(verdicts) < len(fits):
+            self.status, self.error = "failed", str(fit["sentence"])
+            return
+        verdict = max(verdicts, key=lambda one: one["largest_percent"])
+        self.status, self.error = "ready", None
+        self.verdict = {
+            **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
+            "largest_um": verdict["largest_m"] * _MICRO,
+            "noise_um": verdict["noise_m"] * _MICRO,
+            "goal": verdict["goal_percent"],
+            "why": verdict["reasons"],
+            "remarks": [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]],
+        }
+        self.band_percent = verdict["largest_percent"]
+        names = ("record", "role", "samples", "left_out", "largest_percent", "rms_percent")
+        self.table = [{name: error[name] for name in names} for own in fits.values() for error in own["errors"]]
+        self.summary = [fit["sentence"], *(one for own in fits.values() for one in own["repairs"])]
+
+    def fill_ranges(self, file: Path) -> None:
+        """Fill in voltages [V] and speed [V/s] that a model is known for, and the displacements [um] it reaches."""
+        several = is_model(file, "dehyst-stage")
+        stage = Stage.load(file) if several else None
+        actuators = (Actuator.load(file),) if stage is None else stage.actuators
+        each: list[dict[str, Any]] = [
+            {
+                "name": axis,
+                "range_v": list(one.voltage_range),
+                "range_um": [end * _MICRO for end in one.reach],
+                "slew_v_per_s": one.recorded_slew_rate,
+            }
+            for axis, one in zip(("",) if stage is None else stage.axes, actuators, strict=True)
+        ]
+        self.axes = each if several else []
+        for name in ("range_v", "range_um"):
+            setattr(self, name, [min(one[name][0] for one in each), max(one[name][1] for one in each)])
+        self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
+
+
+@dataclass
+class VoltageEntry:
+    """A voltage that follows a path with a model, and what to know of it in `words`."""
+
+    id: str
+    name: str
+    file: str
+    model: str
+    axes: list[str] = field(default_factory=list)
+    samples: int = 0
+    seconds: float = 0.0
+    range_v: list[float] = field(default_factory=list)
+    clamped: int = 0
+    words: list[str] = field(default_factory=list)
+
+    def fill(self, result: Mapping[str, Any], file: Path) -> None:
+        """Fill in what `compensate` returned."""
+        several = isinstance(result["lowest_V"], Mapping)
+
+        def each(name: str) -> list[Any]:
+            return list(result[name].values()) if several else [result[name]]
+
+        self.axes = list(result["lowest_V"]) if several else []
+        self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
+        self.words = [str(one) for one in result["warnings"]]
+        if max(each("homing_samples")):
+            seconds = max(one or 0.0 for one in each("homing_s"))
+            self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
+        time_ = voltage_columns(file, self.axes[0] if several else "")[0]
+        self.samples, self.seconds = time_.size, float(time_[-1] - time_[0]) if time_.size else 0.0
 
 
 class WorkbenchSession:
@@ -50,11 +218,16 @@ class WorkbenchSession:
     folder : Folder
     changed : callable
         Called after each change of the state.
-    runner : callable
-        Makes the command that is run; for tests.
+    worker : callable
+        Makes a worker; for tests.
     """
 
-    def __init__(self, folder: Folder, changed: Callable[[], None] = lambda: None, runner: Runner = CommandRun) -> None:
+    def __init__(
+        self,
+        folder: Folder,
+        changed: Callable[[], None] = lambda: None,
+        worker: Callable[[Path], Runner] = Worker,
+    ) -> None:
         self.folder, self.revision = folder, 0
         self.records: dict[str, RecordEntry] = {}
         self.models: dict[str, ModelEntry] = {}
@@ -62,8 +235,13 @@ class WorkbenchSession:
         self.changed, self._last = changed, 0
         self._saved: dict[str, Any] = {}
         self._saving: asyncio.TimerHandle | None = None
-        self.jobs = Jobs(folder, self.touch, runner)
-        self._restore()
+        self.jobs = Jobs(folder, self.touch, worker)
+        try:
+            self._take_up(folder.saved())
+        except (TypeError, ValueError, AttributeError) as error:
+            raise FileFormatError(
+                f"{folder.path / places.STATE}: is damaged ({error}); move it elsewhere, or give another folder"
+            ) from error
 
     def state(self) -> dict[str, Any]:
         """Return what the page shows, as JSON values."""
@@ -103,26 +281,35 @@ class WorkbenchSession:
         return entry
 
     def read_record(self, key: str, options: Mapping[str, Any]) -> None:
-        """Read a record's file, again if need be, with options of its columns."""
+        """Read a record's file, again if need be, with options of its columns: keywords of `dehyst.read`."""
         entry = self.record(key)
-        self._demand_unused(entry)
+        users = [one.name for one in self.models.values() if entry.id in (*one.train, *one.validate)]
+        if users:
+            raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
+        if self.jobs.running(entry.id):
+            raise SessionError(f"{entry.name}: is being read; wait until that is done")
+        columns = Columns.of_fields({name: value for name, value in options.items() if value not in (None, "")})
         file = entry.file or self.folder.new(places.RECORDS, entry.name, ".npz")
-        words = read_words(entry.source, file, options)
+        given = {"file": entry.source, "output": file} | ({"columns": str(columns)} if str(columns) else {})
+        # A record is a measurement, which is not replaced without force: here by the same file, read otherwise.
+        step = Step("show", given, force=True)
         entry.options, entry.status, entry.error, entry.hint = dict(options), "reading", None, None
 
         def done(finished: Finished) -> None:
             # With names for all columns the result has these, not the file's.
-            columns = () if options.get("columns") else (finished.result or {}).get("file_columns", ())
-            entry.columns = [one["name"] for one in columns[:_MOST_COLUMNS]] or entry.columns
-            if finished.result is None or finished.status != 0:
-                entry.status, entry.error = "refused", finished.error.replace(entry.source, Path(entry.source).name)
-                hint = finished.refused.get("suggestion")
+            known = finished.error if finished.result is None else finished.result
+            first = known if "file_columns" in known else next((o for o in known.values() if isinstance(o, dict)), {})
+            names = () if options.get("columns") else first.get("file_columns", ())
+            entry.columns = [one["name"] for one in names[:_MOST_COLUMNS]] or entry.columns
+            if finished.result is None:
+                entry.status, entry.error = "refused", finished.words.replace(entry.source, Path(entry.source).name)
+                hint = finished.error.get("suggestion")
                 entry.hint = {"options": hint} if hint else None
                 return
             entry.file = file
-            fill_record(entry, finished.result)
+            entry.fill(finished.result)
 
-        self.jobs.start("read", entry.id, words, done)
+        self.jobs.start("read", entry.id, [step], done)
 
     def identify(self, request: Mapping[str, Any]) -> ModelEntry:
         """Identify a model from records: `train`, `validate` and `options`."""
@@ -131,33 +318,41 @@ class WorkbenchSession:
             raise SessionError("train: got no record, need one at least; choose the records to identify from")
         if twice := {one.id for one in train} & {one.id for one in validate}:
             raise SessionError(f"{', '.join(sorted(twice))}: to train and to validate; choose one for each record")
+        if len({tuple(one.axes) for one in (*train, *validate)}) > 1:
+            raise SessionError("train: got records of different axes, need the same ones in all")
         options = request.get("options", {})
         if not isinstance(options, dict):
             raise SessionError("options: need an object with a value for each option")
-        options = dict(options)
-        name = str(options.pop("name", None) or train[0].name)
-        file = self.folder.new(places.MODELS, name, ".json")
+        given = {name: value for name, value in options.items() if name != "name" and value not in (None, "")}
+        if unknown := [name for name in given if name not in _IDENTIFY]:
+            raise SessionError(f"options: got {unknown[0]!r}, need some of {', '.join(_IDENTIFY)}")
+        file = self.folder.new(places.MODELS, str(options.get("name") or train[0].name), ".json")
         stem = Path(file).stem
         entry = ModelEntry(self._id("m"), stem, file, [one.id for one in train], [one.id for one in validate])
-        entry.options, entry.report = options, f"{places.REPORTS}/{stem}.html"
-        words = identify_words(entry, [one.file for one in train], [one.file for one in validate])
+        entry.options, entry.report = given, f"{places.REPORTS}/{stem}.html"
+        outputs = {"output": file, "traces": entry.traces, "report": entry.report}
+        held_out = {"validate": [one.file for one in validate]} if validate else {}
+        read = train[0].reading
+        step = Step("identify", {"records": [one.file for one in train], **outputs, **given, **held_out, **read})
+        # Refused before it is listed.
+        step.command  # noqa: B018
         self.models[entry.id] = entry
         began = time.monotonic()
 
-        def progress(line: str) -> None:
-            entry.progress, entry.seconds = line, time.monotonic() - began
+        def progress(words: str) -> None:
+            entry.progress, entry.seconds = words, time.monotonic() - began
             entry.provisional = (self.folder.path / file).exists()
 
         async def done(finished: Finished) -> None:
             entry.seconds, entry.progress, entry.provisional = time.monotonic() - began, "", False
             if finished.result is not None:
                 write_json(self.folder.path / entry.fit, finished.result)
-            if finished.result is not None and finished.result.get("verdict") is not None:
-                # Before the entry is ready: a page uses the ranges of every model that is.
-                await asyncio.to_thread(fill_ranges, entry, self.folder.path / file)
-            fill_model(entry, finished)
+                if (self.folder.path / file).exists():
+                    # Before the entry is ready: a page uses the ranges of every model that is.
+                    await asyncio.to_thread(entry.fill_ranges, self.folder.path / file)
+            entry.fill(finished)
 
-        self.jobs.start("identify", entry.id, words, done, progress)
+        self.jobs.start("identify", entry.id, [step], done, progress)
         return entry
 
     def add_calibrated(self, place: str, result: Mapping[str, Any]) -> ModelEntry:
@@ -166,8 +361,8 @@ class WorkbenchSession:
         entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json", rig=rig, seconds=None)
         entry.report = f"{place}/report.html"
         write_json(self.folder.path / entry.fit, result["fit"])
-        fill_model(entry, Finished(0, result["fit"]))
-        fill_ranges(entry, self.folder.path / entry.file)
+        entry.fill(Finished(result["fit"]))
+        entry.fill_ranges(self.folder.path / entry.file)
         self.models[entry.id] = entry
         self.touch()
         return entry
@@ -185,11 +380,12 @@ class WorkbenchSession:
     def insight(self, key: str) -> str:
         """Assess a model on its training records; return the job."""
         entry = self.model(key, ready=True)
-        records = [self.record(one).file for one in entry.train if one in self.records]
+        known = [self.records[one] for one in entry.train if one in self.records]
+        files, read = [one.file for one in known], known[0].reading if known else {}
         if entry.rig:
             played = (one["record"] for one in entry.table if one["role"] == "training")
-            records = [f"{Path(entry.file).parent.as_posix()}/records/{name}.h5" for name in played]
-        if not records:
+            files = [f"{Path(entry.file).parent.as_posix()}/records/{name}.h5" for name in played]
+        if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
         report = self.folder.new(places.REPORTS, f"{Path(entry.file).stem}-insight", ".html")
@@ -198,29 +394,38 @@ class WorkbenchSession:
             if finished.result is not None:
                 entry.insight = {"report": report}
 
-        words = ["insight", entry.file, *records, "--report", report, "--json"]
-        return self.jobs.start("insight", entry.id, words, done)
+        step = Step("insight", {"model": entry.file, "records": files, "report": report, **read})
+        return self.jobs.start("insight", entry.id, [step], done)
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
         """Compute the voltage for a path with a model: `points`, `scan` or `record`; return the job."""
         model = self.model(key, ready=True)
-        name = str(request.get("name") or model.name)
-        file = self.folder.new(places.VOLTAGES, name, ".csv")
-        path = self._path_of(request, Path(file).stem)
-        words = path_words(model.file, file, request, path)
+        file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
+        steps = self._path_steps(model, request, file)
         entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id)
 
-        def done(finished: Finished) -> None:
+        async def done(finished: Finished) -> None:
             if finished.result is not None:
-                fill_voltage(entry, finished, self.folder.path / file)
+                await asyncio.to_thread(entry.fill, finished.result, self.folder.path / file)
                 self.voltages[entry.id] = entry
 
-        return self.jobs.start("compensate", entry.id, words, done)
+        return self.jobs.start("compensate", entry.id, steps, done)
 
     def export(self, key: str, kind: str, request: Mapping[str, Any]) -> str:
-        """Export a model as `kind`; return the job."""
+        """Export a model as `kind`: c, fmu, wasm or wave_table; return the job."""
         model = self.model(key, ready=True)
-        return self.jobs.start("export", model.id, export_words(self.folder, model, kind, request), lambda _: None)
+        name = Path(model.file).stem
+        if kind == "wave_table":
+            table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
+            file = self.folder.new(places.VOLTAGES, f"{name}-cycle", ".csv")
+            steps = self._path_steps(model, request, file, table=table)
+        elif kind in _EXPORTS:
+            target = self.folder.new(places.EXPORTS, name if _EXPORTS[kind] else f"{name}-c", _EXPORTS[kind])
+            version = {"fmu": "3.0"} if kind == "fmu" else {}
+            steps = [Step("export", {"model": model.file, "directory": target, **version})]
+        else:
+            raise SessionError(f"kind: got {kind!r}, need wave_table, {', '.join(_EXPORTS)}")
+        return self.jobs.start("export", model.id, steps, lambda _: None)
 
     def cancel(self, job: str) -> None:
         """End a job without a result."""
@@ -238,20 +443,40 @@ class WorkbenchSession:
         raise SessionError(f"{key}: there is none; reload the page")
 
     async def close(self) -> None:
-        """End all commands and save the state."""
+        """End all jobs and save the state."""
         await self.jobs.close()
         self._save()
         self.folder.close()
 
-    def _path_of(self, request: Mapping[str, Any], name: str) -> str | None:
-        """Return the file of a path: a record's, or a new one with the points; None for a scan."""
+    def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str, **more: str) -> list[Step]:
+        """Return the operations that compute a voltage: of a record's displacement, points, or the path of a scan."""
+        before: list[Step] = []
+        given: dict[str, Any] = {"model": model.file, "output": file, **more}
         if "record" in request:
-            return self.record(str(request["record"])).source
-        if "points" not in request:
-            return None
-        file = self.folder.new(places.PATHS, name, ".csv")
-        written_path(self.folder.path / file, request["points"], request.get("rate"))
-        return file
+            record = self.record(str(request["record"]))
+            given |= {"trajectory": record.file, **record.reading} if record.axes else {"trajectory": record.source}
+        elif "points" in request:
+            given["trajectory"] = self.folder.new(places.PATHS, Path(file).stem, ".csv")
+            written_path(self.folder.path / given["trajectory"], request["points"], request.get("rate"))
+        elif isinstance(request.get("scan"), Mapping):
+            scan = {name: value for name, value in request["scan"].items() if value not in (None, "")}
+            axis = scan.pop("axis", "x")
+            if "table" in more and "cycles" in scan:
+                given["cycles"] = scan.pop("cycles")
+            given["trajectory"] = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
+            before = [Step("scan", {**scan, "sample_rate": request.get("rate"), "output": given["trajectory"]})]
+            given |= {"columns": "displacement=y_um"} if axis == "y" else {}
+        else:
+            raise SessionError("path: got none, need points, a scan or a record")
+        if (limits := request.get("limits")) is not None:
+            given["limits"] = [limits]
+        if (slew := request.get("slew")) is not None:
+            given["slew_rate"] = [slew]
+        steps = [*before, Step("compensate", given)]
+        for step in steps:
+            # Refused before it is begun.
+            step.command  # noqa: B018
+        return steps
 
     def _usable(self, keys: object) -> list[RecordEntry]:
         """Return records that are ready; raises SessionError if one is not."""
@@ -261,13 +486,6 @@ class WorkbenchSession:
         if refused := [one for one in entries if one.status != "ready"]:
             raise SessionError(f"{refused[0].name}: is not ready ({refused[0].status}); choose another record")
         return entries
-
-    def _demand_unused(self, entry: RecordEntry) -> None:
-        users = [one.name for one in self.models.values() if entry.id in (*one.train, *one.validate)]
-        if users:
-            raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
-        if self.jobs.running(entry.id):
-            raise SessionError(f"{entry.name}: is being read; wait until that is done")
 
     def _id(self, letter: str) -> str:
         self._last += 1
@@ -300,31 +518,24 @@ class WorkbenchSession:
             self.folder.save(state)
             self._saved = state
 
-    def _restore(self) -> None:
-        """Take up the session that the folder holds; what ran when it ended was cancelled."""
-        saved = self.folder.saved()
-        try:
-            self._take_up(saved)
-        except (TypeError, ValueError, AttributeError) as error:
-            raise FileFormatError(
-                f"{self.folder.path / places.STATE}: is damaged ({error}); move it elsewhere, or give another folder"
-            ) from error
-
     def _take_up(self, saved: Mapping[str, Any]) -> None:
+        """Take up the session that the folder holds; what ran when it ended was cancelled."""
         self._last = int(saved.get("last", 0))
-        for kept in saved.get("records", ()):
-            record = restored(RecordEntry, kept)
+        self.records = _restored(RecordEntry, saved.get("records", ()))
+        self.models = _restored(ModelEntry, saved.get("models", ()))
+        self.voltages = _restored(VoltageEntry, saved.get("voltages", ()))
+        for record in self.records.values():
             if record.status == "reading":
                 record.status, record.error = "refused", "the workbench ended while it was read; read it again"
-            self.records[record.id] = record
-        for kept in saved.get("models", ()):
-            model = restored(ModelEntry, kept)
+        for model in self.models.values():
             if model.status == "identifying":
                 model.status, model.error = "cancelled", "the workbench ended during the identification"
-            self.models[model.id] = model
-        for kept in saved.get("voltages", ()):
-            voltage = restored(VoltageEntry, kept)
-            self.voltages[voltage.id] = voltage
+
+
+def _restored(kind: Callable[..., _T], saved: Any) -> dict[str, _T]:
+    """Return entries from a state file; what it does not know is left out."""
+    known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
+    return {one["id"]: kind(**{name: value for name, value in one.items() if name in known}) for one in saved}
 
 
 def _found(entries: Mapping[str, _T], key: str, what: str) -> _T:

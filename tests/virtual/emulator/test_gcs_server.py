@@ -295,7 +295,7 @@ def test_a_fault_comes_in_the_middle_of_the_first_wave_unless_told():
 def command(*options):
     """`dehyst rig serve` as a process, and its port."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from dehyst.cli.registry import main; main()", "rig", "serve", "--port", "0", *options],
+        [sys.executable, "-c", "from dehyst.cli import main; main()", "rig", "serve", "--port", "0", *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -314,7 +314,7 @@ def command(*options):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_ends_with_the_tally_of_its_voltages(number):
-    with command("--limits", "-10", "90", "--noise", "1") as (process, port):
+    with command("--limits", "-10", "90", "--options", '{"noise": 1}') as (process, port):
         with Line(port) as line:
             line.send("SVA 1 -5")
             line.send("SVA 1 64")

@@ -147,7 +147,7 @@ class Neighbour:
         return (
             f"{self.record}: the residual follows the voltage '{self.column}', by {100 * self.share:.2g} % of the "
             f"stroke (RMS; {100 * self.explained:.0f} % of the residual's power): it moves this axis too. "
-            "Identify both axes together: --axes 'THIS_V:THIS_um OTHER_V:OTHER_um'"
+            "Identify both together: --columns 'x=THIS_V:THIS_um, y=OTHER_V:OTHER_um'"
         )
 
 

@@ -169,7 +169,7 @@ class StageFit:
         return f"{head}: {missed}" if self.is_matrix else f"{head}: coupling is more than a matrix; {missed}"
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst identify --axes` prints, in lines; `full`: with `--verbose`."""
+        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--all`."""
         return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
 
     def as_dict(self) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from dehyst._errors import DehystError, RigError
+from dehyst._process import Outlet
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
-from dehyst.workbench.rig.messages import Outlet, Request, number, pair, text
+from dehyst.workbench.rig.messages import Request, number, pair, text
 from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
 from dehyst.workbench.rig.watchdog import Stopped, Watchdog
 

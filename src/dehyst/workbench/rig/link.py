@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import socket
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,18 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import LinkError
+from dehyst._process import Message, line_of, messages, started, written
 from dehyst.workbench.rig.driver import OF_RIG
-from dehyst.workbench.rig.rescue import command_of
+from dehyst.workbench.rig.process import rescue
 
-Message = dict[str, Any]
-# Bytes of the longest message, and bytes that may wait to be written.
-_LONGEST, _MOST_WAITING = 1 << 22, 1 << 16
-# Seconds that a command may wait to be written, and that the process has to retreat and end.
-_PATIENCE, _RETREAT = 5.0, 60.0
+_MODULE = "dehyst.workbench.rig.process"
+# Bytes that may wait to be written.
+_MOST_WAITING = 1 << 16
+# Seconds that the process has to retreat and end.
+_RETREAT = 60.0
 # Seconds that the process has until its first message.
 _BEGIN = 10.0
 _ARMED = ("armed", "playing", "calibrating", "stopping")
-_ALIVE = b'{"alive": true}\n'
+_ALIVE = line_of({"alive": True})
 _NO_RIG: Message = dict.fromkeys((*OF_RIG, "step"))
 
 
@@ -89,13 +88,13 @@ class RigLink:
             if self._process is not None:
                 return
             listening = self._listening.fileno()
-            command = [sys.executable, "-m", "dehyst.workbench.rig.process", "--stop-fd", str(listening)]
             self._state, self.stop["key"] = {}, secrets.token_urlsafe(32)
             self._heard_at = time.monotonic() + _BEGIN
-            self._process = await self._started(command, pass_fds=(listening,))
+            self._process = await self._started(_MODULE, "--stop-fd", str(listening), pass_fds=(listening,))
             # The process has its own copy: with it ends the socket.
             self._listening.close()
-            self._write({"stop_key": self.stop["key"], "origins": self._origins})
+            if self._process.stdin is not None:
+                self._process.stdin.write(line_of({"stop_key": self.stop["key"], "origins": self._origins}))
             self._reader = asyncio.create_task(self._read(self._process), name="rig link")
 
     async def send(self, command: Message) -> None:
@@ -106,14 +105,12 @@ class RigLink:
         LinkError
             If the process does not run, or takes no commands.
         """
-        process = self._process
-        if process is None or process.stdin is None:
+        if self._process is None:
             raise LinkError("the rig's process does not run; connect the rig again")
-        self._write(command)
         try:
-            await asyncio.wait_for(process.stdin.drain(), _PATIENCE)
-        except (TimeoutError, OSError) as error:
-            raise LinkError(f"the rig's process takes no commands ({error or 'timeout'}); connect again") from error
+            await written(self._process, command)
+        except LinkError as error:
+            raise LinkError(f"the rig: {error}; connect it again") from error
 
     def alive(self) -> None:
         """Forward a sign of life of the page; does nothing if the process does not run."""
@@ -134,27 +131,11 @@ class RigLink:
                 await asyncio.wait_for(asyncio.shield(reader), _RETREAT)
         self._listening.close()
 
-    def _write(self, message: Message) -> None:
-        if self._process is not None and self._process.stdin is not None:
-            self._process.stdin.write(json.dumps(message, allow_nan=False).encode() + b"\n")
-
-    async def _started(self, command: Sequence[str], pass_fds: Sequence[int] = ()) -> asyncio.subprocess.Process:
-        errors = asyncio.subprocess.DEVNULL if self._errors is None else self._errors.open("ab")
-        try:
-            return await asyncio.create_subprocess_exec(
-                *command,
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=errors,
-                start_new_session=True,
-                pass_fds=tuple(pass_fds),
-                limit=_LONGEST,
-            )
-        except OSError as error:
-            raise LinkError(f"the rig's process cannot be started ({error}); is there memory left?") from error
-        finally:
-            if not isinstance(errors, int):
-                errors.close()
+    async def _started(self, module: str, *arguments: str, **options: Any) -> asyncio.subprocess.Process:
+        if self._errors is None:
+            return await started(module, *arguments, **options)
+        with self._errors.open("ab") as errors:
+            return await started(module, *arguments, errors=errors, **options)
 
     async def _read(self, process: asyncio.subprocess.Process) -> None:
         """Pass messages on until the process, and a fresh one that replaces it, have ended."""
@@ -177,27 +158,18 @@ class RigLink:
             return
         self._hand_over({"kind": "rig", "status": "stopping", "words": [f"Stopped: {reason}."]})
         with suppress(LinkError):
-            fresh = await self._started(command_of(address, (limits[0], limits[1]), slew, reason, waits=False))
+            module, *arguments = rescue(address, (limits[0], limits[1]), slew, reason, waits=False)
+            fresh = await self._started(module, *arguments)
             await self._pass_on(fresh)
             await fresh.wait()
 
     async def _pass_on(self, process: asyncio.subprocess.Process) -> None:
-        while process.stdout is not None:
-            try:
-                line = await process.stdout.readline()
-            except ValueError:
-                # Longer than any message: the rest is no message either.
-                continue
-            if not line:
-                return
-            with suppress(ValueError):
-                message = json.loads(line)
-                if isinstance(message, dict):
-                    self._hand_over(message)
+        async for message in messages(process):
+            self._hand_over(message)
 
     def _hand_over(self, message: Message) -> None:
         self._heard_at = time.monotonic()
-        if message.get("kind") == "alive":
+        if not message:
             return
         if message.get("kind") == "rig":
             self._ending = message.pop("ends", self._ending)

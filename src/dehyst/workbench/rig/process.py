@@ -3,6 +3,9 @@
 It speaks JSON lines with the workbench's server on standard input and output. The first line is
 ``{"stop_key": KEY, "origins": [...]}``. It has the watchdog and the emergency stop, and ends when its input ends, after
 a retreat. See `docs/how_to/workbench_rig.md`.
+
+With ``--rescue PROCESS ADDRESS LOW HIGH SLEW REASON`` it is the last resort instead: a fresh process that connects to a
+rig whose own process hangs in a driver, or ended without a retreat, and brings its voltage to the safe one.
 """
 
 from __future__ import annotations
@@ -13,30 +16,37 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
+from dehyst._process import Inlet, Outlet, lines_of, own_output
+from dehyst.instruments import open_rig
 from dehyst.workbench.rig.driver import RigDriver
-from dehyst.workbench.rig.messages import Inlet, Outlet, lines_of
-from dehyst.workbench.rig.rescue import command_of
 from dehyst.workbench.rig.stop_listener import StopListener
 from dehyst.workbench.rig.watchdog import Watchdog
 
 # Seconds that the last messages may take.
 _FAREWELL = 1.0
+_RESCUE = "--rescue"
+# Of the messages with changes of the state.
+KIND = "rig"
+# Seconds that the process before may take to end, and attempts to connect: a controller takes one client at a time.
+_PATIENCE, _ATTEMPTS, _PAUSE = 5.0, 3, 0.5
 _HUNG = 70
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; `arguments` are those of the command line. Return the exit status."""
-    options = _parser().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     # What a driver prints must neither break the protocol nor wait for its reader.
-    descriptor = os.dup(1)
-    with Path(os.devnull).open("wb") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    outlet = Outlet(descriptor)
+    descriptor = own_output()
+    outlet = Outlet(descriptor, KIND)
+    if words[:1] == [_RESCUE]:
+        # Not by the parser, which takes a negative number for an option.
+        return _rescued(outlet, *words[1:])
+    options = _parser().parse_args(words)
     watchdog = Watchdog(lambda reason: _abandon(reason, driver, outlet, descriptor))
     driver = RigDriver(watchdog, outlet)
     watchdog.start()
@@ -86,12 +96,51 @@ def _abandon(reason: str, driver: RigDriver, outlet: Outlet, descriptor: int) ->
     """
     rig, address = driver.rig, driver.address
     if rig is not None and address is not None:
-        command = command_of(address, (rig.limits.low, rig.limits.high), rig.slew_rate, reason)
+        command = [sys.executable, "-m", *rescue(address, (rig.limits.low, rig.limits.high), rig.slew_rate, reason)]
         outlet.state(status="stopping", words=[f"Stopped: {reason}.", "A fresh process connects, and retreats."])
         outlet.flush(_FAREWELL)
         # Started before the end, as nothing runs after it; it waits for the end.
         subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=descriptor)
     os._exit(_HUNG)
+
+
+def rescue(
+    address: str, limits: tuple[float, float], slew_rate: float, reason: str, *, waits: bool = True
+) -> list[str]:
+    """Return the module and the arguments that bring the rig at `address` to its safe voltage.
+
+    `limits` [V] and `slew_rate` [V/s] were in force; `reason` is a sentence. With `waits` it begins when this process
+    has ended.
+    """
+    numbers = map(repr, (*limits, slew_rate))
+    before = str(os.getpid() if waits else 0)
+    return ["dehyst.workbench.rig.process", _RESCUE, before, address, *numbers, reason]
+
+
+def _rescued(outlet: Outlet, before: str, address: str, low: str, high: str, slew: str, reason: str) -> int:
+    """Retreat; return the exit status: 0 if the voltage is safe."""
+    end = time.monotonic() + _PATIENCE
+    while os.getppid() == int(before) and time.monotonic() < end:
+        time.sleep(0.01)
+    status, outcome = _outcome(address, (float(low), float(high)), float(slew))
+    outlet.state(status=status, words=[f"Stopped: {reason}.", outcome])
+    outlet.flush(_FAREWELL)
+    return 0 if status == "none" else 1
+
+
+def _outcome(address: str, limits: tuple[float, float], slew_rate: float) -> tuple[str, str]:
+    """Return the status of the rig after the attempt, and a sentence."""
+    failure: Exception | None = None
+    for _ in range(_ATTEMPTS):
+        try:
+            with open_rig(address, limits=limits, slew_rate=slew_rate) as rig:
+                return "none", f"A fresh connection brought the voltage to {rig.retreat():.6g} V."
+        # Whatever a driver raises: the next attempt, or the sentence.
+        except Exception as error:
+            failure = error
+            time.sleep(_PAUSE)
+    sentence = f"A fresh connection could not bring the voltage to a safe one ({failure})"
+    return "lost", f"{sentence}: the device holds, or plays to its end, what it has; see to it by hand."
 
 
 if __name__ == "__main__":

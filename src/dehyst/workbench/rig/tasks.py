@@ -213,11 +213,12 @@ def calibrating(rig: AbstractRig, address: str, request: Request, feed: LiveFeed
 
 def command_of(rig: AbstractRig, address: str, plan: Plan, folder: Path) -> str:
     """Return the command that does the same: of `rig` at `address`, by this `plan`, into this `folder`."""
-    words = ["dehyst", "calibrate", address, "-o", str(folder), "--limits", rig.limits.low, rig.limits.high]
-    words += ["--slew", rig.slew_rate, "--frequency", plan.frequency, "--rounds", plan.rounds, "--goal", plan.goal]
-    if plan.hold is not None:
-        words += ["--hold", plan.hold]
-    return shlex.join(map(str, words))
+    from dehyst.operations.registry import find
+
+    asked = {name: getattr(plan, name) for name in ("frequency", "hold", "rounds", "goal")}
+    bounds = {"limits": [[rig.limits.low, rig.limits.high]], "slew_rate": [rig.slew_rate]}
+    operation = find("calibrate")
+    return shlex.join(operation.command(operation.of_json({"rig": address, "output": str(folder), **bounds, **asked})))
 
 
 def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) -> Task:

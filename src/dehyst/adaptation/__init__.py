@@ -1,0 +1,7 @@
+"""Adaptation: models that stay true in use, by a new record or in the loop."""
+
+from dehyst.adaptation.adaptive_compensator import AdaptiveCompensator, AdaptiveSnapshot
+from dehyst.adaptation.estimator import Exchange
+from dehyst.adaptation.record_update import Update, update
+
+__all__ = ["AdaptiveCompensator", "AdaptiveSnapshot", "Exchange", "Update", "update"]

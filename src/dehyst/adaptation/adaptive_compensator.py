@@ -1,0 +1,318 @@
+"""A compensator that learns: from what a sensor measures it keeps the weights of its model true."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, isnan, nan
+from typing import Any
+
+import numpy as np
+
+from dehyst import _validation as check
+from dehyst._errors import ModelError
+from dehyst._types import Array
+from dehyst._units import per_metre
+from dehyst.adaptation.estimator import Estimator, Exchange, PathCycle
+from dehyst.control import Compensator, Snapshot, VoltageLimits
+from dehyst.model import Actuator, State
+from dehyst.model import serialization as files
+
+FORMAT, VERSION = "dehyst-adaptive-loop", 1
+# Samples of a cycle, at most and at least, and those after which turns are looked for.
+_MOST, _FEWEST, _DUE = 4096, 24, 32
+# The integral action moves the path by this part of the reach at most.
+_INTEGRAL = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveSnapshot(files.JsonFile):
+    """The memory of an adaptive loop.
+
+    `loop`: that of the compensator. `learnt`: what was learnt, as arrays by name.
+    """
+
+    loop: Snapshot
+    learnt: Mapping[str, Array]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values; `from_dict` reads them back without loss."""
+        learnt = {name: values.tolist() for name, values in self.learnt.items()}
+        return {"format": FORMAT, "version": VERSION, "loop": self.loop.as_dict(), "learnt": learnt}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> AdaptiveSnapshot:
+        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is no such snapshot."""
+        files.demand_format(data, FORMAT, (VERSION,))
+        files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
+        learnt = {name: files.numbers(values, f"learnt.{name}") for name, values in data["learnt"].items()}
+        return cls(Snapshot.from_dict(data["loop"]), learnt)
+
+
+class AdaptiveCompensator:
+    """A `Compensator` whose model is adapted to the displacements that a sensor measures.
+
+    ``measured`` is the displacement now, which the voltages sent so far have led to; None or NaN without one::
+
+        compensator = dehyst.AdaptiveCompensator(actuator, (0, 100), slew_rate=2e4, period=1e-4)
+        for wanted in path:
+            dac.write(compensator.step(wanted, sensor.read()))
+
+    Stiffnesses of slip and smooth elements, of creep branches and of the spring are learnt, cycle by cycle, by
+    non-negative least squares with a prior (theory sections 8 and 21). Thresholds, transformer, delay and inertia stay.
+    Other weights are used only if they predict a cycle that they have not seen better than those in use. The memory of
+    the hysteresis stays at an exchange, and the voltage follows no faster than the slew rate.
+
+    A cycle is not learnt if the sensor is missing, stuck or saturated in most of it, if it contradicts the path, or if
+    the path moves less than a breakaway; nor is a sample whose voltage was clamped. `log` says what was done and why.
+
+    Parameters
+    ----------
+    actuator, limits, slew_rate, period, state, units, warns
+        As in `Compensator`; `measured` is in `units` too.
+    memory : float, optional
+        Number of cycles after which one counts for a third.
+    time_constant : float, optional
+        The same in seconds, instead of cycles; needs a period.
+    zero_drifts : bool, optional
+        Whether the sensor's zero may differ from that of the model's records, and drift (default). No loop can tell
+        that from an actuator that moves as a whole: an offset at the beginning is then not learnt, a later one only as
+        far as a change of gain and loop width explains it, and `datum` holds the rest.
+    integral_time : float, optional
+        Time [s] in which an integral action removes what is measured as error; it trusts the sensor's zero, and needs a
+        period. It stands still while a voltage is clamped or nothing is measured. Default: none.
+
+    Attributes
+    ----------
+    learning : bool
+        Set it to False to keep the present weights.
+
+    Raises
+    ------
+    ModelError
+        As `Compensator`, or if a number is impossible.
+    """
+
+    def __init__(
+        self,
+        actuator: Actuator,
+        limits: Sequence[float] | None = None,
+        slew_rate: float | None = None,
+        *,
+        period: float | None = None,
+        state: State | None = None,
+        units: str = "m",
+        warns: bool = True,
+        memory: float = 10.0,
+        time_constant: float | None = None,
+        zero_drifts: bool = True,
+        integral_time: float | None = None,
+    ) -> None:
+        self._compensator = Compensator(
+            actuator, limits, slew_rate, period=period, state=state, units=units, warns=warns
+        )
+        for name, value, least in (
+            ("memory", memory, 1.0),
+            ("time_constant", time_constant, 0.0),
+            ("integral_time", integral_time, 0.0),
+        ):
+            if value is None:
+                continue
+            if not least < check.number(value, name) < np.inf:
+                raise ModelError(argument=name, got=repr(value), need=f"a number above {least:g}")
+            if name != "memory" and period is None:
+                raise ModelError(f"{name} needs the time between steps", hint="give the period [s]", change=("period",))
+        self._memory, self._time_constant, self.learning = float(memory), time_constant, True
+        self._estimator = Estimator(actuator, self._compensator.state, zero_drifts)
+        self._rate = 0.0 if integral_time is None or period is None else period / integral_time
+        low, high = self._compensator.reach
+        self._most_correction, self._correction = _INTEGRAL * (high - low), 0.0
+        self._per_metre = per_metre(units)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the samples of the cycle under way."""
+        delay, period = self._estimator.weights.actuator.delay, self._compensator.period
+        # A measured displacement belongs to the voltage of the step before, or of a delay before that.
+        self._sent = deque[tuple[float, float]](maxlen=1 + (round(delay / period) if period else 0))
+        self._rows: list[tuple[float, float, float]] = []
+        self._work: Iterator[Actuator | None] | None = None
+        self._stride, self._steps = 1, 0
+        self._turns = _Turns(self._estimator.least_motion * self._per_metre)
+
+    def __repr__(self) -> str:
+        used = sum(one.used for one in self.log)
+        return f"<AdaptiveCompensator: {used} exchanges in {len(self.log)} cycles, {self._compensator!r}>"
+
+    def step(self, wanted: float, measured: float | None = None) -> float:
+        """Return the voltage [V] to send for a displacement `wanted` now, and commit it.
+
+        `wanted`, `measured`: [m, or `units`]; `measured` is the displacement before this step, None or NaN if unknown.
+
+        Raises
+        ------
+        ModelError
+            If `wanted` is not finite or `measured` no number: the memory is unchanged, and no time has passed.
+
+        Warns
+        -----
+        ClampWarning
+            As `Compensator.step`.
+        """
+        if measured is None:
+            measured = nan
+        elif not isinstance(measured, float):
+            measured = float(check.number(measured, "measured"))
+        sent = self._sent
+        if self._rate and sent:
+            wanted = wanted + self._corrected(sent[-1], measured)
+        voltage = self._compensator.step(wanted)
+        self._steps += 1
+        if len(sent) == sent.maxlen and not self._steps % self._stride:
+            self._rows.append((*sent[0], measured))
+            if self._work is not None or len(self._rows) >= self._turns.seen + _DUE:
+                self._advance()
+        sent.append((float(wanted), voltage))
+        return voltage
+
+    def _corrected(self, last: tuple[float, float], measured: float) -> float:
+        """Return what the integral action adds to the path; it waits while a voltage is clamped."""
+        wanted, voltage = last
+        low, high = self._compensator.limits
+        if not isnan(measured) and low < voltage < high and not self._contradicted:
+            # The path that was wanted is that without the correction before.
+            error = wanted - self._correction - measured
+            limit = self._most_correction
+            self._correction = min(max(self._correction + self._rate * error, -limit), limit)
+        return self._correction
+
+    @property
+    def _contradicted(self) -> bool:
+        """Whether the last cycle was refused because of its sensor."""
+        log = self._estimator.log
+        return bool(log) and isnan(log[-1].error)
+
+    def _advance(self) -> None:
+        """Do a bounded amount of the work that there is."""
+        if self._work is None:
+            end = self._turns.cycle(self._rows)
+            if end:
+                self._work = self._estimator.learn(*self._cut(end))
+            elif len(self._rows) >= _MOST:
+                # A slow path: every second sample shows it as well.
+                self._rows, self._stride = self._rows[::2], 2 * self._stride
+                self._turns.halve()
+            return
+        actuator = next(self._work, self)
+        if actuator is self:
+            self._work = None
+        elif isinstance(actuator, Actuator) and self.learning:
+            self._compensator.exchange(actuator)
+
+    def _cut(self, end: int) -> tuple[PathCycle, float]:
+        """Take the first samples as a cycle; return it, and the part that those before it keep of their weight."""
+        table = np.array(self._rows[:end])
+        del self._rows[:end]
+        loop, sent = self._compensator, table[:, 1]
+        seconds = None if loop.period is None else loop.period * self._stride
+        clamped = (sent <= loop.limits[0]) | (sent >= loop.limits[1])
+        if seconds is not None and loop.slew_rate is not None:
+            change = loop.bounds.largest_step(seconds) * (1 - 1e-9)
+            clamped |= np.abs(np.diff(sent, prepend=sent[:1])) >= change
+        wanted, measured = table[:, 0] / self._per_metre, table[:, 2] / self._per_metre
+        measured[~np.isfinite(measured)] = nan
+        keep = exp(-1 / self._memory)
+        if self._time_constant is not None and seconds is not None:
+            keep = exp(-end * seconds / self._time_constant)
+        return PathCycle(wanted, measured, sent, clamped, self._steps, seconds), keep
+
+    @property
+    def actuator(self) -> Actuator:
+        """The model in use; save it to start with it the next time."""
+        return self._compensator.actuator
+
+    @property
+    def voltage(self) -> float:
+        """The last voltage sent [V]."""
+        return self._compensator.voltage
+
+    @property
+    def state(self) -> State:
+        """State of the actuator after all voltages sent."""
+        return self._compensator.state
+
+    @property
+    def bounds(self) -> VoltageLimits:
+        """Limits and slew rate."""
+        return self._compensator.bounds
+
+    @property
+    def clamps(self) -> tuple[int, int]:
+        """Numbers of samples clamped at a limit and by the slew rate."""
+        return self._compensator.clamps
+
+    @property
+    def datum(self) -> float:
+        """Displacement [m, or `units`] by which the sensor reads more than the model expects: not learnt."""
+        return self._estimator.datum * self._per_metre
+
+    @property
+    def log(self) -> tuple[Exchange, ...]:
+        """The last thousand cycles: what was exchanged, and why not."""
+        return tuple(self._estimator.log)
+
+    def snapshot(self) -> AdaptiveSnapshot:
+        """Finish the learning under way, and return the whole memory except the samples of the present cycle."""
+        while self._work is not None:
+            self._advance()
+        learnt = self._estimator.numbers() | {"correction": np.array([self._correction])}
+        return AdaptiveSnapshot(self._compensator.snapshot(), learnt)
+
+    def restore(self, snapshot: AdaptiveSnapshot) -> None:
+        """Continue from a `snapshot` of a loop that was made of the same actuator; the log is empty then.
+
+        Raise `ModelError` if it is of another actuator, period or limits, or damaged.
+        """
+        if not isinstance(snapshot, AdaptiveSnapshot):
+            raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="an AdaptiveSnapshot")
+        given = self._estimator.numbers() | {"correction": np.zeros(1)}
+        learnt = dict(snapshot.learnt)
+        same = given.keys() == learnt.keys() and all(
+            learnt[name].size == values.size for name, values in given.items() if name != "usual"
+        )
+        if not same:
+            raise ModelError("it is of another actuator", argument="snapshot", hint="make the loop as it was")
+        self._compensator.exchange(self._estimator.restore(learnt))
+        self._compensator.restore(snapshot.loop)
+        self._correction = float(learnt["correction"][0])
+        self._begin()
+
+
+class _Turns:
+    """Turns of a path, by `least` motion after them: every second one ends a cycle. `seen`: samples looked at."""
+
+    def __init__(self, least: float) -> None:
+        self.least, self.seen = least, 0
+        self._count, self._direction, self._extreme, self._at = 0, 0, nan, 0
+
+    def cycle(self, rows: Sequence[tuple[float, float, float]]) -> int:
+        """Look at the new `rows`, which begin with what was wanted; return where the first cycle ends, else 0."""
+        for place in range(self.seen, len(rows)):
+            wanted = rows[place][0]
+            moved = wanted - self._extreme
+            if isnan(moved) or moved * self._direction > 0:
+                self._extreme, self._at = wanted, place
+            elif abs(moved) > self.least:
+                end, self._extreme, self._at = self._at, wanted, place
+                self._count += self._direction != 0
+                self._direction = 1 if moved > 0 else -1
+                if self._count >= 2 and end >= _FEWEST:
+                    self._count, self.seen, self._at = 0, place + 1 - end, place - end
+                    return end
+        self.seen = len(rows)
+        return 0
+
+    def halve(self) -> None:
+        """Go on after every second row was left out."""
+        self.seen, self._at = (self.seen + 1) // 2, self._at // 2

@@ -1,0 +1,342 @@
+"""What a loop learns of its actuator: cycles of a path become sums, sums become weights, and a test decides their use.
+
+Each cycle is first predicted, by the weights in use and by those that the cycles before it offer; only then is it
+learnt. Weights that predict it better are used from then on (a prequential test).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from math import isnan
+from typing import Any
+
+import numpy as np
+
+from dehyst._native import strains
+from dehyst._types import Array, Mask
+from dehyst.adaptation.active_set import StepwiseProgram
+from dehyst.adaptation.weights import Tracker, Weights
+from dehyst.model import Actuator, Creep, State
+
+# Samples whose columns are made in one slice of work, and steps of the program that follow a cycle at most.
+_CHUNK, _STEPS = 32, 60
+# Strength of the model as it was given beside all cycles in memory, and of the likeness of neighbours' changes.
+_RIDGE, _ALIKE = 1e-2, 1e-1
+# Cycles before the first exchange; other weights must predict a cycle better than the present ones by this part.
+_FIRST, _BETTER = 5, 0.95
+# Largest change of the displacement that one exchange makes, as a part of the reach.
+_TRUST = 0.02
+# Allowed mean slope of the spring and friction of all elements, of those of the model as it was given.
+_SLOPE, _FRICTION = (0.6, 1.6), (0.3, 2.5)
+# Of a cycle: least part of samples that count, slope of measured over wanted displacement, and their correlation.
+_COUNTED, _FOLLOWS, _CORRELATED = 0.5, (0.6, 1.6), 0.95
+# An error this many times the usual one, and of this part of the reach, is that of something else; so often in a row it
+# is a change that stays.
+_ODD, _ODD_PART, _ODD_CYCLES = 4.0, 0.002, 3
+# A delay of the sensor must leave no more than this part of the error that gain and width leave.
+_LATE = 0.6
+# Samples for which a sensor may repeat its value while the path moves, and parts of its noise in a first breakaway.
+_REPEATS, _QUIET = 8, 30.0
+# Entries of the log that are kept.
+_LOGGED = 1000
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A cycle of the path, and whether other weights are used from then on.
+
+    Attributes
+    ----------
+    step : int
+        Steps of the loop until then.
+    used : bool
+        Whether other weights are used.
+    reason : str
+        Why they are not, or why the cycle was not learnt; empty if they are.
+    error, offered : float
+        RMS error of the cycle [m], a constant set aside, by the weights in use and by those on offer; NaN if unknown.
+    datum : float
+        Displacement [m] by which the sensor reads more than the model expects. It is not learnt.
+    slope, friction : float
+        Mean slope of the spring and friction of all elements, of those of the model as it was given.
+    """
+
+    step: int
+    used: bool
+    reason: str
+    error: float
+    offered: float
+    datum: float
+    slope: float
+    friction: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        values = asdict(self)
+        return values | {name: None for name in ("error", "offered") if isnan(values[name])}
+
+
+@dataclass(frozen=True, eq=False)
+class PathCycle:
+    """Samples of a cycle (n,): displacement wanted and measured [m], voltage sent [V], and whether it was clamped.
+
+    `step`: of the loop at its end. `seconds`: between samples; None if unknown.
+    """
+
+    wanted: Array
+    measured: Array
+    sent: Array
+    clamped: Mask
+    step: int
+    seconds: float | None
+
+
+class Estimator:
+    """Factors of the weights of an actuator, as the cycles of a path show them.
+
+    `state`: of the actuator before the first cycle. `zero_drifts`: whether the sensor's zero may drift, so that an
+    offset is learnt only as far as a change of gain and loop explains it; else it is that of the model's axis.
+    """
+
+    def __init__(self, actuator: Actuator, state: State, zero_drifts: bool) -> None:
+        self.weights = Weights.of(actuator)
+        self.factors, self.constant = self.weights.initial, float(actuator.spring.voltage[0])
+        self.datum, self.log = 0.0, deque[Exchange](maxlen=_LOGGED)
+        self._zero, self._zero_drifts = 0.0, zero_drifts
+        size = self.factors.size
+        self._gram, self._image, self._sizes = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+        self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
+        self._tracker = Tracker(self.weights, state)
+        self._usual, self._odd, self._learnt = deque[float](maxlen=9), 0, 0
+        self._lagging: Array = np.zeros(1)
+        low, high = actuator.reach
+        self.reach = high - low
+        self._slope = float(np.ptp(actuator.voltage_range)) / self.reach
+        rho = actuator.slip.breakaway
+        self.least_motion = max(2 * float(rho[0]) if rho.size else 0.0, 0.02 * self.reach)
+
+    def numbers(self) -> dict[str, Array]:
+        """Return all that was learnt, and the memory along the measured path, by name."""
+        state, counts = self._tracker.state, [self.datum, self._zero, self.constant, self._odd, self._learnt]
+        return {
+            "factors": self.factors,
+            "offered": self._program.x,
+            "gram": self._gram.ravel(),
+            "image": self._image,
+            "sizes": self._sizes,
+            "usual": np.array(self._usual),
+            "counts": np.array(counts, dtype=np.float64),
+            "lagging": self._lagging,
+            "displacement": np.array([state.displacement]),
+            "carts": state.carts,
+            "creep": state.creep,
+            "smooth": state.smooth,
+        }
+
+    def restore(self, numbers: dict[str, Array]) -> Actuator:
+        """Continue from `numbers` of the same actuator; return the actuator to use."""
+        self.factors, self._image, self._sizes = (numbers[name].copy() for name in ("factors", "image", "sizes"))
+        self._gram = numbers["gram"].reshape(self.factors.size, -1).copy()
+        self._program = StepwiseProgram(self.weights.least, *self.weights.limits, numbers["offered"])
+        self.datum, self._zero, self.constant, odd, learnt = numbers["counts"].tolist()
+        self._odd, self._learnt, self._lagging = int(odd), int(learnt), numbers["lagging"].copy()
+        self._usual = deque(numbers["usual"].tolist(), maxlen=self._usual.maxlen)
+        place, carts, creep, smooth = (numbers[name] for name in ("displacement", "carts", "creep", "smooth"))
+        self._tracker = Tracker(self.weights, State(float(place[0]), carts, creep, (), smooth))
+        return self.weights.model(self.factors, self.constant)
+
+    def learn(self, cycle: PathCycle, keep: float) -> Iterator[Actuator | None]:
+        """Learn from a cycle in slices of bounded work; yield the actuator to use from then on, at most once.
+
+        `keep`: part that the cycles before it keep of their weight.
+        """
+        path, counted, reason = self._signal(cycle)
+        yield None
+        drive, speed = self._drive(cycle), self._slope * np.gradient(path)
+        sums = np.zeros((self.factors.size + 3,) * 2)
+        for begin in range(0, path.size, _CHUNK):
+            span = slice(begin, begin + _CHUNK)
+            carts, internal = self._tracker.follow(path[span], cycle.seconds)
+            if not reason:
+                which = counted[span]
+                columns = self.weights.columns(path[span][which], carts[which], internal[which])
+                rows = np.column_stack([columns, speed[span][which], drive[span][which], np.ones(len(columns))])
+                sums += rows.T @ rows
+            yield None
+        if reason:
+            self._note(cycle, reason)
+            return
+        count, mean = sums[-1, -1], sums[-1] / sums[-1, -1]
+        centred = (sums - count * np.outer(mean, mean))[:-1, :-1] / count
+        late = self._lateness(centred)
+        if late:
+            self._note(cycle, f"the sensor is late by {late:.2g} samples, or the period is not what was given")
+            return
+        kept = np.delete(np.arange(len(sums)), -3)
+        centred, mean = centred[np.ix_(kept[:-1], kept[:-1])], mean[kept]
+        yield from self._judged(cycle, centred, mean)
+        if not self._odd:
+            yield None
+            yield from self._learnt_from(centred, keep)
+
+    def _judged(self, cycle: PathCycle, centred: Array, mean: Array) -> Iterator[Actuator | None]:
+        """Predict a cycle, and exchange the weights if those on offer predict it better."""
+        error = self._error(centred, self.factors)
+        usual = float(np.median(self._usual)) if self._usual else error
+        odd = error > max(_ODD * usual, _ODD_PART * self.reach) and self._odd < _ODD_CYCLES
+        self._odd = self._odd + 1 if odd else 0
+        if odd:
+            self._note(cycle, "its error is not like that of the cycles before: not learnt", error)
+            return
+        self._usual.append(error)
+        left = float(mean[-2] - mean[:-2] @ self.factors) - self.constant
+        self.datum -= left / self._slope
+        if self._zero_drifts and self.factors is self.weights.initial:
+            # The sensor's zero while the model is believed.
+            self._zero += (self.datum - self._zero) / min(self._learnt + 1, _FIRST)
+        if self._learnt < _FIRST:
+            self._note(cycle, "too few cycles yet", error)
+            return
+        offered = self._error(centred, self._program.x)
+        reason, factors = self._trusted(centred, self._program.x)
+        constant, datum = self._constant(factors, mean)
+        # Better without regard to an offset, and not worse with it.
+        worse = np.hypot(self._error(centred, factors), datum - self._zero) > np.hypot(error, self.datum - self._zero)
+        if not offered < _BETTER * error or worse:
+            reason = "no weights on offer predict the cycle better"
+        if not reason:
+            self.factors, self.constant, self.datum = factors, constant, datum
+            yield None
+            yield self.weights.model(factors, constant)
+        self._note(cycle, reason, error, offered)
+
+    def _learnt_from(self, centred: Array, keep: float) -> Iterator[None]:
+        """Add the sums of a cycle, and seek weights step by step: they are on offer for the next one."""
+        self._learnt += 1
+        self._gram = keep * self._gram + centred[:-1, :-1]
+        self._image = keep * self._image + centred[:-1, -1]
+        self._sizes = np.maximum(self._sizes, np.diag(centred)[:-1])
+        prior = self.weights.prior(self._sizes / (1 - keep), _RIDGE, _ALIKE)
+        yield None
+        self._program.begin(self._gram + prior, self._image + prior @ self.weights.initial)
+        for _ in range(_STEPS):
+            if self._program.step():
+                break
+            yield None
+
+    def _lateness(self, centred: Array) -> float:
+        """Return by how many samples a sensor is late, if that explains a cycle far better than gain and width do."""
+        spring, size = self.weights.springs, self.factors.size
+        common = np.zeros((size + 2, 4))
+        common[: spring.start, 0], common[spring, 1] = self.factors[: spring.start], self.factors[spring]
+        common[spring.stop : size, 0] = self.factors[spring.stop :]
+        common[size, 2], common[:-2, 3], common[-1, 3] = 1.0, -self.factors, 1.0
+        small = common.T @ centred @ common
+        target = small[:3, 3]
+        without, found = (np.linalg.lstsq(small[:n, :n], target[:n], rcond=1e-12)[0] for n in (2, 3))
+        squares = float(small[3, 3] - without @ target[:2]), float(small[3, 3] - found @ target)
+        late = float(found[2])
+        effect = abs(late) * float(np.sqrt(small[2, 2])) / self._slope
+        return late if squares[1] < _LATE**2 * squares[0] and effect > _ODD_PART * self.reach else 0.0
+
+    def _error(self, centred: Array, factors: Array) -> float:
+        """Return the RMS error [m] of factors on a cycle, by its centred sums."""
+        vector = np.append(factors, -1.0)
+        return float(np.sqrt(max(vector @ centred @ vector, 0.0))) / self._slope
+
+    def _trusted(self, centred: Array, offered: Array) -> tuple[str, Array]:
+        """Return why an offer is of another actuator, else "", and the factors as far as one exchange goes."""
+        change = np.append(offered - self.factors, 0.0)
+        moved = float(np.sqrt(max(change @ centred @ change, 0.0))) / self._slope
+        share = min(1.0, _TRUST * self.reach / moved) if moved else 1.0
+        factors = self.factors + share * change[:-1]
+        slope, friction = self.weights.ratios(factors)
+        for value, (low, high), name in ((slope, _SLOPE, "slope"), (friction, _FRICTION, "friction")):
+            if not low <= value <= high:
+                return f"the {name} would be {value:.3g} of the model's: this may be another actuator", factors
+        return "", factors
+
+    def _constant(self, factors: Array, mean: Array) -> tuple[float, float]:
+        """Return the constant c [V] that belongs to factors, and the datum that the sensor then has [m].
+
+        The constant keeps the sensor's zero where it was. If that may drift, the constant goes no farther than keeps
+        an anchor of the model, give or take the usual error: the rest is the datum.
+        """
+        fitted = float(mean[-2] - mean[:-2] @ factors)
+        constant = fitted - self._slope * (self.datum - self._zero)
+        if self._zero_drifts:
+            slack = self._slope * float(np.median(self._usual))
+            low, high = self.weights.constants(factors)
+            constant = min(max(constant, low - slack), high + slack)
+        return constant, self.datum - (fitted - constant) / self._slope
+
+    def _note(self, cycle: PathCycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
+        ratios = self.weights.ratios(self.factors)
+        self.log.append(Exchange(cycle.step, not reason, reason, error, offered, self.datum, *ratios))
+
+    def _drive(self, cycle: PathCycle) -> Array:
+        """Return tau (n,) [V] of the voltages that acted, less what drives the mass."""
+        actuator, acting, seconds = self.weights.actuator, cycle.sent, cycle.seconds
+        if actuator.lag and seconds:
+            tables = Creep([actuator.lag], [0.0]).tables(np.array([seconds]))
+            late = strains(acting, np.array([0, acting.size]), *tables, self._lagging)
+            self._lagging = late[-1]
+            acting = acting - late[:, 0]
+        drive = acting if actuator.transformer is None else actuator.transformer(acting)
+        return drive - actuator.dynamics.series * self._lead(cycle) if actuator.dynamics else drive
+
+    def _lead(self, cycle: PathCycle) -> Array:
+        """Return w - y (n,) [m], what the inertia needs along the path that was wanted."""
+        dynamics, seconds = self.weights.actuator.dynamics, cycle.seconds
+        if dynamics is None or seconds is None:
+            return np.zeros(cycle.wanted.size)
+        velocity = np.gradient(cycle.wanted, seconds)
+        return dynamics.lead(velocity, np.gradient(velocity, seconds))
+
+    def _signal(self, cycle: PathCycle) -> tuple[Array, Mask, str]:
+        """Return the displacement that drives the elements (n,), the samples that count, and why the cycle does not.
+
+        Noise would move every cart: the path is the one wanted, plus what was measured beyond it, smoothed.
+        """
+        rest = cycle.measured - self.datum - cycle.wanted
+        counted = np.isfinite(rest) & ~cycle.clamped & ~_stuck(cycle.measured, cycle.wanted, self.least_motion)
+        reason = self._contradiction(cycle, counted)
+        if reason:
+            return cycle.wanted, counted, reason
+        places = np.arange(rest.size)
+        smooth = self._smoothed(np.interp(places, places[counted], rest[counted]))
+        return cycle.wanted + smooth + self._lead(cycle), counted, ""
+
+    def _contradiction(self, cycle: PathCycle, counted: Mask) -> str:
+        """Return why a cycle shows nothing of the actuator; empty if it does."""
+        if np.count_nonzero(counted) < max(_COUNTED * counted.size, 16):
+            return "most samples are missing, stuck or clamped"
+        wanted, measured = cycle.wanted[counted], cycle.measured[counted]
+        if float(np.ptp(wanted)) < self.least_motion:
+            return "the path moves less than a breakaway"
+        variances = np.cov(wanted, measured)
+        slope = variances[0, 1] / variances[0, 0]
+        correlation = variances[0, 1] / np.sqrt(variances[0, 0] * variances[1, 1])
+        if not (_FOLLOWS[0] <= slope <= _FOLLOWS[1] and correlation >= _CORRELATED):
+            return f"the sensor contradicts the path: it moves {slope:.3g} of what was wanted"
+        return ""
+
+    def _smoothed(self, rest: Array) -> Array:
+        """Return a difference (n,) without the noise that would move the shortest element."""
+        rho = self.weights.actuator.slip.breakaway
+        noise = float(np.std(np.diff(rest, 2))) / np.sqrt(6) if rest.size > 3 else 0.0
+        width = min(np.ceil((_QUIET * noise / float(rho[0])) ** 2), rest.size // 12) if rho.size else 0
+        if width < 2:
+            return rest
+        window = np.hanning(int(width) + 2)[1:-1]
+        return np.convolve(rest, window, "same") / np.convolve(np.ones(rest.size), window, "same")
+
+
+def _stuck(measured: Array, wanted: Array, least: float) -> Mask:
+    """Return the samples (n,) at which a sensor repeats its value although the path moves on."""
+    stuck = np.zeros(measured.size, dtype=bool)
+    for run in np.split(np.arange(measured.size), np.flatnonzero(np.diff(measured) != 0) + 1):
+        stuck[run] = run.size >= _REPEATS and float(np.ptp(wanted[run])) > 0.25 * least
+    return stuck

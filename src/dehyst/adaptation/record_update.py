@@ -1,0 +1,317 @@
+"""A model updated from one new record: regularised least squares with the old model as prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import IdentifyError
+from dehyst._threads import one_thread
+from dehyst._types import Array
+from dehyst._views import lines
+from dehyst.adaptation.active_set import StepwiseProgram
+from dehyst.adaptation.weights import Weights
+from dehyst.identification import Trace, compare, errors_of, prepare_for
+from dehyst.model import Actuator
+from dehyst.records import Record, largest, percent, rms
+from dehyst.trust import Change, Recheck, check
+
+# Groups of weights: more than in a loop, for time does not matter here.
+_ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
+# Likeness of neighbours that is tried, as a part of what the record says, and smallness of all changes beside it: a
+# strong likeness leaves a common change of all elements, and one of the spring.
+_STRENGTHS, _SMALL = np.geomspace(1e-5, 1e2, 15), 1e-4
+# Contiguous parts of the record: held out by equations for the choice of a strength, and by simulation for the promise.
+_FOLDS, _PROMISED = 8, 3
+# The updated model must predict held-out samples better than the old one by this part.
+_BETTER = 0.95
+# A part of the voltages that is not visited counts from here on; an element moves if twice its breakaway is reached.
+_NOT_VISITED = 0.02
+# Steps of the program.
+_STEPS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """A model after a new record of its actuator.
+
+    Attributes
+    ----------
+    actuator : Actuator
+        The updated model; the old one if the record does not show that another predicts better.
+    recheck : Recheck
+        The old model beside the record, with `changes` of gain, width and offset and their standard errors.
+    used : bool
+        Whether the model was updated.
+    shape, shape_error : float
+        RMS displacement [m] of what changed beside gain and width, and its standard error.
+    before, after, held_out : (float, float)
+        Largest and RMS error [m]: of the old and the new model on the whole record, simulated, and of the new one on
+        parts of the record that were left out of its update in turn.
+    missing : tuple of str
+        Sentences: what the record could not show, and the old model keeps.
+    datum : float
+        Displacement [m] by which the sensor reads more than the updated model expects: its zero, not the actuator.
+    """
+
+    actuator: Actuator
+    recheck: Recheck
+    used: bool
+    shape: float
+    shape_error: float
+    before: tuple[float, float]
+    after: tuple[float, float]
+    held_out: tuple[float, float]
+    missing: tuple[str, ...]
+    datum: float
+
+    @property
+    def stroke(self) -> float:
+        """To which percentages refer: the displacement between the model's limits [m]."""
+        return self.recheck.stroke
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """What may have changed, each with its standard error; see `Change`."""
+        return self.recheck.changes
+
+    @property
+    def sentence(self) -> str:
+        """The result in one line, with its numbers."""
+        (old, _), (held, _) = self.before, self.held_out
+        errors = f"{lines.percent(held, self.stroke)} of the stroke on parts held out, where the old model has "
+        errors += lines.percent(old, self.stroke)
+        if self.used:
+            return f"Updated: the largest error is {errors}."
+        return f"Not updated: the record shows no model that predicts it better; the largest error is {errors}."
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return what changed, a sentence each, the largest first, and what the record could not show."""
+        found = list(self.recheck.change_sentences())
+        if self.used and self.shape > 2 * self.shape_error:
+            size, error = (lines.percent(value, self.stroke) for value in (self.shape, self.shape_error))
+            found.append(f"The shape of the loops has changed by {size} ± {error} of the stroke (RMS).")
+        return (*found, *self.missing)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without the model."""
+        pairs = {"before": self.before, "after": self.after, "held_out": self.held_out}
+        return {
+            "used": self.used,
+            "sentence": self.sentence,
+            "changes": [change.as_dict(self.stroke) for change in self.changes],
+            "shape_percent": percent(self.shape, self.stroke),
+            "shape_error_percent": percent(self.shape_error, self.stroke),
+            **{f"{name}_percent": [percent(one, self.stroke) for one in pair] for name, pair in pairs.items()},
+            "missing": list(self.missing),
+            "datum_m": self.datum,
+            "stroke_m": self.stroke,
+        }
+
+
+def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> Update:
+    """Update a model from a new record of its actuator, even of one loop.
+
+    Stiffnesses of slip and smooth elements, of creep branches and of the spring are fitted anew, by non-negative least
+    squares with a prior: groups of them change little, and like their neighbours. How strong the prior is, held-out
+    parts of the record decide. Thresholds, transformer, delay, inertia and limits stay.
+
+    Parameters
+    ----------
+    actuator : Actuator
+    record : Record
+        One full loop of the voltage at least; minor loops show more.
+    goal : float, optional
+        As in `dehyst.check`.
+
+    Returns
+    -------
+    Update
+
+    Raises
+    ------
+    RecordError
+        If the record cannot be used: no loop, too few samples, columns swapped, a clipped sensor.
+    IdentifyError
+        If it is plainly not a record of the model's actuator, or no sample counts.
+    """
+    recheck = check(actuator, record, goal=goal)
+    if recheck.mismatch:
+        raise IdentifyError(f"{recheck.mismatch}. The model is not updated")
+    trace = recheck.trace
+    datum = float(np.mean(trace.measured - np.interp(trace.time, record.time, record.displacement)))
+    with one_thread():
+        rows = _Rows(actuator, record, recheck, datum)
+        strength = rows.strength()
+        if not rows.constant(rows.factors(rows.sums.sum(axis=0), strength))[1]:
+            # The sensor kept its zero: the record lies on the model's axis as it is.
+            rows = _Rows(actuator, record, recheck, 0.0)
+            strength = rows.strength()
+        return rows.update(strength)
+
+
+class _Rows:
+    """The rows of a record in the weights of a model, less its constants, drift and creep before it, and their sums."""
+
+    def __init__(self, actuator: Actuator, record: Record, recheck: Recheck, datum: float) -> None:
+        self.weights, self.recheck, self.record = Weights.of(actuator, _ELEMENTS, _GRADES, _SEGMENTS), recheck, record
+        self.prepared, self.datum = prepare_for(actuator, record), datum
+        drifts = self.prepared.can_drift and actuator.creep is None
+        self.compared = compare(actuator, self.prepared, recheck.stroke, datum=self.datum, drifting=drifts)
+        regression = self.compared.regression
+        weight = 1 / regression.slope(self.compared.found)
+        internal = regression.rows.moved[:, : regression.grid.moved]
+        columns = self.weights.columns(regression.axis, regression.carts, internal) * weight[:, None]
+        voltage = regression.rows.voltage
+        target = (voltage if actuator.transformer is None else actuator.transformer(voltage)) * weight
+        free = np.hstack([regression.nuisances(), regression.start_columns]) * weight[:, None]
+        basis = np.linalg.qr(free[:, np.any(free != 0, axis=0)])[0]
+        whole = np.column_stack([columns, target])
+        self.rows = whole - basis @ (basis.T @ whole)
+        self.slope = float(1 / np.mean(weight))
+        self.folds: NDArray[np.intp] = np.arange(len(whole)) * _FOLDS // len(whole)
+        self.sums = np.array([own.T @ own for own in (self.rows[self.folds == k] for k in range(_FOLDS))])
+        self.mean = np.average(whole / weight[:, None], axis=0, weights=weight)
+
+    def update(self, strength: float) -> Update:
+        """Update with a strength of the prior, and judge."""
+        factors = self.factors(self.sums.sum(axis=0), strength)
+        constant, datum = self.constant(factors)
+        made = self.weights.model(factors, constant)
+        before = self._errors(self.recheck.trace)
+        after = self._errors(self._trace(made))
+        held_out = self._held_out(strength)
+        used = strength < np.inf and held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
+        shape, spread = self._shape(strength)
+        old = self.weights.actuator
+        made = made.with_identification(
+            largest_error=after[0], expected_largest=held_out[0], expected_rms=held_out[1], validated=False
+        )
+        source = {"updated_from": old.name, "updated_with": self.record.name}
+        return Update(
+            replace(made, provenance={**old.provenance, **source}) if used else old,
+            self.recheck,
+            used,
+            shape,
+            spread,
+            before,
+            after if used else before,
+            held_out if used else before,
+            tuple(self._missing()),
+            -datum,
+        )
+
+    def factors(self, sums: Array, strength: float) -> Array:
+        """Return the factors (m,) that sums over rows ask for, with a prior of a strength."""
+        weights = self.weights
+        if not strength < np.inf:
+            return weights.initial
+        gram, image = sums[:-1, :-1], sums[:-1, -1]
+        prior = weights.prior(np.diag(self.sums.sum(axis=0))[:-1], _SMALL * strength, strength)
+        program = StepwiseProgram(weights.least, *weights.limits, weights.initial)
+        program.begin(gram + prior, image + prior @ weights.initial)
+        for _ in range(_STEPS):
+            if program.step():
+                break
+        return program.x
+
+    def strength(self) -> float:
+        """Return the strength with the least error on folds left out in turn; infinite if none helps."""
+        whole, errors = self.sums.sum(axis=0), []
+        for strength in (*_STRENGTHS, np.inf):
+            left = 0.0
+            for fold in self.sums:
+                vector = np.append(self.factors(whole - fold, strength), -1.0)
+                left += float(vector @ fold @ vector)
+            errors.append(left)
+        # The strongest prior that does nearly as well.
+        good = np.flatnonzero(np.array(errors) <= 1.05 * min(errors))
+        return float([*_STRENGTHS, np.inf][good[-1]])
+
+    def constant(self, factors: Array) -> tuple[float, float]:
+        """Return the spring's constant [V], and the shift [m] from the sensor's axis to the model's that belongs to it.
+
+        The shift is none if a change of the weights explains the offset.
+        """
+        fitted = float(self.mean[-1] - self.mean[:-1] @ factors)
+        wanted = fitted + self.slope * self.datum
+        slack = self.slope * self.recheck.rms
+        low, high = self.weights.constants(factors)
+        constant = min(max(wanted, low - slack), high + slack)
+        return constant, (wanted - constant) / self.slope
+
+    def _trace(self, made: Actuator) -> Trace:
+        """Return a model played along the record, from a start and with a sensor's zero that are fitted to it."""
+        drifts = self.prepared.can_drift and made.creep is None
+        compared = compare(made, self.prepared, self.recheck.stroke, drifting=drifts)
+        return errors_of(made, compared, "validation")[1]
+
+    def _errors(self, trace: Trace, kept: Array | None = None) -> tuple[float, float]:
+        """Return the largest and the RMS residual of a trace [m], an offset set aside."""
+        error = trace.residual - trace.residual.mean()
+        error = error if kept is None else error[kept]
+        return largest(error), rms(error)
+
+    def _held_out(self, strength: float) -> tuple[float, float]:
+        """Return largest and RMS error [m] of contiguous parts of the record, simulated by models without them."""
+        if not strength < np.inf:
+            return self._errors(self.recheck.trace)
+        rows, time = np.arange(len(self.rows)) * _PROMISED // len(self.rows), self.compared.regression.rows.time
+        parts = []
+        for k in range(_PROMISED):
+            own = rows == k
+            others = self.rows[~own]
+            factors = self.factors(others.T @ others, strength)
+            trace = self._trace(self.weights.model(factors, self.constant(factors)[0]))
+            error = trace.residual - trace.residual.mean()
+            first, last = time[own].min() if k else -np.inf, time[own].max() if k < _PROMISED - 1 else np.inf
+            parts.append(error[(trace.time >= first) & (trace.time <= last)])
+        errors = np.concatenate(parts)
+        return largest(errors), rms(errors)
+
+    def _shape(self, strength: float) -> tuple[float, float]:
+        """Return the RMS of what changed beside gain and width [m], and its standard error by the jackknife."""
+
+        def size(sums: Array, count: int) -> float:
+            fine = np.append(self.factors(sums, strength), -1.0)
+            spring, initial = self.weights.springs, self.weights.initial
+            common = np.zeros((initial.size + 1, 3))
+            common[: spring.start, 0], common[spring, 1], common[-1, 2] = initial[: spring.start], 1.0, 1.0
+            common[spring.stop : -1, 0] = initial[spring.stop :]
+            small = common.T @ sums @ common
+            coarse = common @ np.append(np.linalg.lstsq(small[:2, :2], small[:2, 2], rcond=None)[0], -1.0)
+            return float(np.sqrt(max(coarse @ sums @ coarse - fine @ sums @ fine, 0.0) / count))
+
+        whole, count = self.sums.sum(axis=0), len(self.rows)
+        without = np.array([size(whole - one, count - int(np.sum(self.folds == k))) for k, one in enumerate(self.sums)])
+        spread = float(np.sqrt((_FOLDS - 1) * np.mean((without - without.mean()) ** 2)))
+        return size(whole, count), spread
+
+    def _missing(self) -> list[str]:
+        """Return sentences on what the record could not show."""
+        actuator, record, missing = self.weights.actuator, self.record, []
+        low, high = actuator.voltage_range
+        least, most = record.voltage_range
+        unseen = [
+            f"{a:.4g} to {b:.4g} V"
+            for a, b in ((low, min(least, high)), (max(most, low), high))
+            if b - a > _NOT_VISITED * (high - low)
+        ]
+        if unseen:
+            missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
+        rho = actuator.slip.breakaway
+        reach = float(np.ptp(self.compared.regression.axis))
+        stuck = int(np.count_nonzero(2 * rho[rho * 2 < np.ptp(actuator.reach)] > reach))
+        if stuck:
+            missing.append(f"{stuck} slip elements did not slide both ways: they change as their neighbours do.")
+        span = float(np.ptp(record.time))
+        if actuator.creep is not None and float(actuator.creep.time_constants.max()) > span / 3:
+            missing.append(f"Creep slower than {span / 3:.3g} s is that of the old model.")
+        kept = {"transformer": actuator.transformer, "delay": actuator.delay, "inertia": actuator.dynamics}
+        names = [name for name, part in kept.items() if part]
+        if names:
+            missing.append(f"Not fitted anew: {', '.join(names)} and thresholds.")
+        return missing

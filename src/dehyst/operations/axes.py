@@ -1,0 +1,201 @@
+"""What a model of one axis and one of several have in common: axes over which an operation loops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from dehyst._errors import FileFormatError, ModelError
+from dehyst._types import Array
+from dehyst.model import Actuator, Stage
+from dehyst.model.stage import apply
+from dehyst.operations.files import MIDDLE, Columns, is_model, read_model
+from dehyst.operations.run import Run
+from dehyst.records.formats.columns import Table
+from dehyst.records.tables import AxisColumns, axis_columns
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Voltages allowed [V] for an axis; for all without a name."""
+
+    axis: str
+    low: float
+    high: float
+
+    metavar: ClassVar[str] = "[AXIS=]LOW HIGH"
+    word_count: ClassVar[int] = 2
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the limits in a text; raise ValueError with what is needed."""
+        axis, _, numbers = text.rpartition("=")
+        try:
+            low, high = map(float, numbers.split())
+        except ValueError as error:
+            raise ValueError(f"got {text!r}, need two voltages") from error
+        return cls(axis, low, high)
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return f"{self.axis and f'{self.axis}='}{self.low:.12g} {self.high:.12g}"
+
+
+@dataclass(frozen=True)
+class Slew:
+    """The largest slew rate [V/s] of an axis, None: not limited; of all without a name."""
+
+    axis: str
+    rate: float | None
+
+    metavar: ClassVar[str] = "[AXIS=]V/S|none"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the slew rate in a text; raise ValueError with what is needed."""
+        axis, _, number = text.rpartition("=")
+        try:
+            return cls(axis, None if number == "none" else float(number))
+        except ValueError as error:
+            raise ValueError(f"got {text!r}, need a number of V/s, or none") from error
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return f"{self.axis and f'{self.axis}='}{'none' if self.rate is None else f'{self.rate:.12g}'}"
+
+
+def limits_of(axes: Sequence[str], given: Iterable[Limit]) -> list[tuple[float, float] | None]:
+    """Return the limits [V] of each axis: its own, those of all, or None."""
+    return [None if one is None else (one.low, one.high) for one in _by_axis(axes, given, "limits")]
+
+
+def slews_of(axes: Sequence[str], given: Iterable[Slew]) -> list[Slew | None]:
+    """Return the slew rate of each axis: its own, that of all, or None if none was given."""
+    return _by_axis(axes, given, "slew_rate")
+
+
+def rates_of(axes: Sequence[str], given: Iterable[Slew]) -> list[float | None]:
+    """Return the slew rate [V/s] of each axis, None if it is not limited, or none was given."""
+    return [None if one is None else one.rate for one in slews_of(axes, given)]
+
+
+def _by_axis(axes: Sequence[str], given: Iterable[Any], name: str) -> list[Any]:
+    found: dict[str, Any] = {}
+    for one in given:
+        if one.axis and one.axis not in axes:
+            known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
+            raise ModelError(argument=name, got=f"the axis {one.axis}", need=known)
+        found[one.axis] = one
+    return [found.get(axis, found.get("")) for axis in axes]
+
+
+def is_stage(path: Path) -> bool:
+    """Return whether a file is a model of several axes, by its format alone."""
+    return is_model(path, "dehyst-stage")
+
+
+@dataclass(frozen=True, eq=False)
+class AxesModel:
+    """A model of one axis or several, over whose axes an operation loops.
+
+    Attributes
+    ----------
+    stage : Stage or None
+        None for the model of one axis.
+    actuators : tuple of Actuator
+    axes : tuple of str
+        Names of the axes; empty text for the only one.
+    """
+
+    stage: Stage | None
+    actuators: tuple[Actuator, ...]
+    axes: tuple[str, ...]
+
+    @classmethod
+    def read(cls, run: Run, path: Path) -> AxesModel:
+        """Read a model; note if its identification was not usable, or its coupling more than a matrix."""
+        if not is_stage(path):
+            return cls(None, (read_model(run, path),), ("",))
+        stage = Stage.load(path)
+        if not stage.is_matrix:
+            run.note(f"{path}: when this stage was identified, its coupling was more than a matrix")
+        return cls(stage, stage.actuators, stage.axes)
+
+    def by_axis(self, values: Iterable[Any]) -> Any:
+        """Return the value of the only axis, or those of several by their names, for JSON."""
+        found = list(values)
+        return found[0] if self.stage is None else dict(zip(self.axes, found, strict=True))
+
+    def merged(self, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return JSON values of each axis under the keys that they share."""
+        return {key: self.by_axis(table[key] for table in tables) for key in tables[0]}
+
+    def prefixed(self, sentences: Iterable[Iterable[str]]) -> list[str]:
+        """Return the sentences on each axis, with its name if there are several."""
+        pairs = zip(self.axes, sentences, strict=True)
+        return [f"{axis}: {sentence}" if axis else sentence for axis, own in pairs for sentence in own]
+
+    def targets(self, displacement: Array) -> Array:
+        """Return the displacement (n, axes) of each actuator for that of the axes."""
+        return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
+
+    def moved(self, targets: Array) -> Array:
+        """Return the displacement (n, axes) of the axes for that of each actuator."""
+        return targets if self.stage is None else apply(self.stage.coupling, targets)
+
+    def name(self, quantity: str, axis: str, what: str = "") -> str:
+        """Return the column of a quantity of an axis, as operations write it; `what`: "expected", beside the wanted."""
+        if not axis:
+            return f"{what or quantity}_{'V' if quantity == 'voltage' else 'um'}"
+        return f"v{axis}_V" if quantity == "voltage" else f"{axis}{what and f'_{what}'}_um"
+
+    def columns(self, quantity: str, values: Array, what: str = "") -> dict[str, Array]:
+        """Return values (n, axes) [V or um] as the columns that an operation writes."""
+        return {self.name(quantity, axis, what): values[:, j] for j, axis in enumerate(self.axes)}
+
+    def pairs(self, columns: Columns) -> str | None:
+        """Return the columns of several axes as `dehyst.read` takes them: given, or those of the model's records."""
+        if self.stage is None:
+            columns.demand([key for key in columns.keys if key not in columns.axes], "with the model of one axis")
+            return None
+        if not columns.axes and not self.stage.recorded_columns:
+            raise FileFormatError(
+                "the model does not name its columns", argument="axes", hint="give those of each axis"
+            )
+        return columns.pairs or " ".join(self.stage.recorded_columns)
+
+    def recorded(self, columns: Columns) -> dict[str, AxisColumns]:
+        """Return voltage and displacement of each axis in its records, by its name; none if they are not known."""
+        known = columns.pairs if all(":" in one for one in columns.axes.values()) else ""
+        if self.stage is not None:
+            known = known or " ".join(self.stage.recorded_columns)
+        return {one.name: one for one in axis_columns(known)} if known else {}
+
+    def values(self, table: Table, quantity: str, columns: Columns) -> Array:
+        """Return a quantity (n, axes) of a table: of the given columns, by their names, or by those of the records."""
+        if self.stage is None:
+            return columns.values(table, quantity)[:, None]
+        given, names = columns.axes, {axis: self.name(quantity, axis) for axis in self.axes}
+        if given and set(given) != set(self.axes):
+            raise FileFormatError(
+                argument="axes", got=", ".join(given), need=f"a column for each of the axes {', '.join(self.axes)}"
+            )
+        if given:
+            # Of a record both columns, else the one that is read.
+            names = {axis: one.split(":")[-1 if quantity == "displacement" else 0] for axis, one in given.items()}
+        else:
+            recorded = {axis: getattr(one, quantity) for axis, one in self.recorded(columns).items()}
+            names = recorded if recorded and set(recorded.values()) <= set(table.names) else names
+        scale = getattr(columns, f"{quantity}_scale")
+        middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]
+        rows = max(column.data.size for column in table.columns)
+        return np.column_stack(
+            [
+                np.full(rows, middle[j]) if names[axis] == MIDDLE else table.column(quantity, names[axis], scale)
+                for j, axis in enumerate(self.axes)
+            ]
+        )

@@ -1,0 +1,149 @@
+"""`export`: a model as C for a microcontroller, as WebAssembly, or as an FMU."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from dehyst.control import Compensator, PossibleStart, StageCompensator
+from dehyst.control.planning.start import model_error
+from dehyst.exports.model_header import ExportedStart
+from dehyst.exports.targets import TARGETS
+from dehyst.model import Actuator
+from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, rates_of
+from dehyst.operations.declaration import Folder, Input, Only, OperationError, Values, operation
+from dehyst.operations.files import AS_FOUND
+from dehyst.operations.run import Result, Run, demand_outputs
+from dehyst.operations.start import Start, start_words, starts_of
+
+# Limits that no voltage reaches.
+_UNLIMITED = -1e300, 1e300
+# Share of the limits' range by which a start may lie outside without a warning.
+_NEAR = 0.01
+_TOP = Start("top")
+
+
+_SUFFIXES = {target.suffix: name for name, target in TARGETS.items() if target.suffix}
+
+
+def _target(given: Values) -> str:
+    """Return the row of `TARGETS` that is written; several axes are always C."""
+    return "c" if is_stage(given["model"]) else _SUFFIXES.get(given["directory"].suffix, "c")
+
+
+def _of(option: str) -> Only:
+    """Return the condition that the target takes an option."""
+    takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
+    return Only(lambda given: option in TARGETS[_target(given)].options, f"on anything but {takers}")
+
+
+_of_loop = Only(lambda given: _target(given) != "fmu" or given.get("kind") != "actuator", "on an FMU of the actuator")
+_of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
+
+
+@operation(Compensator)
+def export(
+    run: Run,
+    model: Input,
+    directory: Folder,
+    *,
+    number: Annotated[Literal["double", "float"], _of_one, _of("number")] = "double",
+    limits: Annotated[tuple[Limit, ...], _of_loop] = (),
+    slew_rate: Annotated[tuple[Slew, ...], _of_loop] = (),
+    period: float | None = None,
+    preview: Annotated[bool, _of_one, _of("preview"), _of_loop] = False,
+    name: Annotated[str | None, _of("name")] = None,
+    measure: Annotated[bool, _of("measure")] = True,
+    fmu: Annotated[Literal["2.0", "3.0"], _of("fmu")] = "3.0",
+    kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
+    start: Start = _TOP,
+) -> Result:
+    """Write a MODEL's compensator as C into a DIRECTORY: files, numbers, a README, and a trace for `make check`.
+
+    A model of several axes is written as C only, with all its axes and their coupling.
+
+    To a name that ends in .fmu, write it or its actuator as an FMU for co-simulation. To one that ends in .wasm, write
+    it as WebAssembly, and the JavaScript module that calls it.
+
+    Parameters
+    ----------
+    number
+        double: the same bits as Python. float: for a processor without doubles.
+    limits
+        Voltages allowed [V], of all axes or of one; default: those of the records.
+    slew_rate
+        Largest slew rate [V/s]; needs --period.
+    period
+        Seconds between steps; a model that depends on time needs it.
+    preview
+        Compensate delay and inertia too; displacements are then given ahead.
+    name
+        Name of files, type and calls, so that several models fit into one firmware; default: piezo.
+    measure
+        Compile it and report its size and the error of floats; takes seconds.
+    fmu
+        Version of FMI.
+    kind
+        Of an FMU: displacement to voltage, or the virtual actuator.
+    start
+        State in which memory begins, as in compensate.
+    """
+    target = TARGETS[_target({"model": model, "directory": directory})]
+    if is_stage(model) and directory.suffix in _SUFFIXES:
+        raise OperationError(argument="directory", got=str(directory), need="a folder for several axes")
+    if target.files is not None:
+        demand_outputs([model], target.files(directory))
+    known = AxesModel.read(run, model)
+    bounds: list[Any] = limits_of(known.axes, limits)
+    begins, remarks = starts_of(known, start, bounds, AS_FOUND)
+    states = [one for one in begins if one is not None]
+    remarks += known.prefixed(map(_open_start, known.actuators, states))
+    if kind == "actuator":
+        bounds = [_UNLIMITED]
+    slews = rates_of(known.axes, slew_rate)
+    options: dict[str, Any] = {"period": period}
+    compensator: Compensator | StageCompensator
+    if known.stage is not None:
+        options |= {"limits": bounds, "slew_rate": slews, "states": [one.state for one in states]}
+        compensator = StageCompensator(known.stage, **options)
+        loops = compensator.compensators
+    else:
+        options |= {"state": states[0].state, "preview": preview}
+        compensator = Compensator(known.actuators[0], bounds[0], slews[0], **options)
+        loops = (compensator,)
+        remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
+    chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "fmu": fmu, "kind": kind}
+    written = target.write(compensator, directory, chosen)
+    remarks += written.remarks
+    begin = [ExportedStart.of(loop) for loop in loops]
+    begun = [
+        {"begins": {"displacement_m": one.displacement, "voltage_V": one.voltage, "way": one.way}} for one in begin
+    ]
+    words = []
+    for one, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
+        way = "" if kind == "actuator" else f"; to bring the actuator there, {one.way}"
+        words.append([f"memory begins at {one.words} {start_words(actuator, state, loop.state)}{way}"])
+    lines = [written.line, *known.prefixed(words), *written.table]
+    return Result({**written.values, **known.merged(begun), "warnings": remarks}, lines, warnings=remarks)
+
+
+def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
+    """Warn of a start that the voltages before it leave open by more than the model's error."""
+    places = [state.displacement for state in start.states]
+    width = max(places) - min(places)
+    if width <= model_error(actuator):
+        return []
+    return [
+        f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory begins "
+        "in the middle; home the actuator first"
+    ]
+
+
+def _limit_warnings(compensator: Compensator, start: PossibleStart) -> list[str]:
+    """Warn of a start state clearly outside the limits."""
+    (low, high), present = compensator.limits, compensator.actuator.voltage(start.state)
+    if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
+        return []
+    return [
+        f"the start state needs {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory begins at the "
+        "nearest limit; choose another state with --start"
+    ]

@@ -1,0 +1,312 @@
+"""Files of operations: how they are read, in one text; models; tables that are written; paths of scans."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+from dehyst._errors import FileFormatError
+from dehyst._io import SCAN, format_of
+from dehyst._types import Array
+from dehyst.model import Actuator
+from dehyst.operations.run import MODELS, Run
+from dehyst.records import Record, read, read_table, write_columns
+from dehyst.records.files import named_and_joined, record_of, time_of
+from dehyst.records.formats.columns import GAIN, Table
+from dehyst.records.formats.file_content import MOST
+from dehyst.records.tables import RATE, Choice, axis_columns, chosen
+
+_Read = TypeVar("_Read")
+_SIGNS = {"point": ".", "comma": ","}
+_SCALES = {"voltage": "V/V", "displacement": "um/V"}
+_SCALED = re.compile(rf"(.*?)\s*\*\s*(-?[\d.]+(?:[eE][+-]?\d+)?|{GAIN})\s*([^\s/*]+\s*/\s*[^\s/*]+)?\s*", re.DOTALL)
+# Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
+TEXT = ("decimal", "max_size")
+RECORD = ("time", "voltage", "displacement", "rate", "names", "join", *TEXT)
+VOLTAGE = tuple(key for key in RECORD if key != "displacement")
+PATH = tuple(key for key in RECORD if key != "voltage")
+# Letters of a field.
+_LONGEST_FIELD = 1000
+# Of an axis that stays in the middle of its range.
+MIDDLE = "middle"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of files, and how the files are read.
+
+    As text: entries with commas between them, ``time=Time:ms, voltage=Ch1:mV*100, displacement=Sensor:V*10um/V``. An
+    entry that holds a comma is in double quotes.
+
+    Attributes
+    ----------
+    time, voltage, displacement : str, optional
+        NAME or NAME:UNIT; a "?" at the end marks a guess. Columns without a header are named 1, 2, 3.
+    voltage_scale, displacement_scale : str, optional
+        After a "*" in the text: the gain of an amplifier whose monitor it is, or what one volt of a sensor means. Of
+        several axes without a name, for all: ``voltage=*100``.
+    sample_rate : float, optional
+        rate in the text: samples a second [Hz], instead of a time.
+    names : str, optional
+        Names and units of all columns in their order, with "|" between them; "-" leaves one out.
+    join : Path, optional
+        Second file of the same measurement.
+    decimal : str, optional
+        "point" or "comma" in the text.
+    max_bytes : float
+        max_size in the text [MB]: largest file to read, and most memory for its numbers.
+    wanted : str, optional
+        Column of the displacement in a file of a path beside records.
+    axes : dict
+        Other keys: names of axes. VOLTAGE:DISPLACEMENT of a record, DISPLACEMENT of a path, or "middle".
+    """
+
+    time: str | None = None
+    voltage: str | None = None
+    displacement: str | None = None
+    voltage_scale: str | None = None
+    displacement_scale: str | None = None
+    sample_rate: float | None = None
+    names: str | None = None
+    join: Path | None = None
+    decimal: str | None = None
+    max_bytes: float = MOST
+    wanted: str | None = None
+    axes: Mapping[str, str] = field(default_factory=dict)
+
+    metavar: ClassVar[str] = "TEXT"
+    about: ClassVar[str] = (
+        "How files are read, as 'time=Time:ms, voltage=Ch1:mV*100, displacement=Sensor:um'. Other keys: rate=HZ, "
+        "join=FILE, names=A|B|-, decimal=point|comma, max_size=MB, and of several axes x=VOLTAGE:DISPLACEMENT; "
+        "default: columns are found by their names."
+    )
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the columns of a text; raise ValueError if it is none."""
+        found: dict[str, Any] = {"axes": {}}
+        for entry in next(csv.reader([text], skipinitialspace=True)):
+            key, equals, value = (part.strip() for part in entry.partition("="))
+            if not equals or not key or not value:
+                raise ValueError(f"got {entry!r}, need KEY=VALUE, as in 'time=Time:ms, voltage=Ch1:mV*100'")
+            if key in found or key in found["axes"]:
+                raise ValueError(f"got {key} twice; give it once")
+            if key in ("voltage", "displacement"):
+                name, scale = _scaled(value, _SCALES[key])
+                found |= {key: name or None, f"{key}_scale": scale or None}
+            elif key in ("time", "wanted"):
+                found[key] = value
+            elif key == "names":
+                found[key] = ",".join(value.split("|"))
+            elif key == "join":
+                found[key] = Path(value)
+            elif key == "decimal":
+                if value not in _SIGNS:
+                    raise ValueError(f"decimal: got {value!r}, need {' or '.join(_SIGNS)}")
+                found[key] = _SIGNS[value]
+            elif key in ("rate", "max_size"):
+                found |= {"sample_rate": _number(value)} if key == "rate" else {"max_bytes": 1e6 * _number(value)}
+            else:
+                found["axes"][key] = value
+        return cls(**found)
+
+    def __str__(self) -> str:
+        """Return the text."""
+        doubled = '""'
+        quoted = (f'"{one.replace(doubled[0], doubled)}"' if set(one) & set(',"') else one for one in self._entries())
+        return ", ".join(quoted)
+
+    @classmethod
+    def of_options(cls, options: Mapping[str, Any], before: Columns | None = None) -> Columns:
+        """Return columns with keywords of `dehyst.read`, such as those that an error suggests, in place of others."""
+        known = {**options}
+        if names := known.pop("columns", None):
+            # Only a file without a header needs names: its columns are numbered.
+            entries = (name.strip().partition(":") for name in str(names).split(","))
+            known |= {name: f"{k}:{unit}" for k, (name, _, unit) in enumerate(entries, 1) if name not in ("", "-")}
+        return replace(before or cls(), **known)
+
+    @classmethod
+    def of_fields(cls, fields: Mapping[str, Any]) -> Columns:
+        """Return columns with keywords of `dehyst.read`, as the fields of a form; raise FileFormatError for others."""
+        known = {*cls.__dataclass_fields__} - {"names", "wanted"} | {"columns"}
+        for name, value in fields.items():
+            kind = {"sample_rate": float | int, "axes": dict}.get(name, str)
+            fits = isinstance(value, kind) and not isinstance(value, bool) and len(str(value)) <= _LONGEST_FIELD
+            if name not in known or not fits:
+                raise FileFormatError(
+                    argument="options", got=f"{name[:40]!r}", need=f"one of {', '.join(sorted(known))}"
+                )
+        return cls(**{"names" if name == "columns" else name: value for name, value in fields.items()})
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that are read beside those of the command."""
+        return () if self.join is None else (self.join,)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that were given."""
+        return tuple(entry.partition("=")[0] for entry in self._entries())
+
+    def demand_axes(self, keys: Sequence[str], words: str) -> None:
+        """Refuse keys as `demand` does; columns are those of axes, but a scale may be given for all of them."""
+        named = [key for key in ("voltage", "displacement") if getattr(self, key) is not None]
+        self.demand([key for key in keys if key not in named], words, axes=True)
+
+    def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
+        """Refuse keys other than these, and without `axes` those of axes; `words`: where they have no effect."""
+        known = (*keys, *self.axes) if axes else keys
+        wrong = [key for key in self.keys if key not in known]
+        if wrong:
+            raise FileFormatError(
+                f"{wrong[0]} has no effect {words}",
+                argument="columns",
+                hint=f"leave it out; known are {', '.join(keys)}",
+            )
+
+    def records(self, paths: Sequence[Path], *, axes: str | None = None, several: bool = False) -> list[Record]:
+        """Read records, with `axes` as `dehyst.read` has it; `several`: the command reads other files too."""
+        several = several or len(paths) > 1
+        return [self._with_sign(partial(read, path, **self._options(axes)), several) for path in paths]
+
+    def table(self, path: Path, *, several: bool = False) -> Table:
+        """Read the table of a file, with the names and the joined file of the text."""
+        choice = Choice(**{name: getattr(self, name) for name in Choice._fields})
+        given: dict[str, Any] = {
+            "columns": self.names,
+            "join": self.join,
+            "decimal": self.decimal,
+            "max_bytes": self.max_bytes,
+        }
+        return named_and_joined(self.plain_table(path, several=several), choice, **given)
+
+    def plain_table(self, path: Path, *, several: bool = True) -> Table:
+        """Read the table of a file as it is: only decimal sign and size count."""
+        return self._with_sign(partial(read_table, path, max_bytes=self.max_bytes), several)
+
+    def record_in(self, table: Table, name: str) -> Record:
+        """Return the record in a table."""
+        choice = Choice(**{quantity: getattr(self, quantity) for quantity in Choice._fields})
+        return record_of(table, choice, name, axis_columns(self.pairs) if self.axes else ())
+
+    def values(self, table: Table, quantity: str) -> Array:
+        """Return the voltage or the displacement in a table."""
+        scale = f"{quantity}_scale"
+        selected = {quantity: getattr(self, quantity), scale: getattr(self, scale)}
+        return chosen(table, Choice(**selected), (quantity,))[quantity].values
+
+    def clock(self, table: Table, samples: int) -> dict[str, Array]:
+        """Return the time column of a table, if it has one or a rate was given."""
+        if self.time is None and self.sample_rate is None and table.fitting("time") != 1:
+            return {}
+        return {"time_s": time_of(table, samples, self.time, self.sample_rate)}
+
+    @property
+    def pairs(self) -> str:
+        """The axes as `dehyst.read` takes them."""
+        return " ".join(f"{name}={columns}" for name, columns in self.axes.items())
+
+    def _options(self, axes: str | None) -> dict[str, Any]:
+        """Return the keywords of `dehyst.read` but the decimal sign."""
+        choice = {name: getattr(self, name) for name in Choice._fields}
+        more = {
+            "columns": self.names,
+            "join": self.join,
+            "max_bytes": self.max_bytes,
+            "axes": axes or self.pairs or None,
+        }
+        return choice | more
+
+    def _with_sign(self, reading: Callable[..., _Read], several: bool) -> _Read:
+        """Read a file with the decimal sign that was given; one of several files may show another sign."""
+        try:
+            return reading(decimal=self.decimal)
+        except FileFormatError:
+            if self.decimal is not None and several:
+                with suppress(FileFormatError):
+                    return reading(decimal=None)
+            raise
+
+    def _entries(self) -> Iterator[str]:
+        for name in ("time", "voltage", "displacement", "wanted"):
+            value, scale = getattr(self, name), getattr(self, f"{name}_scale", None)
+            scale = "" if scale is None else f"*{scale.removesuffix(' V/V')}"
+            if value or scale:
+                yield f"{name}={value or ''}{scale}"
+        if self.sample_rate is not None:
+            yield f"rate={self.sample_rate if isinstance(self.sample_rate, str) else f'{self.sample_rate:.12g}'}"
+        if self.names is not None:
+            yield f"names={self.names.replace(',', '|')}"
+        if self.join is not None:
+            yield f"join={self.join}"
+        if self.decimal is not None:
+            yield f"decimal={next(word for word, sign in _SIGNS.items() if sign == self.decimal)}"
+        if self.max_bytes != MOST:
+            yield f"max_size={self.max_bytes / 1e6:.12g}"
+        yield from (f"{name}={columns}" for name, columns in self.axes.items())
+
+
+# Columns that are found by their names.
+AS_FOUND = Columns()
+
+
+def _scaled(value: str, units: str) -> tuple[str, str]:
+    """Return a column without its scale, and the scale; a bare number has the given units."""
+    match = _SCALED.fullmatch(value)
+    if match is None:
+        return value, ""
+    return match[1], f"{match[2]} {match[3] or units}"
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        number = f"replace {RATE} by the number of samples a second, as 1000" if text == RATE else "need a number"
+        raise ValueError(f"got {text!r}, {number}") from error
+
+
+# Significant digits of a table: 0.1 nV of 100 V.
+_DIGITS = 12
+_LONGEST = 1_000_000
+
+
+def is_model(path: Path, *formats: str) -> bool:
+    """Return whether a file is a model, by its format alone; by default of one axis or several."""
+    return path.is_file() and format_of(path) in (formats or MODELS)
+
+
+def read_model(run: Run, path: Path) -> Actuator:
+    """Read a model; note if its identification was not usable, or did not end."""
+    actuator = Actuator.load(path)
+    known = actuator.identification
+    if known is not None and known.outcome is not None and not known.outcome.good:
+        run.note(f"{path}: when this model was identified: {known.outcome.value}")
+    if known is not None and known.provisional:
+        run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
+    return actuator
+
+
+def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:
+    """Write a table without the tails of rounding errors; that of a `scan` begins with its declaration."""
+    head = () if scan is None else (f"{SCAN}{json.dumps(scan)}",)
+    write_columns(path, columns, digits=_DIGITS, head=head)
+
+
+def scan_declared(path: Path) -> dict[str, Any] | None:
+    """Return the declaration in the first line of a path; None if there is none. A pipe is not looked at."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as stream, suppress(ValueError):
+        line = stream.readline(_LONGEST).decode(errors="replace")
+        if line.startswith(SCAN) and isinstance(found := json.loads(line.removeprefix(SCAN)), dict):
+            return found
+    return None

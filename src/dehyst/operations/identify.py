@@ -1,0 +1,220 @@
+"""`identify`: an actuator from records of voltage and displacement, or several coupled ones."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from dehyst._errors import DehystError
+from dehyst.identification import Deadline, Fit, StageFit, identify_stage
+from dehyst.identification import identify as identify_one
+from dehyst.identification.coupling.cross_talk import followed
+from dehyst.identification.results import write_traces
+from dehyst.model import Actuator, Stage
+from dehyst.operations.declaration import Input, Only, Output, Values, operation
+from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.operations.paths import Zero
+from dehyst.operations.run import Result, Run, files
+from dehyst.records import Record
+from dehyst.report import write_report, write_stage_report
+from dehyst.trust import insight
+
+_VOLTS = ("V", "mV", "kV")
+_SLIP = ("elements", "knots", "method")
+
+
+def _several(given: Values) -> bool:
+    return len(given.get("records", ())) + len(given.get("validate", ())) > 1
+
+
+@operation(
+    identify_one,
+    take=(
+        "goal",
+        "sensor_lag",
+        "method",
+        "norm",
+        "elements",
+        "knots",
+        "slope_floor",
+        "delay",
+        "refine",
+        "drift",
+    ),
+    rare=("method", "norm", "elements", "knots", "slope_floor", "branch", "delay", "refine", "drift", "shared_datum"),
+    details=True,
+)
+def identify(
+    run: Run,
+    records: tuple[Input, ...],
+    *,
+    output: Output | None = None,
+    validate: tuple[Input, ...] = (),
+    report: Output | None = None,
+    traces: Output | None = None,
+    structure: Annotated[
+        Literal["auto", "maxwell_slip"],
+        Only(
+            lambda given: given["structure"] != "auto" or not any(name in given for name in _SLIP),
+            "with elements, knots or method, which imply maxwell_slip",
+        ),
+    ] = "auto",
+    zero: Zero | None = None,
+    time_limit: float | None = None,
+    shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
+    branch: Annotated[
+        Literal["descending", "ascending"],
+        Only(lambda given: given.get("method") == "antisymmetric", "without method antisymmetric"),
+    ] = "descending",
+    columns: Columns = AS_FOUND,
+    **settings: Any,
+) -> Result:
+    """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns several coupled ones.
+
+    Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
+    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. Of several axes
+    there is no model before all are identified: Ctrl-C writes nothing.
+
+    Parameters
+    ----------
+    output
+        Write the model here (JSON).
+    validate
+        Held-out records, simulated only.
+    report
+        Write a self-contained HTML report here.
+    traces
+        Write measured and simulated displacement of all records here (.npz).
+    structure
+        auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. maxwell_slip: slip
+        elements and a spring, as in Yeh's paper.
+    zero
+        Displacement that becomes 0: bottom, first sample or mean of the first record; default: the sensor's zero.
+    time_limit
+        End the search for a structure after this time [s], and complete the best model so far.
+    """
+    (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "on records")
+    deadline = Deadline(time_limit)
+    best = _BestSoFar(output)
+    run.progress("reading")
+    training, held_out = _zeroed(columns.records(records), columns.records(validate), zero)
+    settings |= {
+        "structure": structure,
+        "shared_datum": shared_datum,
+        "branch": branch,
+        "validate": held_out,
+        "progress": run.progress,
+    }
+    fit: Fit | StageFit
+    model: Actuator | Stage | None
+    with run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True), lambda: best.usable):
+        try:
+            if columns.axes:
+                fit = identify_stage(training, time_limit=time_limit, **settings)
+                model, every = fit.stage, tuple(trace for one in fit.fits for trace in one.traces)
+            else:
+                found = identify_one(training, throw=False, time_limit=deadline, first_model=best.keep, **settings)
+                fit = replace(found, remarks=(*_neighbour_remarks(found, records, columns), *found.remarks))
+                model, every = fit.actuator, fit.traces
+        except KeyboardInterrupt as interrupt:
+            if columns.axes:
+                interrupt.add_note("several axes have no model before all are identified; nothing was written")
+            raise
+        except Exception:
+            best.remove()
+            raise
+    if output is not None and model is not None:
+        model.save(output)
+    if model is None:
+        best.remove()
+    if traces is not None:
+        write_traces(traces, every)
+    if report is not None:
+        run.progress("drawing the report")
+        _report(report, fit, [*training, *held_out], len(training), run.command, quick=deadline.ended)
+    warnings = []
+    if deadline.ended:
+        where = "was printed" if output is None or model is None else f"is in {output}"
+        warnings = [f"stopped by Ctrl-C; the best model so far {where}"]
+    written = files(Model=None if model is None else output, Report=report)
+    lines, more = ([*fit.summary(full).split("\n"), *written] for full in (False, True))
+    return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
+
+
+def _zeroed(records: list[Record], others: list[Record], zero: Zero | None) -> tuple[list[Record], list[Record]]:
+    """Return records with displacements from a zero, which the first of them places for all."""
+    if zero is None or not records:
+        return records, others
+    y = records[0].displacement
+    places = {"": np.asarray(zero.um * 1e-6), "bottom": y.min(axis=0), "first": y[0], "mean": y.mean(axis=0)}
+    place = places[zero.name]
+    words = ", ".join(f"{one * 1e6:.6g}" for one in np.atleast_1d(place).tolist())
+
+    def moved(record: Record) -> Record:
+        source = f"{record.meta.get('source', record.name)}, zero at {words} um"
+        return replace(record, displacement=record.displacement - place, meta={**record.meta, "source": source})
+
+    return list(map(moved, records)), list(map(moved, others))
+
+
+def _report(
+    path: Path, fit: Fit | StageFit, records: Sequence[Record], training: int, command: str, *, quick: bool
+) -> None:
+    """Write the report of a fit, with an assessment of a model of one axis unless it is to be quick."""
+    if not isinstance(fit, Fit):
+        write_stage_report(path, fit, records, command=command)
+        return
+    found = None if quick or fit.actuator is None else insight(fit.actuator, records[:training], repeats=0)
+    write_report(path, fit, command=command, insight=found)
+
+
+def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> list[str]:
+    """Return warnings of other voltages in the files of records that the residual of a single axis follows."""
+    remarks = []
+    for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):
+        if path.is_fifo() or columns.sample_rate is not None:
+            continue
+        table = columns.table(path)
+        chosen = table.select("voltage", columns.voltage).column.name
+        others = {c.name: c.data for c in table.columns if c.name != chosen and not c.fault and c.parts[1] in _VOLTS}
+        if others:
+            time = columns.clock(table, table.columns[0].data.size).get("time_s")
+            remarks += [] if time is None else [one.sentence for one in followed(trace, time, others, error.stroke)]
+    return remarks
+
+
+class _BestSoFar:
+    """The best model so far of one identification, in its output.
+
+    A finished model that is there already stays until the new one is finished.
+    """
+
+    def __init__(self, output: Path | None) -> None:
+        self._output = output
+        self.usable = self._written = False
+
+    def keep(self, actuator: Actuator) -> None:
+        """Write the first model; from here on the search can be ended."""
+        self.usable = True
+        if self._output is not None and (not os.path.lexists(self._output) or _is_provisional(self._output)):
+            actuator.save(self._output)
+            self._written = True
+
+    def remove(self) -> None:
+        """Remove the first model, because there will be no final one."""
+        if self._written and self._output is not None:
+            self._output.unlink(missing_ok=True)
+
+
+def _is_provisional(path: Path) -> bool:
+    """Whether a file is the first model of an identification that did not end."""
+    with suppress(DehystError):
+        known = Actuator.load(path).identification
+        return known is not None and known.provisional
+    return False

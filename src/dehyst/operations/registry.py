@@ -1,0 +1,55 @@
+"""The operations by their names, in the order of the journey; each is loaded when it is used."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import NamedTuple
+
+from dehyst.operations.declaration import Operation, OperationError
+
+
+class Entry(NamedTuple):
+    """Where an operation is, `module:name` in this room, and what it is for in a few words."""
+
+    place: str
+    words: str
+
+
+JOURNEY: dict[str, dict[str, Entry]] = {
+    "Try it": {
+        "demo": Entry("studies:demo", "The whole way on a virtual actuator"),
+        "paper": Entry("studies:paper", "Repeat the paper's experiment on a virtual actuator"),
+    },
+    "Excite and record": {
+        "excite": Entry("waves:excite", "Write the voltage of an excitation to play"),
+        "show": Entry("show:show", "What a file is understood as, and a drawing"),
+        "calibrate": Entry("bench:calibrate", "Do the whole experiment on an instrument"),
+        "rig serve": Entry("bench:serve", "Serve an emulated instrument"),
+    },
+    "Identify and know": {
+        "identify": Entry("identify:identify", "Fit a model to recorded loops"),
+        "insight": Entry("assess:insight", "How far to trust a model, and what to record next"),
+        "compare": Entry("compare:compare", "Compare with other published models on your records"),
+        "fleet identify": Entry("fleet:identify", "Identify thousands of records at once"),
+        "fleet report": Entry("fleet:report", "Outliers, refused records and ageing of a fleet"),
+    },
+    "Compensate and check": {
+        "scan": Entry("waves:scan", "Write the path of a scan to follow"),
+        "compensate": Entry("paths:compensate", "The voltage that follows a path"),
+        "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
+        "check": Entry("assess:check", "Whether a model is still true, by a new record"),
+    },
+    "Deploy": {
+        "export": Entry("export:export", "C source for a microcontroller, WebAssembly, or an FMU"),
+    },
+}
+ENTRIES = {name: entry for entries in JOURNEY.values() for name, entry in entries.items()}
+
+
+def find(name: str) -> Operation:
+    """Return an operation; raises OperationError if there is none."""
+    if name not in ENTRIES:
+        raise OperationError(argument="operation", got=repr(name), need=f"one of {', '.join(ENTRIES)}")
+    module, _, function = ENTRIES[name].place.partition(":")
+    found: Operation = getattr(import_module(f"dehyst.operations.{module}"), function)
+    return found

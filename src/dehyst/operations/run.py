@@ -1,0 +1,202 @@
+"""A run of an operation: what it tells on its way, what it returns, and which files it may replace."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dehyst._errors import FileFormatError
+from dehyst._io import demand_alike, format_of, protecting
+from dehyst.operations.declaration import Operation, OperationError, Role
+
+# Formats of models, of one axis and several.
+MODELS = ("dehyst-actuator", "dehyst-stage")
+
+
+class Run:
+    """Where an operation runs: silent here; a terminal and a worker tell what they are told.
+
+    Attributes
+    ----------
+    command : str
+        The command that does the same, for reports.
+    force : bool
+        Whether outputs may replace any file.
+    known : dict
+        What is known already if the operation fails, as JSON values.
+    """
+
+    def __init__(self) -> None:
+        self.command, self.force = "", False
+        self.known: dict[str, Any] = {}
+
+    def progress(self, words: str) -> None:
+        """Show what is being done; empty words end that."""
+
+    def note(self, sentence: object) -> None:
+        """Tell a warning at once."""
+
+    def say(self, line: object) -> None:
+        """Tell a line of the result at once."""
+
+    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> AbstractContextManager[Any]:
+        """Let a request to end early, such as Ctrl-C, call `end` if that is `possible` by then; else it interrupts."""
+        return nullcontext()
+
+    def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
+        """Return the watcher of a calibration with these steps."""
+        from dehyst.calibration.session import NullProgress
+
+        return nullcontext(NullProgress())
+
+
+class InterruptibleRun(Run):
+    """A run in the main thread that SIGINT ends early, where that is possible, and stops elsewhere."""
+
+    @contextmanager
+    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
+        """Let the first SIGINT end the operation early, if that is possible by then, and the second one stop it."""
+
+        def interrupt(*_: object) -> None:
+            if not possible():
+                raise KeyboardInterrupt
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self.ending()
+            end()
+
+        before = signal.getsignal(signal.SIGINT)
+        # A program in the background ignores Ctrl-C.
+        handles = threading.current_thread() is threading.main_thread() and before is signal.default_int_handler
+        if handles:
+            signal.signal(signal.SIGINT, interrupt)
+        try:
+            yield
+        finally:
+            if handles:
+                signal.signal(signal.SIGINT, before)
+
+    def ending(self) -> None:
+        """Tell that the operation ends early; called in a signal handler."""
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """End on SIGTERM as on an error, so that drafts and temporary folders are removed."""
+
+    def leave(number: int, _: object) -> None:
+        sys.exit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an operation returns.
+
+    Attributes
+    ----------
+    fields : dict
+        JSON values.
+    lines : sequence of str
+        For a person: the answer first.
+    more : sequence of str
+        The lines with all details; the same by default.
+    warnings : sequence of str
+        What to know of the result.
+    good : bool
+        False: done, but not good enough, for a reason in `lines`.
+    """
+
+    fields: Mapping[str, Any]
+    lines: Sequence[str] = ()
+    more: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    good: bool = True
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return dict(self.fields)
+
+
+def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force: bool = False) -> Result:
+    """Run an operation with the values that were given; with `force` it may replace any file.
+
+    Raises
+    ------
+    DehystError
+        A parameter has no effect, an output is an input or would replace another file, or the operation's own error.
+    """
+    operation.check(values)
+    _demand_order(operation, values)
+    run.command, run.force = shlex.join(operation.command(values)), force
+    with protecting(force=force):
+        outputs = list(operation.paths(values, Role.OUTPUT))
+        if force and not outputs and not any(operation.paths({**operation.defaults, **values}, Role.FOLDER)):
+            raise OperationError("has no effect without an output", argument="force", hint="leave it out")
+        demand_outputs(operation.paths(values, Role.INPUT), outputs)
+        result: Result = operation.function(run, **values)
+        return result
+
+
+def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
+    """Refuse a model that comes after other files."""
+    files = [
+        path
+        for one in operation.parameters
+        if one.positional
+        for path in operation.paths({one.name: values.get(one.name)}, Role.INPUT)
+    ]
+    if files and operation.parameter("model") is not None and format_of(files[0]) not in MODELS:
+        for other in files[1:]:
+            if format_of(other) in MODELS:
+                raise FileFormatError(f"{files[0]}: is no model, but {other} is one; give MODEL first, then {files[0]}")
+
+
+def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
+    """Refuse outputs that are inputs, have one name, lie in no folder, or would replace a file of another kind.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    if len({os.path.realpath(output) for output in outputs}) < len(outputs):
+        raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
+    before = list(inputs)
+    for output in outputs:
+        if str(output) == "-":
+            raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
+        if any(_same(output, path) for path in before):
+            raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
+        demand_alike(output)
+        if output.is_dir():
+            raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
+        if not Path(os.path.realpath(output)).parent.is_dir():
+            raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+
+
+def _same(first: Path, second: Path) -> bool:
+    """Return whether two names are of one file."""
+    try:
+        return first.samefile(second)
+    except OSError:
+        return os.path.realpath(first) == os.path.realpath(second)
+
+
+def files(**paths: Path | None) -> list[str]:
+    """Return a line for each file that was written, with its name."""
+    return [f"{name}: {path}" for name, path in paths.items() if path is not None]

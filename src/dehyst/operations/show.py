@@ -1,0 +1,206 @@
+"""`show`: what a file is understood as."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from dehyst._errors import RecordError
+from dehyst._io import format_of
+from dehyst._text import counted
+from dehyst.model import Actuator, Stage
+from dehyst.operations.declaration import Input, Only, Output, operation
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
+from dehyst.operations.run import Result, Run, files
+from dehyst.records import Record, write_record
+from dehyst.records.formats.columns import Table
+from dehyst.report import write_record_page
+
+_MODELS: dict[str | None, type[Actuator | Stage]] = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
+# What a guess is marked with, and the factor and unit in which values of a quantity are shown.
+_GUESSED = "guessed, verify"
+_SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
+# Columns of a file that are listed, and characters of the drawing.
+_MOST, _WIDTH, _HEIGHT = 40, 60, 16
+_of_record = Only(lambda given: not is_model(given["file"]), "with a model")
+
+
+@operation()
+def show(
+    run: Run,
+    file: Input,
+    *,
+    output: Annotated[Output | None, _of_record] = None,
+    report: Annotated[Output | None, _of_record] = None,
+    columns: Annotated[Columns, _of_record] = AS_FOUND,
+) -> Result:
+    """Print what a FILE is understood as: columns, units, sample rate, cycles and problems; and draw its loop.
+
+    The status is 2 if it is no record; the message has the columns that may make it one. A model is printed.
+
+    Parameters
+    ----------
+    output
+        Write the record here, in s, V and um (.csv) or m (.npz).
+    report
+        Write a self-contained HTML page here.
+    """
+    if is_model(file):
+        model = _MODELS[format_of(file)].load(file)
+        return Result(model.as_dict(), model.summary().split("\n"))
+    (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
+    table = columns.table(file)
+    run.known["file_columns"] = file_columns = [{"name": one.name, "unit": one.parts[1]} for one in table.columns]
+    for line in _column_lines(table):
+        run.say(line)
+    record = columns.record_in(table, file.stem)
+    axes = {
+        axis: _AxisView(one, table, columns, axis)
+        for axis, one in zip(record.axes or ("",), record.by_axis(), strict=True)
+    }
+    if output is not None:
+        write_record(output, record)
+    if report is not None:
+        write_record_page(
+            report, record, [row for one in axes.values() for row in one.understood()], command=run.command
+        )
+    fields = {axis: {**one.fields(), "file_columns": file_columns} for axis, one in axes.items()}
+    lines = [line for one in axes.values() for line in one.lines()]
+    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report)])
+
+
+def _column_lines(table: Table) -> Iterator[str]:
+    """Yield the columns of a file, as the file has them."""
+    samples = max((column.data.size for column in table.columns), default=0)
+    yield f"{table.source}: {counted(samples, 'sample')} of {counted(len(table.columns), 'column')}"
+    shown = table.columns[:_MOST]
+    width = max(6, *(min(len(column.name), 60) for column in shown))
+    yield f"  {'column':<{width}}  {'unit':<8}range"
+    for column in shown:
+        low, high = column.data.min(initial=np.inf), column.data.max(initial=-np.inf)
+        words = column.fault or f"{low:.6g} to {high:.6g}"
+        yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
+    if len(table.columns) > _MOST:
+        yield f"  and {len(table.columns) - _MOST} more"
+
+
+@dataclass(frozen=True)
+class _AxisView:
+    """What an axis of a record, or the only one, is understood as."""
+
+    record: Record
+    table: Table
+    columns: Columns
+    name: str
+
+    def _wanted(self, quantity: str) -> str | None:
+        """Return the column of a quantity that was asked for."""
+        if self.name and quantity != "time":
+            return self.columns.axes[self.name].split(":")[quantity == "displacement"]
+        wanted: str | None = getattr(self.columns, quantity)
+        return wanted
+
+    def _guessed(self, quantity: str) -> bool:
+        guesses = self.record.meta.get("guesses", {})
+        return quantity in guesses or f"{quantity} of {self.name}" in guesses
+
+    def understood(self) -> list[tuple[str, str, str]]:
+        """Return each quantity, its column and its range, in words."""
+        record, used = self.record, self.record.meta.get("columns", {})
+
+        def origin(quantity: str) -> str:
+            scale = getattr(self.columns, f"{quantity}_scale", None)
+            mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
+            column = used.get(quantity) or self._wanted(quantity) or quantity
+            return f"'{column}'{f', {scale}' if scale else ''}{mark}"
+
+        (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range
+        ranges = {
+            "time": f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz",
+            "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",
+            "displacement": f"{y0 * 1e6:.5g} to {y1 * 1e6:.5g} um: {record.stroke * 1e6:.4g} um, "
+            f"noise {record.noise * 1e9:.2g} nm",
+        }
+        for one in record.others:
+            unit = one.unit.replace("degC", "°C")
+            ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {unit}"
+        return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
+
+    def lines(self) -> Iterator[str]:
+        """Yield what the columns are understood as, what is suspicious, and the loop."""
+        rows = self.understood()
+        width = max(len(column) for _, column, _ in rows)
+        yield ""
+        if self.name:
+            yield f"Axis {self.name}"
+        for quantity, column, words in rows:
+            yield f"{quantity + ':':<14}{column:<{width}}  {words}"
+        yield ""
+        yield "First and last value, as written and as understood:"
+        yield from self._ends()
+        problems = self.problems()
+        yield ""
+        yield "Notes:" if problems else "No problems found."
+        yield from (f"  - {sentence}" for sentence in problems)
+        yield ""
+        yield from _drawing(self.record.voltage, self.record.displacement * 1e6, "voltage (V)", "displacement (um)")
+
+    def _ends(self) -> Iterator[str]:
+        """Yield the first and last value of each column that is used, as the file and as the record has them."""
+        timed = ("time",) if self.columns.sample_rate is None else ()
+        for quantity in (*timed, "voltage", "displacement"):
+            column = self.table.select(quantity, self._wanted(quantity)).column
+            # Joining cuts and interpolates rows.
+            cells = ("", "") if self.columns.join else column.ends
+            first, last = (cell or f"{value:.9g}" for cell, value in zip(cells, column.data[[0, -1]], strict=True))
+            stated, (factor, unit) = column.parts[1], _SHOWN[quantity]
+            name = column.name if not stated or stated in column.name else f"{column.name} [{stated}]"
+            a, b = (factor * float(value) for value in getattr(self.record, quantity)[[0, -1]])
+            mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
+            yield f"  {name}: {first} ... {last} -> {a:.6g} ... {b:.6g} {unit}{mark}"
+
+    def problems(self) -> list[str]:
+        """Return why no loop can be identified from the record, and what else is suspicious."""
+        try:
+            self.record.check_usable()
+        except RecordError as error:
+            return [f"Not usable for an identification: {error}.", *self.record.problems()]
+        return [*self.record.problems()]
+
+    def fields(self) -> dict[str, Any]:
+        """Return JSON values."""
+        record = self.record
+        return {
+            "name": record.name,
+            **{name: record.meta.get(name, {}) for name in ("columns", "scales", "guesses")},
+            "samples": len(record),
+            "sample_rate_Hz": 1 / record.sample_time,
+            "duration_s": float(record.time[-1] - record.time[0]),
+            "voltage_V": list(record.voltage_range),
+            "displacement_um": [1e6 * value for value in record.displacement_range],
+            "others": {one.column: [float(one.values.min()), float(one.values.max())] for one in record.others},
+            "noise_nm": 1e9 * record.noise,
+            "cycles": len(record.cycles()),
+            "problems": self.problems(),
+        }
+
+
+def _drawing(x: Any, y: Any, x_label: str, y_label: str) -> list[str]:
+    """Return the lines of a plot of finite arrays (n,), with the ends of both ranges at its axes."""
+
+    def places(values: Any, count: int) -> Any:
+        low, span = float(np.min(values)), float(np.ptp(values)) or 1.0
+        return np.minimum(((np.asarray(values) - low) / span * count).astype(np.intp), count - 1)
+
+    cells = np.full((_HEIGHT, _WIDTH), " ")
+    cells[_HEIGHT - 1 - places(y, _HEIGHT), places(x, _WIDTH)] = "*"
+    ends = [f"{value:.4g}" for value in (float(np.max(y)), float(np.min(y)))]
+    margin = max(map(len, ends))
+    marks = {0: ends[0], _HEIGHT - 1: ends[1]}
+    rows = [f"{marks.get(k, ''):>{margin}} |{''.join(row)}".rstrip() for k, row in enumerate(cells)]
+    low, high = f"{float(np.min(x)):.4g}", f"{float(np.max(x)):.4g}"
+    below = f"{low}{x_label:^{_WIDTH - len(low) - len(high)}}{high}"
+    return [f"{'':>{margin}}  {y_label}", *rows, f"{'':>{margin}} +{'-' * _WIDTH}", f"{'':>{margin}}  {below}"]

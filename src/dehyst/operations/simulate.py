@@ -1,0 +1,140 @@
+"""`simulate`: the displacement that a voltage causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import FileFormatError, ModelError
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.control import Compensator, HomedPath, PossibleStart, StageCompensator, plan_voltage
+from dehyst.control.limits import outside_identified
+from dehyst.operations import start as starts
+from dehyst.operations.axes import AxesModel
+from dehyst.operations.declaration import Input, Output, operation
+from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, write_table
+from dehyst.operations.run import Result, Run
+from dehyst.operations.start import Start
+
+
+@operation(plan_voltage)
+def simulate(
+    run: Run,
+    model: Input,
+    voltage: Input,
+    *,
+    output: Output,
+    lag: bool = False,
+    start: Start | None = None,
+    home: bool = False,
+    columns: Columns = AS_FOUND,
+) -> Result:
+    """Compute the displacement that a VOLTAGE file causes; adds expected_um.
+
+    Without --start the state before the first sample is unknown: the displacement is that from the middle of the
+    possible states, and lowest_um and highest_um bound it. The status is 1 if a voltage lies outside the model's
+    limits by more than a tenth of their range, or if --home leaves more than the model's error.
+
+    Parameters
+    ----------
+    output
+        Write time, voltage and displacement here (CSV).
+    lag
+        Delay the displacement by the delay found at identification.
+    start
+        State before the first sample, as in compensate; default: unknown.
+    home
+        Put the shortest homing before the voltages, from 0 V.
+    """
+    if home and start is not None:
+        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
+    known = AxesModel.read(run, model)
+    (columns.demand if known.stage is None else columns.demand_axes)(VOLTAGE, "on a voltage")
+    table = columns.table(voltage, several=start is not None and start.path is not None)
+    given = known.values(table, "voltage", columns)
+    time = columns.clock(table, len(given))
+    begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
+    paths = _played(known, given, time, begins, home=home)
+    if lag and not any(one.delay for one in known.actuators):
+        warnings.append("--lag: has no effect, because the model has no delay")
+    clock = starts.clock_columns(paths[0], time)
+    volts = np.column_stack([path.voltage for path in paths])
+    write_table(output, {**clock, **known.columns("voltage", volts), **_displacements(known, paths, clock, lag=lag)})
+    outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
+    late = "the measured displacement lagged by {:.4g} ms, which is left out here; add --lag"
+    warnings += known.prefixed(
+        [*outside.warnings, *path.warnings, *([late.format(1e3 * one.delay)] if one.delay and not lag else [])]
+        for outside, path, one in zip(outsides, paths, known.actuators, strict=True)
+    )
+    far = any(outside.far for outside in outsides)
+    fields = {
+        "samples": len(volts),
+        "outside": known.by_axis(outside.count for outside in outsides),
+        "far_outside": known.by_axis(outside.far for outside in outsides),
+        **known.merged([starts.path_start_fields(path) for path in paths]),
+        "warnings": warnings,
+        "state": known.by_axis(path.state.as_dict() for path in paths),
+        "output": str(output),
+    }
+    begin_words = (
+        starts.homed_words(path) if path.homing is not None else starts.start_words(one, path.start, path.start.state)
+        for path, one in zip(paths, known.actuators, strict=True)
+    )
+    words = ", ".join(known.prefixed([one] for one in begin_words))
+    errors = (
+        starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
+    )
+    lines = [f"{counted(len(volts), 'sample')} {words}: {output}", *known.prefixed(errors)]
+    return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
+
+
+def _played(
+    known: AxesModel,
+    voltage: Array,
+    time: Mapping[str, Array],
+    begins: Sequence[PossibleStart | None],
+    *,
+    home: bool,
+) -> list[HomedPath]:
+    """Return the motion of each axis by voltages (n, axes), perhaps with a homing before them."""
+    when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
+    if known.stage is None:
+        compensator = Compensator(known.actuators[0], ranges[0])
+        return [plan_voltage(compensator, voltage[:, 0], time=when, start=begins[0], home=home)]
+    several = StageCompensator(known.stage, limits=ranges, period=starts.period_of(time))
+    return [*plan_voltage(several, voltage, time=when, start=begins, home=home)]
+
+
+def _displacements(
+    known: AxesModel, paths: Sequence[HomedPath], clock: Mapping[str, Array], *, lag: bool
+) -> dict[str, Any]:
+    """Return columns of the displacement [um] and, if a start is open, of its bounds."""
+
+    def late(targets: Array) -> Array:
+        """Return displacements as sensors show them, late by the actuators' delays."""
+        if not lag:
+            return targets
+        if "time_s" not in clock:
+            raise FileFormatError(
+                argument="lag", need="the time of each sample", hint="give a time column", change=("sample_rate",)
+            )
+        when = clock["time_s"]
+        pairs = zip(known.actuators, targets.T, strict=True)
+        return np.column_stack([np.interp(when - actuator.delay, when, values) for actuator, values in pairs])
+
+    moved = np.column_stack([path.expected for path in paths])
+    if lag:
+        moved = known.moved(late(known.targets(moved)))
+    written = known.columns("displacement", 1e6 * moved, "expected")
+    if paths[0].homing is not None or all(starts.left_open(path) is None for path in paths):
+        return written
+    low, high = (late(np.column_stack([getattr(path.error, end) for path in paths])) for end in ("lowest", "highest"))
+    if known.stage is not None:
+        # Each entry of the coupling takes the end that its sign asks for.
+        up, down = np.maximum(known.stage.coupling, 0.0), np.minimum(known.stage.coupling, 0.0)
+        low, high = low @ up.T + high @ down.T, high @ up.T + low @ down.T
+    lowest = known.columns("displacement", 1e6 * low, "lowest")
+    return {**written, **lowest, **known.columns("displacement", 1e6 * high, "highest")}

@@ -1,0 +1,272 @@
+"""The state in which a model starts: as it is given, what is unknown of it, and what a file of voltages lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from dehyst._errors import ModelError
+from dehyst._io import COMPUTED
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.control import HomedPath, PossibleStart, StartError
+from dehyst.control.planning.start import NAMES
+from dehyst.model import Actuator, State
+from dehyst.model.states import state_after_loops
+from dehyst.operations.axes import AxesModel
+from dehyst.operations.files import Columns
+from dehyst.records import Record
+from dehyst.trust import start_of
+
+# Least share of the stroke that is printed as a number [%].
+_SMALL = 1e-3
+_COMPUTED = (
+    "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
+    "give a record for more"
+)
+# Before the file of a record whose beginning, not whose end, is the start.
+_AS = "as:"
+# Seconds of a homing from which on its duration is a warning.
+_LONG = 60.0
+Limits = tuple[float, float] | None
+# Gives the start of an axis' actuator within limits.
+StartReader = Callable[[int, Actuator, Limits], PossibleStart]
+
+
+@dataclass(frozen=True)
+class Start:
+    """The state before the first sample: a name of `PossibleStart`, or a file of what was played before.
+
+    `began`: the start is the state in which the file's record began, not that at its end.
+    """
+
+    name: str = ""
+    path: Path | None = None
+    began: bool = False
+
+    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE|{_AS}RECORD"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the start in a text; raise ValueError with what is needed."""
+        if text in NAMES:
+            return cls(text)
+        began = text.startswith(_AS) and not Path(text).exists()
+        path = Path(text.removeprefix(_AS) if began else text)
+        if not path.exists():
+            needed = f"need {', '.join(NAMES)}, a file of what was played before, or {_AS}RECORD"
+            raise ValueError(f"got {text!r}, {needed}")
+        return cls("", path, began)
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return self.name or f"{_AS if self.began else ''}{self.path}"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file that is read."""
+        return () if self.path is None else (self.path,)
+
+
+def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: bool = True) -> StartReader:
+    """Return what gives the start of an actuator: the named one, or that which the file, read once, determines.
+
+    Displacements that dehyst wrote are no measurement: of such a file only the voltages count. `rests`: whether the
+    actuator rests at the voltage of the start, which is still applied: the file's last one, or its first if it is the
+    beginning that counts.
+    """
+    if start.path is None:
+        return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
+    table, name = columns.plain_table(start.path), start.path.name
+    known = model.recorded(columns)
+    pairs = [known.get(axis) for axis in model.axes]
+    voltages = [table.column("voltage", one and one.voltage) for one in pairs]
+    moved = [one and one.displacement for one in pairs]
+    computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
+    measured = all(table.fitting("displacement") == 1 if one is None else one in table.names for one in moved)
+    own = set(computed) <= set(table.names)
+    measured = measured and not own
+    if start.began and not measured:
+        raise ModelError(
+            argument="start",
+            got=f"{start}, without a measured displacement",
+            need="a record with one: it determines the state in which the record began",
+        )
+    remarks = (f"{name}: {_COMPUTED}",) if own else ()
+
+    def read(axis: int, actuator: Actuator, limits: Limits) -> PossibleStart:
+        voltage = voltages[axis]
+        time = table.column("time") if actuator.needs_time or measured else None
+        if time is not None and measured:
+            targets = model.targets(np.column_stack([table.column("displacement", one) for one in moved]))
+            record = Record(time, voltage, targets[:, axis], name)
+            found = start_of(actuator, record, began=start.began, limits=limits)
+        else:
+            found = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=name)
+        found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
+        return replace(found, remarks=(*found.remarks, *remarks))
+
+    return read
+
+
+def starts_of(
+    model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
+) -> tuple[list[PossibleStart | None], list[str]]:
+    """Return the start of each axis, None if none was given, and remarks; arguments as in `start_reader`."""
+    if start is None:
+        return [None] * len(model.axes), []
+    reader = start_reader(model, start, columns, rests=rests)
+    found = []
+    for j, (actuator, allowed) in enumerate(zip(model.actuators, limits, strict=True)):
+        begin = reader(j, actuator, allowed)
+        found.append(_played_within(actuator, begin, allowed) if model.stage and start.name else begin)
+    return [*found], model.prefixed(one.remarks for one in found)
+
+
+def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
+    """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
+    allowed = limits or actuator.limits
+    state = start.state if allowed is None else state_after_loops(actuator, start.state, allowed)
+    if allowed is None or state is start.state:
+        return start
+    remark = (
+        f"the start {start.name} needs {actuator.voltage(start.state):.6g} V, outside the limits {allowed[0]:.6g} to "
+        f"{allowed[1]:.6g} V: it begins at {actuator.voltage(state):.6g} V, after loops between the limits"
+    )
+    return replace(start, states=(state,), remarks=(remark,))
+
+
+def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
+    """Describe the state before the first sample, in brackets; by default that of the start."""
+    voltage = f"{actuator.voltage(start.within(actuator, None) if state is None else state):.4g} V"
+    words = {
+        "relaxed": "from rest, relaxed, at ",
+        "homed": "homed, at ",
+        "unknown": "from the middle of the possible starts, at ",
+        "top": "coming from the top, ",
+        "bottom": "coming from the bottom, ",
+    }
+    began = start.name.startswith(_AS)
+    other = f"as {start.name.removeprefix(_AS)} began" if began else f"as at the end of {start.name}"
+    return f"({words.get(start.name, f'{other}, at ')}{voltage})"
+
+
+def homed_words(homed: HomedPath) -> str:
+    """Describe the homing before a path, in brackets."""
+    seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
+    return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
+
+
+def left_open(path: HomedPath) -> StartError | None:
+    """Return what the start of a path leaves open; None if it is known."""
+    return None if path.homing is None and path.start.known else path.error
+
+
+def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str]:
+    """Return a line on what a start of this name leaves open; none if it is known."""
+    if error is None:
+        return []
+
+    def percent(length: float) -> str:
+        share = error.percent(length)
+        return f"{share:.2g} %" if share >= _SMALL else f"less than {_SMALL} %"
+
+    largest, first, least = map(percent, (error.largest, error.first, error.model_error))
+    if homed:
+        return [f"unknown start: after the homing it leaves {largest} of the stroke open; the model's error is {least}"]
+    words = "unknown start: it leaves" if name == "unknown" else f"start after {name}: these voltages leave"
+    line = f"{words} {largest} of the stroke open"
+    if not error.matters:
+        return [f"{line}, the model's error is {least}"]
+    remedy = "give --start or --home" if name == "unknown" else "give --home instead of --start"
+    line += f", {first} at the first sample"
+    if error.settled is None:
+        return [f"{line}, and more than the model's error of {least} to the end: {remedy}"]
+    after = f"sample {error.settled}" if error.settled_seconds is None else f"{error.settled_seconds:.4g} s"
+    return [f"{line}, and less than the model's error of {least} after {after}: {remedy}"]
+
+
+def start_fields(
+    name: str, error: StartError | None, *, samples: int = 0, seconds: float | None = 0.0, certified: bool | None = None
+) -> dict[str, Any]:
+    """Return a start, and the homing before it, as JSON values."""
+    start = {"name": name, **({} if error is None else error.as_dict())}
+    return {"start": start, "homing_samples": samples, "homing_s": seconds, "certified": certified}
+
+
+def path_start_fields(path: HomedPath) -> dict[str, Any]:
+    """Return the start of a path as JSON values."""
+    homed: dict[str, Any] = (
+        {} if path.homing is None else {"samples": path.first, "seconds": path.seconds, "certified": path.certified}
+    )
+    return start_fields(path.start.name, left_open(path), **homed)
+
+
+def file_warnings(
+    actuator: Actuator, first: float, start: PossibleStart, state: State, slew: float | None
+) -> list[str]:
+    """Warn of what the file does not contain: the ramp to its first voltage, earlier creep and the delay."""
+    warnings = []
+    present = actuator.voltage(state)
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
+        within = "slowly" if slew is None else "within the slew rate"
+        warnings.append(
+            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
+            f"{present:.6g} V: ramp there {within} before you play the file"
+        )
+    if actuator.creep is not None and start.name in ("top", "bottom", "relaxed"):
+        longest = float(actuator.creep.time_constants[-1])
+        warnings.append(
+            f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
+            f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
+            "(dehyst excite homing --model) and use --start homed"
+        )
+    return [*warnings, *delay_warnings(actuator)]
+
+
+def delay_warnings(actuator: Actuator) -> list[str]:
+    """Warn of the delay of the stage, if it has one."""
+    if not actuator.delay:
+        return []
+    return [f"the measured displacement lagged by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
+
+
+def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None) -> list[str]:
+    """Warn of what the file of a path contains before it, or does not contain."""
+    first = float(path.voltage[0])
+    if path.homing is None:
+        begin = path.start.within(actuator, limits)
+        lead = (
+            f"the first {counted(path.first, 'sample')} lead from {first:.6g} V to the first one of the path within "
+            "the slew rate: play the whole file"
+        )
+        return [
+            *([lead] if path.first else []),
+            *path.warnings,
+            *file_warnings(actuator, first, path.start, begin, slew),
+        ]
+    warnings, without = [*path.warnings, *delay_warnings(actuator)], path.unhomed
+    if without is not None and path.seconds is not None and path.seconds >= _LONG:
+        warnings.append(
+            f"the homing takes {path.seconds:.4g} s; without it (--no-home) the unknown start leaves "
+            f"{without.percent(without.largest):.2g} % of the stroke open. If what was played last is on file, "
+            "--start FILE needs no homing"
+        )
+    return warnings
+
+
+def clock_columns(path: HomedPath, time: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the columns time_s, if there is a `time`, and phase, if something comes before the path."""
+    if path.homing is None and not path.first:
+        return dict(time)
+    return {**({} if path.time is None else {"time_s": path.time}), "phase": path.phase}
+
+
+def period_of(time: Mapping[str, Array]) -> float | None:
+    """Return the mean time between samples, by which the compensator of several axes checks its slew rate."""
+    times = time.get("time_s")
+    return None if times is None or len(times) < 2 else float((times[-1] - times[0]) / (len(times) - 1))

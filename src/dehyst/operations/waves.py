@@ -1,0 +1,301 @@
+"""`excite` and `scan`: voltages that show an actuator's loops, and paths for it to follow, as files to play."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from dehyst._errors import ModelError, RecordError
+from dehyst.control import shortest_homing
+from dehyst.control.planning.path import MOST_ROWS
+from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, merged, one_of, operation
+from dehyst.operations.files import read_model, write_table
+from dehyst.operations.run import Result, Run
+from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
+from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
+
+EXCITATIONS: dict[str, Callable[..., Excitation]] = {
+    "raised-cosine": standard.raised_cosine,
+    "descending-tops": standard.descending_tops,
+    "reversal-curves": standard.reversal_curves,
+    "minor-loop": standard.minor_loop,
+    "staircase": standard.staircase,
+    "stage": stage_excitation,
+    "homing": standard.homing,
+}
+# Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
+_FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+_LONGEST, _HARDLY = 120.0, 1.25
+_HOMING = 0.1
+_WHY = (
+    "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
+    "the loops; best is the rate at which the actuator will be used."
+)
+_of_homing = Only(lambda given: given["kind"] == "homing", "on another kind than homing")
+_paced = Only(
+    lambda given: given["kind"] not in ("staircase", "homing") or "model" in given,
+    "on steps, which are equal, and on a homing without --model",
+)
+_holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "without a staircase or a --model")
+
+
+@operation(
+    Sampling,
+    take=("shape",),
+    more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
+    rare=("shape", "pace", "ramp", "seed"),
+)
+def excite(
+    run: Run,
+    kind: Literal["raised-cosine", "descending-tops", "reversal-curves", "minor-loop", "staircase", "stage", "homing"],
+    volts: tuple[float, ...] = (),
+    *,
+    output: Output,
+    frequency: float | None = None,
+    sample_rate: float | None = None,
+    base: float = 0.0,
+    present: float | None = None,
+    limits: tuple[float, float] | None = None,
+    slew_rate: float | None = None,
+    pace: Annotated[Literal["frequency", "rate"], _paced] = "frequency",
+    hold: Annotated[float | None, _holds] = None,
+    model: Annotated[Input | None, _of_homing] = None,
+    axes: Annotated[str | None, Only(lambda given: given["kind"] == "stage", "without a stage")] = None,
+    **options: Any,
+) -> Result:
+    """Write the voltage of an excitation, to play and record.
+
+    KIND, with its VOLTS:
+
+    raised-cosine PEAKS: cycles from the base to each of the peaks and back.
+    descending-tops HIGHEST: cycles to tops that fall in equal steps; they determine all stiffnesses that loops can.
+    reversal-curves HIGHEST: from the highest voltage down to ever lower ones, and back up.
+    minor-loop LOW HIGH: a minor loop with its approach, after major cycles.
+    staircase HIGHEST: steps up and down again with holds, which show creep.
+    stage HIGHEST of each axis: one axis after the other, then all together.
+    homing HIGHEST: up and back; with --model the shortest certified way to a known state.
+
+    Parameters
+    ----------
+    output
+        Write time and voltage here (CSV).
+    frequency
+        Cycles a second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes.
+    hold
+        Staircase: time at each voltage [s]; default 60. Homing of a model that creeps: time at either limit; default:
+        as long as needed.
+    model
+        Model to home by the shortest waveform that is certified to end in a known state.
+    axes
+        Names of the axes of a stage, as x,y.
+    pace
+        frequency: every leg takes half a cycle; rate: only the highest leg does.
+    """
+    sampled: dict[str, Any] = {
+        "sample_rate": sample_rate,
+        "base": base,
+        "present": present,
+        "limits": limits,
+        "slew_rate": slew_rate,
+    }
+    sampled |= {"pace": pace, "shape": options.pop("shape", "cosine")}
+    if hold is not None:
+        options["hold"] = hold
+    if model is not None:
+        if volts:
+            raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
+        return _home(run, model, output, hold, frequency or _HOMING, sampled)
+    needed = {"descending-tops": 1, "reversal-curves": 1, "minor-loop": 2, "staircase": 1, "homing": 1}.get(kind)
+    if not volts or needed not in (None, len(volts)):
+        words = {None: "one for each peak or axis", 1: "one voltage", 2: "its lowest and its highest voltage"}[needed]
+        raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
+    if kind == "minor-loop" and "highest" not in options:
+        raise RecordError(argument="highest", got="none", need="the top of the major cycles")
+    if kind == "stage":
+        options["axes"] = None if axes is None else axes.split(",")
+    given = [volts] if kind in ("raised-cosine", "stage") else volts
+
+    def make(hertz: float) -> Excitation:
+        return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled), **options)
+
+    if frequency is not None:
+        return _written(make(frequency), output)
+    longest = _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
+    found, hertz = _slow_enough(make, longest)
+    return _written(found, output, f"{hertz:g} Hz by default", () if kind == "stage" else (_WHY,))
+
+
+def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[Excitation, float]:
+    """Return the slowest excitation that is short enough or, if none is, hardly longer than the fastest."""
+    possible = [(make(frequency), frequency) for frequency in _FREQUENCIES]
+    # With a warning the slew rate lengthens legs.
+    possible = [one for one in possible if not one[0].warnings] or possible
+    most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
+    return next(one for one in possible if one[0].duration <= most)
+
+
+def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float, sampled: dict[str, Any]) -> Result:
+    """Write the shortest homing of a model."""
+    actuator = read_model(run, model)
+    if hold is not None and not actuator.needs_time:
+        raise ModelError("has no effect with a model that does not creep", argument="hold", hint="leave it out")
+    sampled["limits"] = sampled["limits"] or actuator.limits
+    if sampled["limits"] is not None and not sampled["base"]:
+        low, high = sampled["limits"]
+        sampled["base"] = min(max(0.0, low), high)
+    drive = Sampling(frequency, **sampled)
+    ends = {"present": drive.start, "end": drive.base}
+    way = shortest_homing(actuator, limits=drive.limits, **ends, stiff_only=True, drive=drive, hold=hold)
+    remarks = () if way.certified and way.played is None else way.remarks
+    if len(way.turns) < 2:
+        words = "homing: the state is known already, nothing to play and nothing written"
+        return Result({"kind": "homing", "samples": 0, "warnings": list(remarks)}, [words], warnings=remarks)
+    if way.played is None:
+        remark = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
+        excitation = standard.homing(turns=way.turns, drive=drive)
+    else:
+        excitation, certificate = way.played, "certified" if way.certified else "NOT certified"
+        remark = f"{certificate}: the displacement is known to {way.error * 1e6:.3g} um after it"
+    return _written(excitation, output, remark, warnings=remarks, good=way.certified)
+
+
+def _written(
+    excitation: Excitation,
+    output: Path,
+    remark: str = "",
+    advice: tuple[str, ...] = (),
+    warnings: tuple[str, ...] = (),
+    good: bool = True,
+) -> Result:
+    """Write an excitation of one axis or several."""
+    names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
+    voltages = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
+    write_table(output, {"time_s": excitation.time, **voltages})
+    low, high = excitation.voltage_range
+    first, last = (excitation.voltage[k].tolist() for k in (0, -1))
+    fields = {
+        "kind": excitation.name,
+        "samples": len(excitation),
+        "seconds": excitation.duration,
+        "sample_rate_Hz": excitation.sample_rate,
+        "lowest_V": low,
+        "highest_V": high,
+        "first_V": first,
+        "last_V": last,
+        **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
+        "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
+        "warnings": [*warnings, *excitation.warnings],
+        "output": str(output),
+    }
+    size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {excitation.sample_rate:.6g} Hz"
+    what = f"{low:.6g} to {high:.6g} V"
+    if excitation.axes:
+        parts = (f"{name} {(stop - begin) / excitation.sample_rate:.4g} s" for name, begin, stop in excitation.parts)
+        what, advice = (
+            ", ".join(parts),
+            ("Play one cycle on all axes before, so that the record begins within the loops.",),
+        )
+    else:
+        what += f", from {first:.6g} to {last:.6g} V"
+    line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
+    return Result(fields, [line, *advice], warnings=fields["warnings"], good=good)
+
+
+def refuse_cycles(made: Scan, cycles: int) -> None:
+    """Refuse a number of cycles that no file should hold."""
+    if cycles < 0:
+        raise RecordError(argument="cycles", got=cycles, need="a whole number, 0 or more")
+    if made.samples > MOST_ROWS:
+        raise RecordError(
+            argument="scan",
+            got=f"{made.samples} rows a period at {made.rate:g} Hz",
+            need=f"at most {MOST_ROWS:g}",
+            hint="try a lower sample rate, or a scan of fewer lines",
+        )
+    if cycles * made.samples > MOST_ROWS:
+        raise RecordError(
+            argument="cycles",
+            got=f"{cycles}, {cycles * made.samples:.4g} rows",
+            need=f"at most {MOST_ROWS // made.samples} ({MOST_ROWS:g} rows)",
+            hint="repeat one cycle instead",
+        )
+
+
+class Numbers(tuple[float, ...]):
+    """Numbers with commas between them."""
+
+    metavar = "UM,UM,..."
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the numbers in a text; raise ValueError if there are none."""
+        return cls(map(float, text.split(",")))
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return ",".join(f"{one:.12g}" for one in self)
+
+
+def _scan_options() -> list[Parameter]:
+    """Return the options of all named scans; each has an effect on its own only."""
+    types: dict[Any, Any] = {"pair": tuple[int, int], "numbers": Numbers}
+    found = []
+    for name, option in OPTIONS.items():
+        takes = [one for one, scan in SCANS.items() if name in scan.takes]
+        condition = one_of("kind", takes)
+        choices = isinstance(option.kind, tuple)
+        default = option.default or (option.kind[0] if isinstance(option.kind, tuple) else "")
+        text = f"{option.help}{f' [{option.unit}]' if option.unit else ''}{default and f'; default: {default}'}."
+        kind = Literal[option.kind] if choices else types.get(option.kind, option.kind)
+        found.append(Parameter(name, Kind.of(kind), None, text, conditions=(condition,)))
+    return found
+
+
+@operation(more=_scan_options(), rare=("rounding", "rising", "back", "constant", "shape"))
+def scan(
+    run: Run,
+    kind: Literal["triangle", "raster", "spiral", "lissajous", "steps"],
+    *,
+    output: Output,
+    sample_rate: float | None = None,
+    cycles: int = 1,
+    **options: Any,
+) -> Result:
+    """Write the path of a scan: time and displacement of each axis.
+
+    KIND: triangle or steps of one axis; raster, spiral or lissajous of two. compensate makes the voltages of it.
+
+    Parameters
+    ----------
+    output
+        Write time and displacement here (CSV).
+    sample_rate
+        Samples a second [Hz]; default: by the scan.
+    cycles
+        Cycles of the scan.
+    """
+    made = scan_of(kind, options, sample_rate)
+    refuse_cycles(made, cycles)
+    paths = {axis: made.path(axis) for axis in made.axes}
+    if cycles != 1 or made.periodic:
+        paths = {axis: path.repeated(cycles) for axis, path in paths.items()}
+    time = next(iter(paths.values())).time
+    names = {axis: "displacement_um" if len(paths) == 1 else f"{axis}_um" for axis in paths}
+    declared = {"kind": kind, **options, "sample_rate": sample_rate, "cycles": cycles}
+    moved = {names[axis]: 1e6 * path.displacement for axis, path in paths.items()}
+    write_table(output, {"time_s": time, **moved}, declared)
+    ranges = {names[axis]: [1e6 * end for end in path.range] for axis, path in paths.items()}
+    fields = {
+        "kind": kind,
+        "samples": time.size,
+        "seconds": time.size / made.rate,
+        "sample_rate_Hz": made.rate,
+        "period_s": made.period,
+        "ranges_um": ranges,
+        "warnings": list(made.warnings),
+        "output": str(output),
+    }
+    words = ", ".join(f"{name} {low:.6g} to {high:.6g}" for name, (low, high) in ranges.items())
+    line = f"{kind}: {time.size} samples, {fields['seconds']:.6g} s at {made.rate:.6g} Hz, {words}: {output}"
+    return Result(fields, [line], warnings=made.warnings)

@@ -1,0 +1,166 @@
+"""Numbers that the page draws: columns of records, traces and voltages, paths of points and scans, WebAssembly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dehyst._errors import DehystError
+from dehyst._types import Array
+from dehyst.control import Compensator
+from dehyst.exports import wasm_module
+from dehyst.identification.results import read_traces
+from dehyst.model import Actuator
+from dehyst.operations.registry import find
+from dehyst.records import read, read_table, write_columns
+from dehyst.trust.turn_plane import turn_plane
+from dehyst.waveforms.named import scan_of
+
+_MICRO = 1e6
+# Samples of a path that is written, and of one that a page draws.
+_MOST_SAMPLES, _MOST_DRAWN = 10_000_000, 2_000_000
+
+
+class RequestError(DehystError, ValueError):
+    """A request that is not understood: what was got, what is needed."""
+
+
+def number_of(value: Any, name: str) -> float:
+    """Return a finite number from a request."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and isfinite(value):
+        return float(value)
+    raise RequestError(argument=name, got=repr(str(value)[:40]), need="a number")
+
+
+def limits_of(value: Any) -> tuple[float, float]:
+    """Return voltage limits [V] from a request."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise RequestError(argument="limits", need="the lowest and the highest voltage (V)")
+    low, high = (number_of(one, "limits") for one in value)
+    if not low < high:
+        raise RequestError(argument="limits", got=f"{low:g} to {high:g} V", need="the lower one first")
+    return low, high
+
+
+def written_path(file: Path, points: Any, rate: Any) -> None:
+    """Write a path through points (time [s], displacement [um]), with straight lines between them, as CSV.
+
+    Of several axes, `points` are those of each, by its name.
+
+    Raises
+    ------
+    RequestError
+        The points are not two at least with rising times, or the rate [Hz] asks for too many samples.
+    """
+    hertz = number_of(rate, "rate")
+    each = {"displacement_um": points} if not isinstance(points, Mapping) else {f"{k}_um": v for k, v in points.items()}
+    corners = {name: _corners(one) for name, one in each.items()}
+    if not corners:
+        raise RequestError(argument="points", need="those of an axis at least")
+    first = max(one[0, 0] for one in corners.values())
+    seconds = max(one[-1, 0] for one in corners.values()) - first
+    if not 1 <= seconds * hertz <= _MOST_SAMPLES:
+        got = f"{hertz:g} Hz, {seconds * hertz:.4g} samples"
+        raise RequestError(argument="rate", got=got, need=f"1 to {_MOST_SAMPLES:g} samples", hint="give another rate")
+    sampled = first + np.arange(round(seconds * hertz) + 1) / hertz
+    moved = {name: np.interp(sampled, *one.T) for name, one in corners.items()}
+    write_columns(file, {"time_s": sampled, **moved}, digits=12)
+
+
+def _corners(points: Any) -> Array:
+    try:
+        corners = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RequestError(argument="points", need="pairs of a time (s) and a displacement (um)") from error
+    if corners.ndim != 2 or corners.shape[0] < 2 or corners.shape[1] != 2 or not np.isfinite(corners).all():
+        raise RequestError(argument="points", need="two at least, each a time (s) and a displacement (um)")
+    if not (np.diff(corners[:, 0]) > 0).all():
+        raise RequestError("their times do not rise", argument="points", hint="move the points apart")
+    return corners
+
+
+def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
+    """Return time [s] and displacement [um] of a scan that was requested, sampled at a rate [Hz].
+
+    Raises
+    ------
+    RequestError, OperationError
+        The request is no scan, or has too many samples.
+    RecordError
+        The scan is impossible.
+    """
+    given = {name: value for name, value in scan.items() if value not in (None, "")}
+    hertz, axis = number_of(rate, "rate"), str(given.pop("axis", "x"))
+    values = find("scan").of_json({**given, "output": "path.csv"})
+    kind, cycles = values.pop("kind"), values.pop("cycles", 1)
+    values.pop("output")
+    path = scan_of(kind, values, hertz).path(axis)
+    if len(path) * cycles > _MOST_DRAWN:
+        got = f"{hertz:g} Hz, {len(path) * cycles} samples"
+        raise RequestError(argument="rate", got=got, need=f"{_MOST_DRAWN} at most to draw them")
+    whole = path.repeated(cycles) if path.periodic else path
+    return np.arange(len(whole)) / hertz, whole.displacement * _MICRO
+
+
+def wasm(file: Path, period: float | None) -> bytes:
+    """Return a model as a WebAssembly module with a `period` [s], for a model that depends on time."""
+    actuator = Actuator.load(file)
+    return wasm_module(Compensator(actuator, period=period if actuator.needs_time else None))
+
+
+def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
+    """Return time [s], voltage [V] and displacement [um] of a record's file, or of an `axis` of several in it."""
+    names = {"voltage": f"v{axis}_V", "displacement": f"{axis}_m"} if axis else {}
+    record = read(file, **names)  # type: ignore[arg-type]
+    return record.time - record.time[0], record.voltage, record.displacement * _MICRO
+
+
+def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
+    """Return time [s], voltage [V], wanted and expected displacement [um] of what `compensate` wrote, of an `axis`."""
+    columns = {column.name: column.data for column in read_table(file).columns}
+    voltage = columns[f"v{axis}_V" if axis else "voltage_V"]
+    time = columns.get("time_s", np.arange(voltage.size, dtype=np.float64))
+    wanted = columns[f"{axis}_um" if axis else "displacement_um"]
+    return time, voltage, wanted, columns.get(f"{axis}_expected_um" if axis else "expected_um", wanted)
+
+
+def trace_heads(file: Path) -> dict[str, Any]:
+    """Return name, role, samples and gaps [s] of each record of a file of traces, and where they turned."""
+    traces = list(read_traces(file)) if file.exists() else []
+    plane = turn_plane((trace.record, trace.time, trace.voltage) for trace in traces)
+    heads = [
+        {
+            "name": trace.record,
+            "role": trace.role,
+            "samples": int(trace.time.size),
+            "shaded": list(_gaps(trace.time, trace.began)),
+        }
+        for trace in traces
+    ]
+    return {"records": heads, "turns": None if plane is None else plane.as_dict()}
+
+
+def trace_columns(file: Path, number: int) -> tuple[Array, ...]:
+    """Return time [s], voltage [V], measured and simulated displacement [um] of a trace; IndexError if none."""
+    trace = list(read_traces(file))[number]
+    return trace.time - trace.began, trace.voltage, trace.measured * _MICRO, trace.simulated * _MICRO
+
+
+def packed(columns: tuple[Array, ...]) -> bytes:
+    """Return columns one after the other as little-endian 32-bit floats."""
+    return b"".join(column.astype("<f4").tobytes() for column in columns)
+
+
+def _gaps(time: Array, began: float) -> Iterator[list[float]]:
+    """Yield begin and end [s] of what was set aside, from the record's first sample."""
+    if not time.size:
+        return
+    if began < time[0]:
+        yield [0.0, float(time[0] - began)]
+    steps = np.diff(time)
+    for k in np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else ():
+        yield [float(time[k] - began), float(time[k + 1] - began)]

@@ -1,0 +1,260 @@
+"""The loop that learns: it follows ageing, believes no bad sensor, and keeps to limits and slew rate."""
+
+import json
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dehyst
+from dehyst import Actuator, AdaptiveCompensator, Compensator, MaxwellSlip, ModelError, Spring
+from dehyst.adaptation import AdaptiveSnapshot
+
+PLANT = replace(plain_records.plant(10, seed=4), limits=(-20.0, 220.0))
+LIMITS, PERIOD, STROKE = (-20.0, 220.0), 1e-3, plain_records.STROKE
+TURNS = (0.85, 0.35, 0.65, 0.05)
+
+
+def aged(age, gain=-0.07, width=0.25):
+    """The plant with less gain, a wider loop and a bent spring; its lowest point stays."""
+    slip, spring = PLANT.slip, PLANT.spring
+    kappa = slip.stiffness * (1 + width * age) / (1 + gain * age)
+    part = np.linspace(0, 1, spring.slopes.size)
+    slopes = spring.slopes * (1 + 0.1 * age * (part - 0.5)) / (1 + gain * age)
+    first = spring.voltage[0] + (kappa - slip.stiffness) @ slip.breakaway
+    return Actuator(MaxwellSlip(slip.breakaway, kappa), Spring.of_slopes(spring.displacement, slopes, float(first)))
+
+
+def cycle(seed, scale=1.0, middle=0.45):
+    turns = [TURNS[-1], *(np.array(TURNS) + 0.02 * np.random.default_rng(seed).random(4))]
+    return middle * STROKE * (1 - scale) + scale * plain_records.path(turns, 40)[1:]
+
+
+def lived(loop, cycles, *, age=lambda k: 0.0, sensor=lambda y, k, n: y, path=cycle):
+    """Play cycles; return the largest error of each as a part of the stroke."""
+    state, y, errors, count = None, None, [], 0
+    for k in range(cycles):
+        plant, error = aged(age(k / cycles)), []
+        for wanted in path(k).tolist():
+            count += 1
+            measured = None if y is None else sensor(y, k, count)
+            voltage = loop.step(wanted, measured) if isinstance(loop, AdaptiveCompensator) else loop.step(wanted)
+            start = plant.turned(STROKE * TURNS[-1], rising=False) if state is None else state
+            motion = plant.simulate([voltage], state=start)
+            state, y = motion.state, float(motion.displacement[0])
+            error.append(abs(y - wanted) / STROKE)
+        errors.append(max(error))
+    return np.array(errors)
+
+
+def loop_of(kind=AdaptiveCompensator, actuator=PLANT, **options):
+    start = PLANT.turned(STROKE * TURNS[-1], rising=False)
+    return kind(actuator, LIMITS, period=PERIOD, state=start, warns=False, **options)
+
+
+def test_without_a_measurement_it_is_the_compensator():
+    plain, loop = loop_of(Compensator), loop_of()
+    path = np.concatenate([cycle(k) for k in range(8)])
+    assert [loop.step(y) for y in path] == [plain.step(y) for y in path]
+    assert loop.voltage == plain.voltage
+    assert not any(one.used for one in loop.log)
+
+
+def test_a_model_that_is_true_stays_as_it_is():
+    loop = loop_of()
+    assert lived(loop, 20).max() < 1e-9
+    assert loop.datum == pytest.approx(0, abs=1e-12)
+
+
+def test_ageing_is_learnt():
+    frozen, loop = loop_of(Compensator), loop_of()
+    before, errors = lived(frozen, 60, age=float), lived(loop, 60, age=float)
+    assert errors[-6:].mean() < 0.2 * before[-6:].mean()
+    assert np.all(errors <= 1.2 * np.maximum(before, 0.005))
+    slope, friction = loop.log[-1].slope, loop.log[-1].friction
+    assert slope == pytest.approx(1 / 0.93, rel=0.03)
+    assert friction == pytest.approx(1.25 / 0.93, rel=0.15)
+    assert loop.actuator.slip.breakaway.tolist() == PLANT.slip.breakaway.tolist()
+
+
+def test_noise_does_no_harm():
+    rng = np.random.default_rng(1)
+    frozen, loop = loop_of(Compensator), loop_of()
+    before = lived(frozen, 40, age=float)
+    errors = lived(loop, 40, age=float, sensor=lambda y, k, n: y + 0.005 * STROKE * rng.normal())
+    assert errors[-4:].mean() < 0.35 * before[-4:].mean()
+
+
+def test_a_drift_of_the_sensors_zero_is_no_property_of_the_stage():
+    loop = loop_of()
+    errors = lived(loop, 40, sensor=lambda y, k, n: y + 0.02 * STROKE * n / 6400)
+    assert errors.max() < 0.003
+    assert loop.datum == pytest.approx(0.02 * STROKE, rel=0.15)
+
+
+BAD = {
+    "inverted": lambda y, k, n: STROKE - y,
+    "stuck": lambda y, k, n: 5e-6,
+    "absent": lambda y, k, n: math.nan,
+    "saturated": lambda y, k, n: min(y, 0.2 * STROKE),
+    "another axis": lambda y, k, n: STROKE * (0.5 + 0.4 * math.sin(0.37 * n)),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_sensor_is_not_believed(name):
+    loop = loop_of()
+    assert lived(loop, 12, sensor=BAD[name]).max() < 1e-9
+    assert loop.log
+    assert not any(one.used for one in loop.log)
+    assert all(one.reason for one in loop.log)
+
+
+def test_a_sensor_that_is_late_is_not_believed():
+    loop, seen = loop_of(), []
+
+    def late(y, k, n):
+        seen.append(y)
+        return seen[-4] if len(seen) > 3 else y
+
+    assert lived(loop, 12, sensor=late).max() < 0.01
+    assert sum(one.used for one in loop.log) <= 1
+    assert any("late" in one.reason for one in loop.log)
+
+
+def test_a_path_below_a_breakaway_is_not_learnt():
+    loop = loop_of()
+    lived(loop, 8, age=lambda part: 1.0, path=lambda k: cycle(k, scale=0.02))
+    assert not any(one.used for one in loop.log)
+
+
+def test_small_paths_then_a_large_one():
+    def path(k):
+        return cycle(k, scale=0.25 if k < 30 else 1.0)
+
+    before = lived(loop_of(Compensator), 40, age=lambda part: 1.0, path=path)
+    errors = lived(loop_of(), 40, age=lambda part: 1.0, path=path)
+    assert np.all(errors[30:] <= 1.2 * before[30:])
+    assert errors[-1] < 0.5 * before[-1]
+
+
+def test_a_clamped_voltage_is_not_learnt_from():
+    loop = loop_of()
+    loop = AdaptiveCompensator(PLANT, (40.0, 90.0), period=PERIOD, warns=False)
+    lived(loop, 8, age=lambda part: 1.0)
+    assert not any(one.used for one in loop.log)
+
+
+def test_learning_can_be_switched_off():
+    loop = loop_of()
+    loop.learning = False
+    plain = loop_of(Compensator)
+    assert np.array_equal(lived(loop, 12, age=lambda part: 1.0), lived(plain, 12, age=lambda part: 1.0))
+    assert loop.actuator is PLANT
+
+
+def test_the_zero_of_a_sensor_that_keeps_it_is_learnt():
+    """A stage that moves as a whole: with a sensor whose zero may drift it stays, else it is removed."""
+
+    def moved(y, k, n):
+        return y
+
+    def path(k):
+        return cycle(k)
+
+    shifts = {}
+    for zero_drifts in (True, False):
+        loop = loop_of(zero_drifts=zero_drifts)
+        lived(loop, 30, age=lambda part: part)
+        shifts[zero_drifts] = abs(loop.datum)
+    assert shifts[False] <= shifts[True] + 1e-12
+
+
+def test_integral_action_removes_an_offset_and_stands_still_without_a_sensor():
+    shifted = loop_of(integral_time=0.02)
+    lived(shifted, 6, sensor=lambda y, k, n: y - 0.02 * STROKE)
+    assert shifted._correction == pytest.approx(0.02 * STROKE, rel=0.1)
+    before = shifted._correction
+    for wanted in cycle(0).tolist():
+        shifted.step(wanted)
+    assert shifted._correction == before
+
+
+def test_snapshots_continue_bit_for_bit(tmp_path):
+    loop = loop_of()
+    lived(loop, 10, age=lambda part: part)
+    snapshot = loop.snapshot()
+    snapshot.save(tmp_path / "loop.json")
+    other, same = loop_of(), loop_of()
+    other.restore(AdaptiveSnapshot.load(tmp_path / "loop.json"))
+    same.restore(pickle.loads(pickle.dumps(snapshot)))
+    assert np.array_equal(other.actuator.slip.stiffness, loop.actuator.slip.stiffness)
+    assert lived(other, 6, age=lambda part: 1.0).tolist() == lived(same, 6, age=lambda part: 1.0).tolist()
+    assert json.loads(json.dumps(snapshot.as_dict())) == snapshot.as_dict()
+    with pytest.raises(ModelError, match="another actuator"):
+        AdaptiveCompensator(replace(plain_records.plant(8, seed=4), limits=LIMITS), period=PERIOD).restore(snapshot)
+
+
+def test_impossible_arguments_are_refused():
+    for options in ({"memory": 0.5}, {"memory": math.nan}, {"time_constant": -1.0}, {"integral_time": 0.0}):
+        with pytest.raises(ModelError) as caught:
+            loop_of(**options)
+        assert caught.value.argument == next(iter(options))
+    with pytest.raises(ModelError, match="period"):
+        AdaptiveCompensator(PLANT, LIMITS, integral_time=1.0)
+    loop = loop_of()
+    before = loop.step(5e-6)
+    for wanted, measured in ((math.nan, 0.0), (5e-6, "far")):
+        with pytest.raises(ModelError):
+            loop.step(wanted, measured)
+    assert loop.voltage == before
+
+
+def test_units_are_those_of_both_displacements():
+    metres, microns = loop_of(), loop_of(units="um")
+    state, y = PLANT.turned(STROKE * TURNS[-1], rising=False), None
+    for wanted in np.concatenate([cycle(k) for k in range(5)]).tolist():
+        voltage = metres.step(wanted, y)
+        assert microns.step(wanted * 1e6, None if y is None else y * 1e6) == pytest.approx(voltage, rel=1e-9)
+        motion = aged(1.0).simulate([voltage], state=state)
+        state, y = motion.state, float(motion.displacement[0])
+    assert microns.datum == pytest.approx(1e6 * metres.datum, rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["nan", "stuck", "inverted", "late", "wild", "good"]), st.booleans())
+def test_no_voltage_leaves_limits_or_slew_rate_whatever_the_sensor_says(seed, kind, integral):
+    rng = np.random.default_rng(seed)
+    low, high = np.sort(rng.uniform(-20, 220, 2))
+    high += 5.0
+    slew = float(10 ** rng.uniform(2, 5))
+    loop = AdaptiveCompensator(
+        PLANT, (low, high), slew, period=PERIOD, warns=False, memory=2.0, integral_time=0.01 if integral else None
+    )
+    plant, before, seen = aged(1.0), loop.voltage, [0.0]
+    state = plant.turned(STROKE / 2)
+    for wanted in np.concatenate([cycle(k) for k in range(6)]).tolist():
+        measured = {
+            "nan": math.nan,
+            "stuck": 4e-6,
+            "inverted": STROKE - seen[-1],
+            "late": seen[max(-9, -len(seen))],
+            "wild": float(rng.choice([1e30, -1e30, math.inf, seen[-1]])),
+            "good": seen[-1],
+        }[kind]
+        voltage = loop.step(wanted, measured)
+        assert low <= voltage <= high
+        assert abs(voltage - before) <= slew * PERIOD * (1 + 1e-9) + 1e-12
+        motion = plant.simulate([voltage], state=state)
+        state, before = motion.state, voltage
+        seen.append(float(motion.displacement[0]))
+
+
+def test_it_is_offered_by_the_package():
+    assert dehyst.AdaptiveCompensator is AdaptiveCompensator
+    assert "exchanges" in repr(loop_of())

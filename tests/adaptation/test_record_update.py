@@ -1,0 +1,91 @@
+"""A model updated from one record: what changed, what could not be seen, and that it predicts better."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+
+import dehyst
+from dehyst import Actuator, IdentifyError, MaxwellSlip, Spring
+
+TRAINED = (1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0)
+ONE_LOOP = (0, 1, 0, 1, 0)
+TEST = (0, 1, 0, 0.9, 0.3, 0.7, 0.2, 0.8, 0.1, 0.6, 0.4, 1, 0)
+TRUE = plain_records.plant(10, seed=4)
+
+
+@pytest.fixture(scope="module")
+def old():
+    return dehyst.identify(driven(TRUE, TRAINED), structure="maxwell_slip", elements=10).actuator
+
+
+def aged(gain, width):
+    slip, spring = TRUE.slip, TRUE.spring
+    kappa = slip.stiffness * (1 + width) / (1 + gain)
+    first = float(spring.voltage[0] + (kappa - slip.stiffness) @ slip.breakaway)
+    return Actuator(
+        MaxwellSlip(slip.breakaway, kappa), Spring.of_slopes(spring.displacement, spring.slopes / (1 + gain), first)
+    )
+
+
+def driven(stage, turns, **options):
+    """The record of a voltage through turns, as parts of 0 to 200 V."""
+    voltage = plain_records.VOLTS / plain_records.STROKE * plain_records.path(turns)
+    start = stage.turned(0.0, rising=False)
+    return plain_records.driven(stage, voltage, noise=2e-9, state=start, **options)
+
+
+def error(model, record):
+    found = dehyst.check(model, record)
+    return np.array([found.largest, found.rms]) / plain_records.STROKE
+
+
+def test_one_loop_is_enough_for_gain_and_width(old):
+    stage = aged(-0.07, 0.25)
+    record = driven(stage, ONE_LOOP, seed=1)
+    made = dehyst.update(old, record)
+    test = driven(stage, TEST, seed=2)
+    anew = dehyst.identify(driven(stage, TRAINED, seed=3), structure="maxwell_slip", elements=10).actuator
+    assert made.used
+    assert np.all(error(made.actuator, test) < 0.2 * error(old, test))
+    assert np.all(error(made.actuator, test) < np.maximum(1.3 * error(anew, test), 0.003))
+    changes = {change.name: change for change in made.changes}
+    reached = record.stroke / driven(TRUE, ONE_LOOP, seed=1).stroke
+    assert changes["gain"].value == pytest.approx(reached - 1, abs=0.05)
+    assert changes["width"].value > 0
+    assert changes["gain"].error > 0
+    assert made.held_out[1] < 0.3 * made.before[1]
+    assert made.after[1] < 0.3 * made.before[1]
+    assert any("gain" in sentence for sentence in made.sentences())
+    assert made.actuator.identification.expected_rms == made.held_out[1]
+    assert made.actuator.provenance["updated_from"] == old.name
+    assert made.actuator.limits == old.limits
+
+
+def test_a_stage_that_has_not_changed_keeps_its_model(old):
+    made = dehyst.update(old, driven(TRUE, ONE_LOOP, seed=1))
+    assert not made.used
+    assert made.actuator is old
+    assert made.sentence.startswith("Not updated")
+
+
+def test_what_a_record_does_not_visit_is_named_and_stays(old):
+    stage = aged(-0.07, 0.0)
+    made = dehyst.update(old, driven(stage, (0, 0.5, 0, 0.5, 0, 0.5, 0), seed=1))
+    assert any("not visited" in sentence for sentence in made.missing)
+    assert any("did not slide" in sentence for sentence in made.missing)
+    assert made.as_dict()["missing"] == list(made.missing)
+
+
+def test_the_zero_of_the_sensor_is_told_from_the_stage(old):
+    record = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
+    made = dehyst.update(old, replace(record, displacement=record.displacement - 5e-6))
+    assert made.used
+    assert made.datum == pytest.approx(-5e-6, abs=0.08 * plain_records.STROKE)
+
+
+def test_another_actuator_is_refused(old):
+    record = driven(TRUE, ONE_LOOP)
+    with pytest.raises(IdentifyError, match="plainly not"):
+        dehyst.update(old, replace(record, displacement=3 * record.displacement))

@@ -1,0 +1,49 @@
+"""The commands that README, documentation and examples show are commands, with their options and values."""
+
+import re
+import shlex
+
+import click
+import places
+import pytest
+
+from dehyst.cli import main
+
+PAGES = [places.ROOT / "README.md", *sorted(places.DOCS.rglob("*.md")), *sorted(places.EXAMPLES.rglob("*.md"))]
+
+
+def commands(page):
+    """Return the commands of indented and fenced blocks."""
+    text = page.read_text().replace("\\\n", " ")
+    blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    return [
+        *re.findall(r"^ {4,}(?:\$ )?(dehyst [a-z].*)$", text, re.MULTILINE),
+        *re.findall(r"^(?:\$ )?(dehyst [a-z].*)$", blocks, re.MULTILINE),
+    ]
+
+
+def parsed(words):
+    """Let the command line read words, and run nothing."""
+    command, context = main, click.Context(main, info_name="dehyst")
+    while isinstance(command, click.Group):
+        _, command, words = command.resolve_command(context, words)
+        context = click.Context(command, parent=context, info_name=command.name)
+    return command.make_context(command.name, list(words), parent=context).params
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(places.ROOT)))
+def test_its_commands_are_understood(page):
+    for line in commands(page):
+        words = shlex.split(line, comments=True)[1:]
+        # The page on the command line shows how a name that does not exist is refused.
+        if words[0] == "identfy":
+            continue
+        end = next((k for k, word in enumerate(words) if word in (">", "|", "&", "&&")), len(words))
+        try:
+            assert parsed(words[:end])
+        except click.ClickException as error:
+            pytest.fail(f"{line}: {error.format_message()}")
+
+
+def test_pages_have_commands():
+    assert sum(len(commands(page)) for page in PAGES) > 60
