@@ -10,6 +10,7 @@ from command_line import WRITTEN, rare, run
 
 import dehyst
 from dehyst import Actuator, Record
+from dehyst.model import promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
@@ -72,16 +73,20 @@ def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
     assert slew == "slew rate: not limited"
     assert status == 0 and "(homed first, " in first and " samples, " in first
     assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
-    assert promised.startswith("expect a path like the records ")
+    assert promised.startswith("expect this path ")
 
 
-def test_compensate_promises_what_identify_promised(folder):
-    """One judgement: the numbers of the verdict, and what an unknown start leaves open."""
+def test_compensate_promises_what_the_records_tested_of_the_path(folder):
+    """One judgement: the promise of this path, and what an unknown start leaves open."""
     _, got = answer(
         "compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none", cwd=folder
     )
     known, judged = Actuator.load(folder / "model.json").identification, got["judgement"]
-    assert (judged["rms_m"], judged["largest_m"]) == (known.expected_rms, known.expected_largest)
+    voltage, time = (column(folder, "v.csv", name) for name in ("voltage_V", "time_s"))
+    found = promise(known.validity, voltage, time)
+    assert judged["largest_m"] == pytest.approx(found.largest, rel=1e-9)
+    assert judged["rms_m"] == pytest.approx(found.rms, rel=1e-9)
+    assert tuple(judged["untested"]) == found.untested
     assert 100 * judged["start_m"] == pytest.approx(
         got["start"]["largest_difference_percent"] * np.ptp(Actuator.load(folder / "model.json").reach)
     )

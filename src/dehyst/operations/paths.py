@@ -145,9 +145,9 @@ class _AxisRequest:
         return reach_remarks(self.actuator, wanted, self.limits, zero)
 
     def promise_lines(self, judged: Judgement) -> list[str]:
-        """Return a line on the error that the identification promised of a path like the records, if it is known."""
+        """Return a line on the error that is promised of the path, if it is known, and what of it is not tested."""
         words = judged.words(float(self.actuator.reach[1] - self.actuator.reach[0]))
-        return [f"expect a path like the records {words}"] if words else []
+        return [f"expect this path {words} of the stroke", *judged.untested] if words else []
 
 
 def zero_of_path(
@@ -397,7 +397,15 @@ def _follow(
         ]
         for one, slew, path in each
     )
-    judged = [judge(one.actuator, path=starts.left_open(path)) for one, _, path in each]
+    judged = [
+        judge(
+            one.actuator,
+            path=starts.left_open(path),
+            voltage=path.voltage[path.first :],
+            time=None if path.time is None else path.time[path.first :],
+        )
+        for one, _, path in each
+    ]
     clamped = [int(path.clamped.sum()) for path in paths]
     misses = [float(abs(path.expected - path.displacement).max(initial=0.0)) for path in paths]
     spans = [(float(path.voltage.min()), float(path.voltage.max())) for path in paths]
@@ -519,7 +527,7 @@ def _tabulate(
     if not start.known:
         left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
-    judged = judge(actuator, path=left)
+    judged = judge(actuator, path=left, voltage=played.voltage[first:], time=played.time[first:])
     fields = {
         "samples": played.voltage.size,
         "sample_rate_Hz": table.sample_rate,

@@ -44,7 +44,7 @@ _holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "w
     Sampling,
     take=("shape",),
     more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
-    rare=("shape", "pace", "ramp", "seed"),
+    rare=("shape", "pace", "ramp", "seed", "lowest"),
 )
 def excite(
     run: Run,

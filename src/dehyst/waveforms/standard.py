@@ -25,6 +25,8 @@ _PAPER = Sampling()
 _MOST_TURNS = 1_000_000
 # Least height of a leg between random turning points, as a part of the range.
 _LEAST_LEG = 0.08
+# Time of the shortest of them, as a part of half a cycle.
+_SHORT = 0.3
 # Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # Periods of the axes of a stage moving together, in those of the first one: powers of the plastic number repeat never.
@@ -63,9 +65,12 @@ def descending_tops(
     tops[0] = top
     falling = [v for peak in tops.tolist() for v in (peak, drive.base)]
     anywhere = [drive.base + (top - drive.base) * turn for turn in _random_turns(_count(random, "random", least=0))]
-    return _through(
-        "descending-tops", [*_cycles(majors, "majors", top, drive.base, least=0), *falling, *anywhere], drive
-    )
+    legs = drive.legs([drive.base, *_cycles(majors, "majors", top, drive.base, least=0), *falling])
+    # Shorter legs take less time, as in use, but not so much less that they look like a second speed.
+    ends = list(pairwise([drive.base, *anywhere])) if anywhere else []
+    shares = [_SHORT + (1 - _SHORT) * abs(b - a) / (top - drive.base) for a, b in ends]
+    legs += [Leg(a, b, drive.half * share) for (a, b), share in zip(ends, shares, strict=True)]
+    return drive.play("descending-tops", drive.lead_in(top - drive.base) + legs)
 
 
 def reversal_curves(

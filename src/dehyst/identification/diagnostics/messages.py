@@ -99,7 +99,8 @@ def of_lag(lag: float, moved: float, stroke: float) -> str:
     return (
         f"The displacement lags by {1e3 * lag:.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of the stroke "
         "(RMS): a delay, or the low-pass filter of the sensor or the amplifier. This was taken as the actuator's, and "
-        "is compensated. If it is the sensor's filter, a path is missed by as much: look for its time constant in the "
+        "is compensated. If it is the sensor's filter, a path is missed by as much, which the expected error allows for: "
+        "look for its time constant in the "
         "sensor's data sheet, or watch a step with a faster sensor, and give it as sensor_lag. A sensor lag of 0 "
         "says that it has none: the model stays, and the expected error is that of an actuator that lags."
     )
@@ -120,8 +121,8 @@ def of_one_ended_loops(voltages: Sequence[Array], drive: Sampling) -> list[str]:
         return []
     return [
         f"All inner loops of the records turn at the {'lowest' if at_low else 'highest'} voltage. Loops that turn "
-        "elsewhere were not tested, and a path that has them may be missed by several times the expected error. "
-        f"Reversal curves as a validation record would show it: " + _command(drive, "reversal-curves", "--count 8")
+        "elsewhere were not tested; the expected error allows for them. Records that end with random turning points "
+        "test them, and promise less: " + _command(drive, "descending-tops", "--steps 5 --random 14")
     ]
 
 
