@@ -128,7 +128,7 @@ VALUES = {
     "steps": "--steps 4",
     "majors": "--majors 3",
     "random": "--random 4",
-    "lowest": "--lowest 5",
+    "lowest": 5.0,
     "count": "--count 4",
     "highest": "--highest 40",
     "hold": "--hold 2",

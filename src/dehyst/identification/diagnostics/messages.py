@@ -99,10 +99,10 @@ def of_lag(lag: float, moved: float, stroke: float) -> str:
     return (
         f"The displacement lags by {1e3 * lag:.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of the stroke "
         "(RMS): a delay, or the low-pass filter of the sensor or the amplifier. This was taken as the actuator's, and "
-        "is compensated. If it is the sensor's filter, a path is missed by as much, which the expected error allows for: "
-        "look for its time constant in the "
-        "sensor's data sheet, or watch a step with a faster sensor, and give it as sensor_lag. A sensor lag of 0 "
-        "says that it has none: the model stays, and the expected error is that of an actuator that lags."
+        "is compensated. If it is the sensor's filter, a path is missed by as much; the expected error allows for it. "
+        "Look for its time constant in the sensor's data sheet, or watch a step with a faster sensor, and give it as "
+        "sensor_lag. A sensor lag of 0 says that it has none: the model stays, and the expected error is that of an "
+        "actuator that lags."
     )
 
 
