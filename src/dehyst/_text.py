@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Iterator, Sequence
 
 # Sentences of a list that are shown without asking for all.
-_TOLD = 3
+_SHOWN = 3
 
 
 def escaped(text: object) -> str:
@@ -28,9 +28,9 @@ def to_know(sentences: Sequence[str]) -> Iterator[str]:
     """Yield the first three of some sentences as a list, after an empty line, and how many more there are."""
     if sentences:
         yield ""
-    yield from (f"  - {sentence}" for sentence in sentences[:_TOLD])
-    if len(sentences) > _TOLD:
-        yield f"  - {counted(len(sentences) - _TOLD, 'more remark')}."
+    yield from (f"  - {sentence}" for sentence in sentences[:_SHOWN])
+    if len(sentences) > _SHOWN:
+        yield f"  - {counted(len(sentences) - _SHOWN, 'more remark')}."
 
 
 def counted(number: int, noun: str) -> str:

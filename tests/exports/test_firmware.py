@@ -395,7 +395,7 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
-@pytest.mark.parametrize("more", [[], ["--fmu"]])
+@pytest.mark.parametrize("more", [[], ["--fmu", "3.0"]])
 def test_ended_from_outside_it_leaves_nothing(tmp_path, more):
     """While a compiler is at work."""
     for name in ("work", "temporary", "bin"):
@@ -418,7 +418,8 @@ def test_ended_from_outside_it_leaves_nothing(tmp_path, more):
         time.sleep(0.05)
     running.terminate()
     _, said = running.communicate(timeout=30)
-    assert (running.returncode, said) == (128 + signal.SIGTERM, b"")
+    assert running.returncode == 128 + signal.SIGTERM
+    assert b"Traceback" not in said
     assert (tmp_path / "started").exists()
     for name in ("work", "temporary"):
         assert list((tmp_path / name).iterdir()) == []
@@ -597,7 +598,7 @@ def test_on_the_command_line(tmp_path):
     assert done.returncode == 0
     late = dehyst_export("--force", "--slew-rate", "2e4")
     assert late.returncode == 2
-    assert "(--period S)" in late.stderr
+    assert "--period" in late.stderr
     assert "memory begins at 0 um, " in done.stdout
     assert "lower the voltage slowly from its highest, never back, to " in done.stdout
     top = made.actuator.voltage(made.actuator.turned(plain_records.STROKE))

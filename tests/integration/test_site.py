@@ -3,18 +3,15 @@
 import importlib.util
 import re
 import runpy
-import shlex
 import shutil
 import subprocess
 import sys
 
-import click
 import numpy as np
 import places
 import pytest
 
 import dehyst
-from dehyst.cli import main
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
@@ -35,9 +32,11 @@ RUN_ELSEWHERE = (
     "how_to/control.md",
     "how_to/fleet.md",
     "how_to/instruments.md",
+    "how_to/keep_true.md",
     "how_to/python.md",
     "how_to/simulink.md",
     "tutorials/first_calibration.md",
+    "tutorials/month_in_use.md",
 )
 
 
@@ -54,33 +53,6 @@ def test_what_a_page_refers_to_is_there(page):
             assert path.exists() or path.stem == "index", target
         else:
             assert "://" in target or path.exists(), target
-
-
-def commands(page):
-    """The command lines of a page, those left out that are wrong on purpose or have something to fill in."""
-    text = re.sub(r"\\\n\s*", "", page.read_text())
-    lines = re.findall(r"^(?:    |\s*\$ )(?:\$ )?(dehyst .*)$", text, re.M)
-    return [line for line in lines if not re.search(r" \[|\.\.\.|://\.|<\(| RIG\b|identfy", line)]
-
-
-def parse(words):
-    """Parse a command line as the program does, and run nothing."""
-    command = main
-    while isinstance(command, click.Group):
-        name, *words = words
-        command = command.commands[name]
-    command.make_context(name, words)
-
-
-@pytest.mark.parametrize("page", [page for page in (places.ROOT / "README.md", *PAGES) if commands(page)], ids=named)
-def test_the_commands_of_a_page_parse(page):
-    wrong = []
-    for line in commands(page):
-        try:
-            parse(shlex.split(line, comments=True)[1:])
-        except (KeyError, click.UsageError, dehyst.DehystError) as error:
-            wrong.append((line, str(error)))
-    assert wrong == []
 
 
 def test_the_code_of_every_page_runs_somewhere():

@@ -17,7 +17,7 @@ import json, sys, threading, time, types
 import dehyst
 from dehyst import VoltageLimits
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.emulator import serve_ioc
+from dehyst.virtual.emulator.epics_ioc import serve_ioc
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
 model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
 truth = dehyst.Actuator.load(model) if model else PlayActuator(**actuator)

@@ -149,7 +149,7 @@ def test_a_look_at_a_wider_model(name):
     assert found.loop.off < 0.01 * plain_records.STROKE
     assert found.knowledge[0].by_displacement is not None
     assert found.knowledge[0].judged == (name == "graded, transformer")
-    text = document("", sections(found, None))
+    text = document("", sections(found, found.turns))
     for words in (
         "What the records determine of each part",
         "How accurate the parts are",

@@ -175,7 +175,8 @@ class OperationCommand(click.Command):
             sys.exit(1 if isinstance(error, LinkError | DeviceError | SensorError) else 2)
         except (KeyboardInterrupt, SystemExit) as error:
             status = error.code if isinstance(error, SystemExit) else _INTERRUPTED
-            by = {_INTERRUPTED: "Ctrl-C", 128 + signal.SIGTERM: "SIGTERM"}.get(status)  # type: ignore[arg-type]
+            names = {128 + number: number.name for number in signal.Signals} | {_INTERRUPTED: "Ctrl-C"}
+            by = names.get(status)  # type: ignore[arg-type]
             for sentence in (f"stopped by {by}", *getattr(error, "__notes__", ())) if by else ():
                 note(sentence)
             sys.exit(status)

@@ -1,4 +1,4 @@
-"""A run of an operation: what it tells on its way, what it returns, and which files it may replace."""
+"""A run of an operation: what it reports on its way, what it returns, and which files it may replace."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MODELS = ("dehyst-actuator", "dehyst-stage")
 
 
 class Run:
-    """Where an operation runs: silent here; a terminal and a worker tell what they are told.
+    """Where an operation runs: silent here; a terminal and a worker print or send what it reports.
 
     Attributes
     ----------
@@ -42,10 +42,10 @@ class Run:
         """Show what is being done; empty words end that."""
 
     def note(self, sentence: object) -> None:
-        """Tell a warning at once."""
+        """Report a warning at once."""
 
     def say(self, line: object) -> None:
-        """Tell a line of the result at once."""
+        """Report a line of the result at once."""
 
     def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> AbstractContextManager[Any]:
         """Let a request to end early, such as Ctrl-C, call `end` if that is `possible` by then; else it interrupts."""
@@ -84,7 +84,7 @@ class InterruptibleRun(Run):
                 signal.signal(signal.SIGINT, before)
 
     def ending(self) -> None:
-        """Tell that the operation ends early; called in a signal handler."""
+        """Report that the operation ends early; called in a signal handler."""
 
 
 @contextmanager

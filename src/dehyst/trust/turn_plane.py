@@ -106,16 +106,16 @@ class TurnPlane:
     def sentence(self, path: Sequence[Turn]) -> str:
         """Return what of a path the records do not test: branches, speed and hold."""
         number, outside = sum(turn.times for turn in path), self.untested(path)
-        said = ["This path turns where records turned."]
+        sentences = ["This path turns where records turned."]
         if outside:
-            said = [f"{outside} of {number} branches of this path begin where no record turned."]
+            sentences = [f"{outside} of {number} branches of this path begin where no record turned."]
         fastest, longest = (max((getattr(turn, name) for turn in path), default=0.0) for name in ("speed", "held"))
         if fastest > _MORE * self.speeds[1]:
-            said.append(f"It goes at up to {fastest:.3g} V/s, the records at {self.speeds[1]:.3g} V/s.")
+            sentences.append(f"It goes at up to {fastest:.3g} V/s, the records at {self.speeds[1]:.3g} V/s.")
         if longest > _MORE * self.longest_hold:
             before = f"the records for {self.longest_hold:.2g} s" if self.longest_hold else "the records do not"
-            said.append(f"It holds for up to {longest:.2g} s, {before}.")
-        return " ".join(said)
+            sentences.append(f"It holds for up to {longest:.2g} s, {before}.")
+        return " ".join(sentences)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
