@@ -2,6 +2,7 @@
 
 import numpy as np
 import plain_records
+import pytest
 
 from dehyst.control import Compensator, PossibleStart, StartError
 from dehyst.model import Validity, promise
@@ -48,7 +49,10 @@ def test_insight_gives_the_same_promise_and_a_band_along_the_path():
     path = np.linspace(0.2, 0.8, 50) * STROKE
     found = insight(model, record, trajectory=path, limits=(0.0, VOLTS), repeats=20)
     judged, band = found.judgement, found.band
-    assert judged.largest == max(band.promise.largest, band.errors()["open"] + band.misfit) + band.errors()["clamped"]
+    missed = band.displacement - band.wanted
+    expected = max(band.promise.largest, band.errors()["open"] + band.misfit) + np.abs(missed).max()
+    assert judged.largest == pytest.approx(expected)
+    assert judged.rms == pytest.approx(np.hypot(band.promise.rms, np.sqrt(np.mean(missed**2))))
     assert judged.parts == band.errors()
     assert np.all(band.highest >= band.displacement + band.promise.half)
     assert np.all(band.lowest <= band.displacement - band.promise.half)

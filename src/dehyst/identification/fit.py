@@ -177,7 +177,7 @@ def _brief(fit: Fit) -> Iterator[str]:
         # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
         usable = verdict.readiness is not Readiness.NOT_USABLE
         things = [*ended, *(verdict.reservations + fit.remarks if usable else fit.remarks + verdict.reservations)]
-    yield from to_know(things)
+    yield from to_know([*things, *fit.repairs])
 
 
 def _lines(fit: Fit) -> Iterator[str]:

@@ -324,9 +324,9 @@ def _untested(
     speed = speeds_of(time, voltage, at)
     slowest, fastest = validity.speeds
     if speed.size and fastest and float(speed.max()) > _ALIKE * fastest:
-        yield f"The path moves at up to {speed.max():.3g} V/s; the records moved at {fastest:.3g} V/s at most."
+        yield f"Its fastest leg takes {speed.max():.3g} V/s on average, that of the records {fastest:.3g} V/s."
     if speed.size and float(speed.min()) * _ALIKE < slowest:
-        yield f"The path moves at down to {speed.min():.3g} V/s; the records moved at {slowest:.3g} V/s at least."
+        yield f"Its slowest leg takes {speed.min():.3g} V/s on average, that of the records {slowest:.3g} V/s."
     hold = longest_hold(time, voltage, validity.span)
     if hold > _ALIKE * validity.hold:
         yield f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."

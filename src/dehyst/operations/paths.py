@@ -146,7 +146,11 @@ class _AxisRequest:
 
     def promise_lines(self, judged: Judgement) -> list[str]:
         """Return a line on the error that is promised of the path, if it is known, and what of it is not tested."""
-        words = judged.words(float(self.actuator.reach[1] - self.actuator.reach[0]))
+        known = self.actuator.identification
+        validity = None if known is None else known.validity
+        # Limits of the file may be wider than what was recorded.
+        stroke = float(self.actuator.reach[1] - self.actuator.reach[0]) if validity is None else validity.stroke
+        words = judged.words(stroke)
         return [f"expect this path {words} of the stroke", *judged.untested] if words else []
 
 
@@ -299,6 +303,12 @@ def compensate(
         wanted = known.values(read, "displacement", columns) + places
         return _follow(run, known, axes, wanted, columns.clock(read, len(wanted)), {}, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
+    if len(made.axes) > 1 and not columns.displacement:
+        others = " and ".join(one for one in made.axes if one != axis)
+        remarks.append(
+            f"the scan has the axes {', '.join(made.axes)}, the model one: {axis} is followed, {others} is not; "
+            f"--columns displacement={others.split()[0]}_um takes another"
+        )
     if table is None:
         path = made.path(axis)
         path = path.repeated(declared["cycles"]) if path.periodic else path
@@ -403,6 +413,7 @@ def _follow(
             path=starts.left_open(path),
             voltage=path.voltage[path.first :],
             time=None if path.time is None else path.time[path.first :],
+            missed=(path.expected - path.displacement)[path.first :],
         )
         for one, _, path in each
     ]

@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._units import per_metre
 from dehyst._views.fields import json_values
 from dehyst.control import StartError
 from dehyst.model import Actuator, Identification, promise
+from dehyst.records import largest as largest_of
+from dehyst.records import rms as rms_of
 from dehyst.trust.prediction_band import PredictionBand
 
 
@@ -61,6 +64,7 @@ def judge(
     *,
     voltage: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    missed: ArrayLike = (),
 ) -> Judgement:
     """Judge how far a path is expected to be missed.
 
@@ -76,6 +80,8 @@ def judge(
         That follows the path [V], where there is no evidence; default: any path within the recorded voltages.
     time : (n,) array_like, optional
         Of the voltage [s]; without it speeds and holds are taken for those of the records.
+    missed : (n,) array_like, optional
+        How far the model itself misses the path, where its voltage was held back [m].
     """
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}
@@ -88,10 +94,11 @@ def judge(
     if evidence is not None:
         parts |= evidence.errors()
         # A model that the records do not contradict may be the true one.
-        largest = (
-            max(largest or evidence.misfit, parts["open"] + evidence.misfit if "open" in parts else 0.0)
-            + parts["clamped"]
-        )
+        open_ = parts["open"] + evidence.misfit if "open" in parts else 0.0
+        largest, missed = max(largest or evidence.misfit, open_), evidence.displacement - evidence.wanted
     largest = known.largest_error if largest is None else largest
+    if np.size(missed):
+        largest = None if largest is None else largest + largest_of(missed)
+        rms = None if rms is None else float(np.hypot(rms, rms_of(missed)))
     opened = 0.0 if path is None else path.largest / per_metre(path.units)
     return Judgement(rms, largest, parts, opened, untested, known.validated)
