@@ -64,12 +64,14 @@ def _verdict(found: Insight) -> str:
     stroke, warnings = found.evidence.stroke, found.warnings()
     promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
     expected = f"Expect {path} {promised} of the range." if promised else "The error to expect is not known."
-    expected = " ".join([expected, *found.judgement.untested])
+    untested = found.judgement.untested
+    expected = " ".join([expected, *untested])
+    title = "Warning" if warnings else "In part not tested" if untested else "No warnings"
     share = number(100 * found.misfit / stroke)
     lines = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
-        f'<div class="outcome {"amber" if warnings else "green"}" role="status">'
-        f"<strong>{'Warning' if warnings else 'No warnings'}</strong>"
+        f'<div class="outcome {"amber" if warnings or untested else "green"}" role="status">'
+        f"<strong>{title}</strong>"
         f'<p class="first">{words(expected)}</p><p>The largest error of the model on these records is {share} % of '
         f"their range.</p>{f'<ul>{lines}</ul>' if lines else ''}</div>"
     )
@@ -91,7 +93,7 @@ def _trajectory(found: Insight) -> list[Part]:
     axis, x = _clock(band)
     path = [
         _area("may be reached", x, (band.lowest * factor, band.highest * factor), "measured", 0.25),
-        Series("wanted", x, band.wanted * factor, "measured", width=1.8),
+        Series("wanted", x, band.wanted * factor, "ink", width=1.8),
     ]
     charts = Chart("Path", axis, Axis("displacement", unit), path), band_chart(band, stroke)
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
@@ -132,7 +134,7 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
     caption = (
         "Between which voltages the records turned (dots; rings: the voltage was held there). Shaded: loops whose "
         "rising and falling branch begin where a record turned, and do not go beyond it; there the model is tested, "
-        f"elsewhere it is not. {plane.sentence(path) if path else ''}"
+        "elsewhere it is not."
     )
     rows: list[Row] = []
     turns = [*plane.turns, *path]
@@ -143,7 +145,7 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
         rows.append((name, str(sum(turn.times for turn in own)), speed, number(held) if held else "none"))
     head = ("Record", "Branches", "Speed (V/s)", "Hold (s)")
     beside = f"<div><h3>How fast, and how long they held</h3>\n{html.table(head, rows, 1)}</div>"
-    return [Charts("Where the records turned", caption.strip(), [_turns_chart(plane, path)], beside=(beside,))]
+    return [Charts("Where the records turned", caption, [_turns_chart(plane, path)], beside=(beside,))]
 
 
 def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
