@@ -74,7 +74,8 @@ def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(data
     processes[0].kill()
     began = time.monotonic()
     _, errors = process.communicate(timeout=120)
-    assert process.returncode == 2, errors
+    # Nothing that was given is wrong: it is not done yet.
+    assert process.returncode == 1, errors
     assert time.monotonic() - began < 110
     assert "the connection to Dask's scheduler is lost; what is done is kept" in errors and "Traceback" not in errors
     _, address = cluster("second")

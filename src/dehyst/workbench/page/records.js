@@ -136,8 +136,10 @@ function uploadRow(one) {
 
 // A file that was refused is brought into view once.
 function scrollToRefused(records) {
+  // One that is read at once is refused when it is first seen; those of an earlier visit are not scrolled to.
+  const visited = lately.size > 0;
   for (const { id, status } of records) {
-    if (status === "refused" && lately.get(id) === "reading") {
+    if (status === "refused" && (lately.has(id) ? lately.get(id) !== "refused" : visited)) {
       setTimeout(() => document.getElementById(`record-${id}`)?.scrollIntoView({ block: "nearest" }));
     }
     lately.set(id, status);

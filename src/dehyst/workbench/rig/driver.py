@@ -93,8 +93,9 @@ class RigDriver:
             warnings.showwarning = lambda message, *_, **__: self._outlet.state(words=[str(message)])
             while not (self._watchdog.ends and self._watchdog.reason is None):
                 self._guarded_turn()
+            # From here on no request is read. Said before the last state, after which another process may be started.
+            self._outlet.state(ends=True)
             self._close()
-            # From here on no request is read.
             self._outlet.state(ends=True, **({} if self._status == "lost" else {"status": "none"}))
 
     def _guarded_turn(self) -> None:
