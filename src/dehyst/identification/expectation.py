@@ -31,7 +31,7 @@ class Readiness(Enum):
 
 @dataclass(frozen=True)
 class Expectation:
-    """The error to expect on a path like the records, and the verdict.
+    """The error to expect on any path within the recorded voltages, and the verdict.
 
     A model is ready if the expected largest error is within the goal, and nothing else speaks against it. It is not
     usable if that error exceeds 5 % of the stroke. Otherwise it is usable.
@@ -252,7 +252,7 @@ def expectation(
     `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
-    # A model that misses its own records by too much is of no use, whatever it makes of others.
+    # A model that misses its own records by too much is of no use, however well it predicts others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (
         (validation, "validation records") if by_others else (training, "parts of the records held out in turn")

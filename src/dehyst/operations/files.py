@@ -90,7 +90,7 @@ class Columns:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the columns of a text; raise ValueError if it is none."""
+        """Return the columns that a text declares; raise ValueError if it declares none."""
         found: dict[str, Any] = {"axes": {}}
         for entry in next(csv.reader([text], skipinitialspace=True)):
             key, equals, value = (part.strip() for part in entry.partition("="))
