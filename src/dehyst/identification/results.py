@@ -52,7 +52,7 @@ class RecordErrors:
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
         Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: the
-        error of the first rise from an unknown state, and single outliers, are set aside. Default: those of all samples.
+        first rise from an unknown state, and single outliers, are set aside. Default: those of all samples.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
