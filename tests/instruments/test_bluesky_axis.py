@@ -351,12 +351,14 @@ def test_the_iocs_slew_rate_is_kept(actuator, engine, tmp_path):
 
 
 class SimulatedClock:
-    """The time of an IOC and of the axis that talks to it; a step takes `overhead` seconds longer than it should."""
+    """The time of an IOC and of the axis that talks to it; a step begins `overhead` seconds later than it should."""
 
     def __init__(self, ioc, overhead):
-        self.ioc, self.now, self.overhead = ioc, 0.0, overhead
+        self.ioc, self.now, self.overhead, self.late = ioc, 0.0, overhead, 0.0
 
     def monotonic(self):
+        late, self.late = self.late, 0.0
+        self.wait(late)
         return self.now
 
     def wait(self, seconds):
@@ -364,7 +366,14 @@ class SimulatedClock:
         self.ioc.do(f"clock.now = {self.now!r}")
 
     async def sleep(self, seconds):
-        self.wait(seconds + self.overhead)
+        self.wait(seconds)
+        self.late = self.overhead
+
+    def shown(self):
+        """Wait until the IOC's position is that of now; it is read at intervals."""
+        channels = ChannelAccess(f"{self.ioc.prefix}:", 5.0)
+        while channels.numbers("TIME")[0] < self.now - 1e-3:
+            time.sleep(0.01)
 
 
 @pytest.mark.parametrize("overhead", [0.0, 0.017, 0.2])
@@ -384,6 +393,7 @@ def test_an_actuator_that_creeps(engine, tmp_path, monkeypatch, overhead):
         for share, pause in ((0.3, 0.0), (0.8, 1.0), (0.4, 0.3), (0.6, 0.0)):
             wanted = low + share * (high - low)
             engine(bps.mv(axis, wanted))
+            clock.shown()
             assert measured(engine, axis) == pytest.approx(wanted, abs=0.01 * (high - low))
             clock.wait(pause)
 

@@ -66,11 +66,13 @@ def _verdict(found: Insight) -> str:
     expected = f"Expect {path} {promised} of the range." if promised else "The error to expect is not known."
     untested = found.judgement.untested
     expected = " ".join([expected, *untested])
-    title = "Warning" if warnings else "In part not tested" if untested else "No warnings"
+    # Of a path that nobody has asked for it is said, and no more.
+    new = bool(untested) and found.band is not None
+    title = "Warning" if warnings else "In part not tested" if new else "No warnings"
     share = number(100 * found.misfit / stroke)
     lines = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
-        f'<div class="outcome {"amber" if warnings or untested else "green"}" role="status">'
+        f'<div class="outcome {"amber" if warnings or new else "green"}" role="status">'
         f"<strong>{title}</strong>"
         f'<p class="first">{words(expected)}</p><p>The largest error of the model on these records is {share} % of '
         f"their range.</p>{f'<ul>{lines}</ul>' if lines else ''}</div>"
