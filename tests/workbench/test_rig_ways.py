@@ -24,7 +24,7 @@ def test_the_voltage_becomes_safe_and_no_sample_is_lost(way, tmp_path):
     else:
         assert outcome.status == "lost"
         assert "could not be brought to 0 V" in outcome.words[0]
-        assert "last seen at" in outcome.words[1]
+        assert "last seen" in outcome.words[1]
     if way.safe and not (way.parent or way.faults or way.full_disk):
         assert outcome.words[0].startswith("Stopped: ")
         assert outcome.words[1].endswith("brought the voltage to 0 V." if way.hangs else "was brought to 0 V.")
