@@ -182,7 +182,7 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "truth", "numbers"), NUMBERS)
 def test_how_good_they_are_on_held_out_paths(kind, truth, numbers):
     got = missed(fitted(kind, truth), truth())
@@ -235,7 +235,7 @@ def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
     assert prepare_training(recorded(PlayActuator().play, voltage)).delay == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", MODELS)
 def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, Compensator, Dynamics, ModelError, State
 from dehyst.control import trajectory
+from examples import examples
 
 PLANT = plain_records.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
@@ -195,6 +196,7 @@ def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
 
 @pytest.mark.parametrize("kind", ["plain", *WIDE])
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
+@examples(20, nightly=100)
 def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing, loaded):
     """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
     plant = replace(PLANT if kind == "plain" else wider(kind), load_stiffness=1e7)

@@ -7,7 +7,14 @@ from rig_ways import BATCH, BUSY, WAYS, rehearse
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.name)
+# What the device does wrong is tested at the driver too, and here in `make nightly`.
+AT_NIGHT = ("refuse", "garble", "unplug", "error")
+
+
+@pytest.mark.parametrize(
+    "way",
+    [pytest.param(way, marks=pytest.mark.nightly if way.name in AT_NIGHT else (), id=way.name) for way in WAYS],
+)
 def test_the_voltage_becomes_safe_and_no_sample_is_lost(way, tmp_path):
     outcome = rehearse(way, tmp_path)
     assert LIMITS[0] <= outcome.lowest_volts <= outcome.highest_volts <= LIMITS[1]
