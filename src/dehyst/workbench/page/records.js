@@ -1,6 +1,7 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
 import { announce, button, problem } from "./acts.js";
 import { example, readRecord, recordColumns, remove, upload } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
 import { facts, fold, list } from "./forms.js";
@@ -25,6 +26,10 @@ export const roleOf = (id) => roles.get(id) ?? "train";
 const colourOf = (id) => COLOURS[Math.max(0, session.state.records.findIndex((one) => one.id === id)) % COLOURS.length];
 
 const SAMPLE = "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02";
+const EXAMPLES = DECLARED.examples;
+const ORIGIN = EXAMPLES.measured
+  ? "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
+  : "a record of a virtual actuator";
 const JOURNEY = [
   ["Record", "Play loops of several heights and write down time, voltage and displacement."],
   ["Identify", "One click. A first model exists within seconds; it comes with the error to expect, in words."],
@@ -85,10 +90,10 @@ function dropPlace(small) {
       { class: "row" },
       h("input", { type: "file", id: "file", multiple: true, class: "unseen", onchange: choose }),
       h("label", { for: "file", class: "button main" }, "Choose a file"),
-      button("Try with an example", "example", async () => send(await example()), { id: "example" }),
+      button("Try with an example", "example", tryExample, { id: "example" }),
     ),
     problem("example"),
-    h("p", { class: "muted" }, "Files stay on this computer. The example is a record of a virtual actuator."),
+    h("p", { class: "muted" }, `Files stay on this computer. The example: ${ORIGIN}.`),
   );
 }
 
@@ -99,6 +104,8 @@ export function sendAll(files) {
   openStep("records");
   for (const file of files) send(file);
 }
+
+const tryExample = async () => sendAll(await Promise.all(EXAMPLES.names.map(example)));
 
 async function send(file) {
   const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size, share: 0 };
