@@ -43,8 +43,8 @@ class SessionError(DehystError, ValueError):
 class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
-    `file_columns` are name, unit and range of the file's columns, none if it is no table. `options` are those with which
-    it was read; `hint` those that may help to read it. `axes` are the names of several coupled ones.
+    `file_columns` are name, unit and range of the file's columns, none if it is no table. `options` are those with
+    which it was read; `hint` those that may help to read it. `axes` are the names of several coupled ones.
     """
 
     id: str
