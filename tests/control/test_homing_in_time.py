@@ -15,7 +15,7 @@ from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSli
 from dehyst.control import StateBounds, shortest_homing
 from dehyst.control.planning.states import MajorLoop
 from dehyst.identification import Structure
-from dehyst.trust.prediction_band import state_at_top
+from dehyst.trust.prediction_band import top_start
 from dehyst.waveforms import Sampling
 
 LIMITS = -40.0, 260.0
@@ -173,7 +173,7 @@ def test_smooth_elements_are_said_to_be_simulated_not_proven():
 @pytest.mark.parametrize("name", [*ORDERED, *TIMED])
 def test_homed_is_at_the_top_of_the_limits(name):
     actuator = {**ORDERED, **TIMED}[name]
-    state = state_at_top(actuator, LIMITS)
+    state = top_start(actuator, LIMITS)(actuator)
     assert actuator.voltage(state) == pytest.approx(LIMITS[1], abs=0.05 if name in TIMED else 1e-9)
     start = past(actuator, 3, LIMITS[0])
     found = shortest_homing(actuator, present=LIMITS[0], end=LIMITS[1])

@@ -193,7 +193,7 @@ def test_a_reload_loses_nothing(owner):
     owner.sees("is the largest error to expect", within="#model")
     owner.page.reload()
     owner.sees("1 ready")
-    owner.step("Model")
+    # The step is in the address, and the browser's history.
     owner.sees("is the largest error to expect", within="#model")
     owner.page.locator("#model canvas").first.wait_for()
     assert colours(owner.page.locator("#model-body")) > 3
