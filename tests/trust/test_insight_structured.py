@@ -132,7 +132,7 @@ def test_a_lone_loop_is_something_to_beware_of():
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert not found.trustworthy
-    assert "4 of 9 directions of plain elements are open" in found.warnings()[0]
+    assert "4 of 9 directions of ten plain elements are open" in found.warnings()[0]
     assert f"Add {found.advice[0].words}" in found.warnings()[0]
     assert found.advice[0].determined == 9
     assert insight(model, whole, repeats=0).trustworthy

@@ -205,7 +205,7 @@ class _Again:
         rows = evidence.regression.rows
         self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
         self._step = max(1, len(rows) // self._most)
-        self._held = None if self.wide else open_combinations(evidence)
+        self._held = open_combinations(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -338,14 +338,15 @@ def _few(worlds: list[_World], level: float) -> float:
 
 
 def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
+    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V].
+
+    None where they are not known for a model of this class, or nothing is open.
+    """
     directions = evidence.identifiability
     combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
-    return (
-        (combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable])
-        if len(combinations)
-        else None
-    )
+    if directions.probing or not len(combinations):
+        return None
+    return combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable]
 
 
 def _spread(
