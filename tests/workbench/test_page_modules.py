@@ -376,6 +376,8 @@ def test_options_in_sentences_are_the_fields_of_the_page(run):
         "give --voltage-scale '100 V/V'": "give <Scale of the voltage> '100 V/V'",
         "--time-limit=5 or time_limit=5": "<Time limit> 5 or <Time limit> 5",
         "give it as sensor_lag=SECONDS (0 if none)": "give it as <Lag of the sensor> (0 if none)",
+        "give it as sensor_lag. (voltage=, time=)": "give it as <Lag of the sensor>. (<Column of the voltage>, "
+        "<Column of the time>)",
         "the goal, at any time; --other NAME": "the goal, at any time; --other NAME",
     }
     got = run(f"print({json.dumps(list(sentences))}.map(inPage));")

@@ -146,7 +146,7 @@ async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     assert (entry.status, entry.error) == ("refused", "no voltage")
     assert entry.hint == {"options": {"voltage": "U:V"}}
     assert stage.session.state()["log"] == []
-    assert entry.columns == []
+    assert entry.file_columns == []
     stage.session.read_record(entry.id, {"voltage": "U:V"})
     await stage.next(Finished(SHOWN))
     assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
@@ -155,17 +155,17 @@ async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
 @played
 async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    columns = {"file_columns": [{"name": "U", "unit": ""}, {"name": "s", "unit": "um"}]}
-    await stage.next(Finished(error={**columns, "message": "uploads/a.csv: no voltage"}))
-    assert (entry.status, entry.error, entry.columns) == ("refused", "a.csv: no voltage", ["U", "s"])
+    columns = [{"name": "U", "unit": "", "range": [0, 1]}, {"name": "s", "unit": "um", "range": []}]
+    await stage.next(Finished(error={"file_columns": columns, "message": "uploads/a.csv: no voltage"}))
+    assert (entry.status, entry.error, entry.file_columns) == ("refused", "a.csv: no voltage", columns)
     assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
     stage.session.read_record(entry.id, {"voltage": "U:kg"})
     await stage.next(Finished(error={"message": "the unit 'kg' is unknown"}))
-    assert (entry.status, entry.columns) == ("refused", ["U", "s"])
+    assert (entry.status, entry.file_columns) == ("refused", columns)
     stage.session.read_record(entry.id, {"columns": "voltage:V,displacement"})
     renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
     await stage.next(Finished({**SHOWN, **renamed}))
-    assert (entry.status, entry.columns) == ("ready", ["U", "s"])
+    assert (entry.status, entry.file_columns) == ("ready", columns)
 
 
 @played

@@ -78,8 +78,9 @@ function getColumns(path, count, version = "") {
   return remembered(columns, `${path} ${version}`, () => getBuffer(path).then(split));
 }
 
-export async function recordColumns(record, version) {
-  const [time, voltage, displacement] = await getColumns(`/api/records/${record.id}/data`, 3, version);
+export async function recordColumns(record, version, axis) {
+  const query = axis ? `?axis=${encodeURIComponent(axis)}` : "";
+  const [time, voltage, displacement] = await getColumns(`/api/records/${record.id}/data${query}`, 3, version);
   return { time, voltage, displacement };
 }
 
