@@ -94,4 +94,4 @@ def test_elements_that_never_slide_are_told():
     errors = RecordErrors("small", "training", 400, 0, 0, 0, 0, 0, STROKE, 0, 0, 0)
     (sliding,) = (one for one in model_checks(ACTUATOR, (), [trace], [errors]) if one.name == "Sliding elements")
     assert sliding.verdict is Verdict.FAILS
-    assert "record a wider loop" in sliding.sentence
+    assert "wider loop" in sliding.sentence
