@@ -260,7 +260,7 @@ def test_the_path_has_forty_reversals_within_the_stroke(name):
     assert not np.array_equal(path[:50], trial.path(4)[:50]) or path.size != trial.path(4).size
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "most"), [("Preisach", 0.4), ("Bouc-Wen", 5.0), ("Duhem", 6.0)])
 def test_baselines_track_a_play_actuator_better_than_no_model(name, most):
     found = compare(truths=["play"], models={name: BASELINES[name], "linear ratio": BASELINES["linear ratio"]})

@@ -363,7 +363,7 @@ class TestSlewRate:
         assert np.abs(np.diff(made.voltage)).max() * 200 <= 0.3 * (1 + 1e-9)
 
     def test_steps_that_rounding_swallows_are_refused(self):
-        with pytest.raises(RecordError, match=r"slew_rate: got 1e-10 V/s .* lost in the rounding of 200 V; lower the"):
+        with pytest.raises(RecordError, match="slew_rate: got 1e-10 V/s"):
             raised_cosine(200.0, drive=Sampling(slew_rate=1e-10, sample_rate=1e6))
 
 

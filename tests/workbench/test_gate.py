@@ -60,7 +60,7 @@ def cookie(client):
 def test_without_the_cookie_nothing_is_answered(bench, method, path):
     answer = httpx.request(method, bench.base + path, headers={"Origin": bench.base})
     assert answer.status_code == 403
-    assert "dehyst workbench printed" in answer.text
+    assert "workbench printed" in answer.text
 
 
 @pytest.mark.parametrize(("method", "path"), ROUTES)
@@ -432,7 +432,8 @@ def test_a_rig_that_is_not_there_is_asked_for_nothing(client, what):
         assert len(answer.json()["error"]) > 10
 
 
-def test_a_thousand_random_requests_do_no_harm(bench, client):
+@pytest.mark.parametrize("requests", [200, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_random_requests_do_no_harm(bench, client, requests):
     dice = random.Random(17)
     words = [
         *[
@@ -459,7 +460,7 @@ def test_a_thousand_random_requests_do_no_harm(bench, client):
         "*",
     ]
     with bench.client() as fresh:
-        for _ in range(1000):
+        for _ in range(requests):
             path = "/" + "/".join(dice.choices(words, k=dice.randint(0, 5)))
             junk = "".join(dice.choices(string.printable, k=dice.randint(0, 60))).encode()
             body = dice.choice(

@@ -273,7 +273,7 @@ class Insight:
         if self.trustworthy or parts.get("open", 0.0) <= known:
             return None
         return (
-            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
+            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the stroke; the "
             f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound it."
         )
 
@@ -339,7 +339,7 @@ def as_html(found: Insight) -> str:
     warnings, precision = found.warnings(), found.precision
     stroke = found.evidence.stroke
     rows = [
-        ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of their range"),
+        ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of the stroke"),
         ("directions determined", f"{found.identifiability.determined} of {found.identifiability.of}"),
     ]
     if precision is not None:
@@ -347,7 +347,7 @@ def as_html(found: Insight) -> str:
     if found.band is not None:
         errors = {name: error for name, error in found.band.errors().items() if error or name != "clamped"}
         rows += [
-            (f"path: {ERRORS[name]}", f"{100 * error / stroke:.3g} % of the range") for name, error in errors.items()
+            (f"path: {ERRORS[name]}", f"{100 * error / stroke:.3g} % of the stroke") for name, error in errors.items()
         ]
     title = f"Insight of '{found.actuator.name}'"
     text = html.preformatted("Summary", lines(found))
@@ -361,10 +361,10 @@ def _answer(found: Insight) -> Iterator[str]:
     if another is not None:
         yield f"WARNING: {another}"
     elif words := found.judgement.words(stroke):
-        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the range."
+        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the stroke."
         yield from found.judgement.untested
     misfit = 100 * found.misfit / stroke
-    yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
+    yield f"The largest error of the model on these records is {misfit:.3g} % of the stroke."
     for warning in warnings[another is not None :]:
         yield ""
         yield f"WARNING: {warning}"
@@ -445,7 +445,7 @@ def _parts_known(found: Insight) -> Iterator[str]:
     if found.loop is not None:
         off = found.loop.off
         share = 100 * off / found.evidence.stroke
-        yield f"  - the displacement on the major loop{share:8.2g} % of the range, {off * 1e9:.3g} nm"
+        yield f"  - the displacement on the major loop{share:8.2g} % of the stroke, {off * 1e9:.3g} nm"
     for name, (model, noise) in found.numbers().items():
         if noise is not None and abs(model).max(initial=0.0) > 0:
             width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
@@ -513,7 +513,7 @@ def _band(found: Insight) -> Iterator[str]:
 
     stroke = found.evidence.stroke
     yield ""
-    yield "What a part of it comes from, in % of the range:"
+    yield "What a part of it comes from, in % of the stroke:"
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"
