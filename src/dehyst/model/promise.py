@@ -9,7 +9,7 @@ of the model, and are tested on mechanisms that had no part in finding them: `be
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -160,6 +160,23 @@ class Validity:
         kept = kept[:: 1 + len(kept) // _MOST]
         fastest = (float(speed.min()), float(speed.max())) if speed.size else (0.0, 0.0)
         return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, **numbers)
+
+    def with_record(self, time: Array, voltage: Array, *, rms: float, largest: float) -> Validity:
+        """Return what is tested after an update by one more record: its errors count where they are larger.
+
+        `time` (n,) [s], `voltage` (n,) [V]: of the record. `rms`, `largest`: errors [m] of the updated model.
+        """
+        by_it = Validity.by_records([(time, voltage)], rms=rms, largest=largest, disagreement=0.0, stroke=self.stroke)
+        pairs = self.speeds, by_it.speeds
+        return replace(
+            self,
+            rms=max(self.rms, rms),
+            largest=max(self.largest, largest),
+            limits=(min(self.limits[0], by_it.limits[0]), max(self.limits[1], by_it.limits[1])),
+            legs=np.concatenate([self.legs, by_it.legs]),
+            speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
+            hold=max(self.hold, by_it.hold),
+        )
 
     @property
     def span(self) -> float:

@@ -487,5 +487,5 @@ def test_a_measured_actuator():
     # As in the paper (Fig. 3), far from anti-symmetric; the width's share is small, but the class cannot follow it.
     assert 3 < found["Anti-symmetry"].value < 4.5
     assert 2 * found["Symmetry of the width"].floor < found["Symmetry of the width"].value < 1
-    # README of the data: the cycle mean drifts by about 0.5 % of the range over 40 s.
+    # README of the data: the cycle mean drifts by about 0.5 % of the stroke over 40 s.
     assert found["No drift"].verdict is FAILS and found["No drift"].value < 1.5
