@@ -17,7 +17,6 @@ from dehyst.identification import Fit
 from dehyst.model import (
     Actuator,
     GradedSlip,
-    MaxwellSlip,
     Slopes,
     SmoothSlip,
     Spring,
@@ -149,13 +148,9 @@ def _from_zero(values: Array) -> tuple[float, float]:
     return 0.0, 1.1 * float(values.max()) if values.any() else 1.0
 
 
-def _plain_slip(actuator: Actuator) -> MaxwellSlip:
-    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
-
-
 def element_charts(actuator: Actuator) -> list[Chart]:
     """Return stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
-    slip = _plain_slip(actuator)
+    slip = actuator.slip.stiffest()
     factor, unit = length_unit(float(slip.breakaway[-1]))
     rho, charts = slip.breakaway * factor, []
     for values, quantity, in_ in (
@@ -201,7 +196,7 @@ def _slip_and_spring(actuator: Actuator) -> dict[str, str]:
             )
             yield (str(i), *(text.replace("-", MINUS) for text in written))
 
-    slip, spring = _plain_slip(actuator), actuator.spring
+    slip, spring = actuator.slip.stiffest(), actuator.spring
     elements = rows(slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
     knots = rows(spring.displacement * 1e6, spring.voltage)
     return {

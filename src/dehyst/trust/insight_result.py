@@ -214,8 +214,8 @@ class Insight:
 
     @property
     def not_judged(self) -> str:
-        """What is left open of a model that has more than slip elements and a spring; empty otherwise."""
-        return _NOT_JUDGED if self.actuator.wide else ""
+        """What was not judged although intervals were asked for; empty if all was."""
+        return "" if self.intervals is None or self.feasible_set is not None else _NOT_JUDGED
 
     @property
     def stiffness(self) -> Array | None:
@@ -251,13 +251,11 @@ class Insight:
     def _open(self) -> str | None:
         if self.trustworthy:
             return None
-        total = self.identifiability.of
-        left, more = total - self.identifiability.determined, self.actuator.wide
+        found = self.identifiability
         next_ = f" Add {self.advice[0].words}." if self.advice else ""
         return (
-            f"{left} of {total} directions of {'plain elements' if more else 'the stiffnesses'} are open"
-            f"{', and with them those of this model' if more else ''}: motions that turn elsewhere than the records do "
-            f"may be predicted wrongly.{next_}"
+            f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
+            f"elsewhere than the records do may be predicted wrongly.{next_}"
         )
 
     def _imprecise(self) -> str | None:
@@ -294,12 +292,11 @@ class Insight:
         stiffness = "model=actuator.slip.stiffness noise=intervals.stiffness open=feasible_set.stiffness both=stiffness"
         homing = "turns_V=turns travel_V=travel certified seconds=played.duration error_m=error width_m=width remarks"
         directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values open")
-        sentences = [] if self.actuator.wide else list(self.identifiability.sentences())
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
             **json_values(self, "not_judged misfit_m=misfit judgement"),
-            "directions": {**directions, "sentences": sentences},
+            "directions": {**directions, "sentences": list(self.identifiability.sentences())},
             "identifiable_parts": {"allowed_deviation_of_the_voltages": SHARP, **json_values(self, "parts")},
             "stiffness_V_per_m": json_values(self, stiffness),
             "spring_V": json_values(
@@ -407,11 +404,10 @@ def lines(found: Insight) -> Iterator[str]:
 def _directions(found: Insight) -> Iterator[str]:
     identifiability = found.identifiability
     yield (
-        f"Directions of {'ten plain elements' if found.actuator.wide else 'the stiffnesses'} that the turning points "
-        f"determine, whatever the noise: {identifiability.determined} of {identifiability.of}"
+        f"Directions of {identifiability.subject} that the turning points determine, whatever the noise: "
+        f"{identifiability.determined} of {identifiability.of}"
     )
-    if not found.actuator.wide:
-        yield from _bullets(_first_few(identifiability.sentences()))
+    yield from _bullets(_first_few(identifiability.sentences()))
     values = " ".join(f"{value:.2g}" for value in identifiability.values)
     yield f"  singular values, V for each volt of breakaway voltage: {values}"
 
