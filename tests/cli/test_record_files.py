@@ -231,7 +231,7 @@ def test_an_unreachable_path_names_the_range_and_the_option(far):
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv")
     assert done.exit_code == 2
     assert "model reaches -119.6 to -108.4" in done.stderr
-    assert "--zero bottom counts the path from the bottom of this range" in done.stderr
+    assert "--zero bottom counts" in done.stderr
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv", "--zero", "bottom")
     assert done.exit_code == 0, done.stderr
     assert "counted from -119.6" in done.stderr
@@ -268,7 +268,7 @@ def test_a_scan_is_counted_from_the_zero(far, more):
 def test_the_middle_and_the_start_as_zero(far):
     (far / "around.csv").write_text("time_s,displacement_um\n" + "".join(f"{k},{np.sin(k):.6f}\n" for k in range(9)))
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv")
-    assert "--zero mean counts the path from the middle" in done.stderr
+    assert "--zero mean counts" in done.stderr
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "mean", "--no-home")
     low, high = Actuator.load("far.json").major_loop((0, 100))
     assert read_table("out.csv").column("displacement")[0] == pytest.approx((low + high) / 2)
@@ -295,7 +295,7 @@ def test_the_middle_and_the_start_as_zero(far):
 
 def test_the_trajectory_of_an_assessment_names_the_range(far):
     asked = ["insight", "far.json", "far.csv", "--trajectory", "path.csv", *rare(repeats=20)]
-    assert "--zero bottom counts the path" in run(*asked).stderr
+    assert "--zero bottom counts" in run(*asked).stderr
     done = run(*asked, "--zero", "bottom", "-o", "band.csv")
     assert "--zero" not in done.stderr
     assert read_table("band.csv").column("time").size == 400
@@ -354,6 +354,6 @@ def test_the_advice_for_a_bad_cell_and_for_a_rate_that_is_a_word(far):
     (far / "lacks.csv").write_text("time_s,displacement_um\n0,2\n1,3\n2,4\n")
     assert "second file" in run("show", "lacks.csv").stderr
     done = run("show", "far.csv", "--columns", "rate=HZ")
-    assert "number of samples a second" in done.stderr
+    assert "samples a second" in done.stderr
     np.save(far / "square.npy", np.eye(3))
     assert "(3, 3)" in run("show", "square.npy").stderr

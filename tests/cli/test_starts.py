@@ -168,7 +168,7 @@ def test_a_record_is_a_start(folder, model):
     write_record(folder / "first.csv", dehyst.Record(time[:480], voltage[:480], y[:480]))
     write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
     status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
-    assert status == 0 and "(as at the end of first.csv, at " in out
+    assert status == 0 and "end of first.csv" in out
     came = column(folder, "s.csv", "expected_um")
     assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import SEEDS, make_actuator
 
@@ -25,6 +25,7 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import has_avx2
+from examples import examples
 
 PERIOD = 1e-3
 # What is clamped is counted, and compared.
@@ -72,7 +73,7 @@ def slews(actuators, share):
     return [share * (one.limits[1] - one.limits[0]) / PERIOD for one in actuators]
 
 
-@settings(deadline=None, max_examples=25)
+@examples(8, nightly=50)
 @given(SEEDS, st.integers(1, 40), st.sampled_from([0.05, 0.6, 5.0]), st.integers(1, 3))
 def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share, threads):
     actuators = mixed(seed, count)
@@ -263,7 +264,7 @@ def test_what_does_not_fit_is_refused(options, message):
 
 
 def test_no_actuators_and_wrong_ones_are_refused():
-    with pytest.raises(ModelError, match="got none, need one at least"):
+    with pytest.raises(ModelError, match="one at least"):
         Bank([])
     with pytest.raises(ModelError, match="actuators: got Actuator"):
         Bank(mixed(4, 1)[0])

@@ -581,5 +581,5 @@ def test_steps_in_time_need_a_period(parts):
 def test_a_period_too_long_for_the_resonance_is_refused():
     spring, omega = dehyst.Spring([0, 5e-6, 1e-5], [0, 0.01, 100]), 2 * np.pi * 1e3
     uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=Dynamics(omega, 0.0, 1e8))
-    with pytest.raises(ModelError, match="too long for a resonance"):
+    with pytest.raises(ModelError, match="for a resonance"):
         Compensator(uneven, (0, 100), period=4.5 / omega * np.sqrt(1 + 1e8 / 1e7)).step(0.0)

@@ -42,7 +42,7 @@ def test_matrix_and_held_out_record(fit):
 def test_exchanged_columns_of_displacements_are_not_usable():
     training, _ = coupled_stage.excited(coupling=np.array([[1.0, 0.05], [0.04, 1.0]]))
     turned = dehyst.Record(training.time, training.voltage, training.displacement[:, ::-1], "turned", axes=("x", "y"))
-    found = dehyst.identify_stage(turned)
+    found = dehyst.identify_stage(turned, structure="maxwell_slip")
     assert found.exchanged == ("x", "y")
     assert not found.good
     assert "displacements exchanged?" in found.verdict
@@ -86,7 +86,7 @@ def test_other_order_of_the_axes_gives_the_same_matrix():
 
 def test_coupling_with_hysteresis_is_found_out():
     training, _ = coupled_stage.excited(bent=0.04)
-    fit = dehyst.identify_stage(training)
+    fit = dehyst.identify_stage(training, structure="maxwell_slip")
     assert not fit.is_matrix
     assert fit.cross_talk.beyond[1, 0]
     assert not fit.cross_talk.beyond[0, 1]

@@ -133,9 +133,9 @@ def test_one_stroke_is_the_border(actuator):
             actuator.turned(y)
         actuator.turned(y, extrapolate=True)
     for v in (first - 1.001 * (last - first), last + 1.001 * (last - first)):
-        with pytest.raises(ModelError, match="the model was identified from"):
+        with pytest.raises(ModelError, match="model was identified"):
             actuator.simulate([first, v])
-        with pytest.raises(ModelError, match="the model was identified from"):
+        with pytest.raises(ModelError, match="model was identified"):
             actuator.relaxed(v)
         actuator.relaxed(v, extrapolate=True)
 
@@ -226,7 +226,7 @@ def test_a_loop_takes_the_largest_number_there_is():
 
 def test_a_wave_table_strokes_outside_is_refused():
     scan = Triangle(2e-6, 12e-6, 10, sample_rate=1000)
-    with pytest.raises(ModelError, match="got 2 to 12 um, the model reaches"):
+    with pytest.raises(ModelError, match="got 2 to 12 um, the model"):
         wave_table(ACTUATOR, scan)
 
 
@@ -265,7 +265,7 @@ def test_a_record_converts_quantities():
         got = getattr(record, name)
         assert type(got) is np.ndarray
         np.testing.assert_allclose(got, getattr(plain_one, name), rtol=1e-14)
-    with pytest.raises(RecordError, match="displacement: got a quantity in volt, need one that can be converted to m"):
+    with pytest.raises(RecordError, match="displacement: got a quantity in volt"):
         dehyst.Record(t, v, PATH * U.V)
     np.testing.assert_allclose(dehyst.Record(t, v, [y * U.m for y in PATH]).displacement, PATH)
 

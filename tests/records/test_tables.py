@@ -56,7 +56,7 @@ def test_arrays_are_micrometres_unless_something_else_is_stated():
     np.testing.assert_allclose(Record.from_arrays(TIME, VOLTS, quantity).displacement, RECORD.displacement, rtol=1e-14)
     with pytest.raises(RecordError, match="units: got 'inch'"):
         Record.from_arrays(TIME, VOLTS, MICROMETRES, units="inch")
-    with pytest.raises(RecordError, match="displacement is no array of numbers"):
+    with pytest.raises(RecordError, match="array of numbers"):
         Record.from_arrays(TIME, VOLTS, ["a"] * 5)
 
 
@@ -151,7 +151,7 @@ def test_what_a_dataset_lacks_is_named():
     with pytest.raises(RecordError, match=r"no variable 'displacement'.*'position'.*\.rename\(name='displacement'\)"):
         Record.from_xarray(dataset)
     dataset["displacement"] = Labelled(MICROMETRES, "inch")
-    with pytest.raises(RecordError, match="got a quantity in inch, need one that can be converted to m"):
+    with pytest.raises(RecordError, match="quantity in inch"):
         Record.from_xarray(dataset)
     with pytest.raises(ModelError, match="got a quantity in V, need one that can be converted to m"):
         plain(Labelled(VOLTS, "V"), "displacement")
