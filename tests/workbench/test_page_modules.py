@@ -10,6 +10,8 @@ import numpy as np
 import places
 import pytest
 
+from dehyst.model import legs, speeds_of
+from dehyst.records import turning_points
 from dehyst.report.charts import ChartData
 from dehyst.report.trust_section import turned
 from dehyst.trust.turn_plane import turn_plane
@@ -21,7 +23,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { before, inkLines, nearest, thinPath, thinTime } from "./thinning.js";
 import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
-import { parsedPath } from "./path_file.js";
+import { parsedPaths } from "./path_file.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
 const { column } = await import("./report.js");
@@ -210,14 +212,15 @@ def test_points_stay_in_their_order(run):
 @pytest.mark.parametrize(
     ("values", "turns"),
     [
-        ([0, 5, 9, 3, 7, 0], [0, 2, 3, 4, 5]),
-        ([4, 9, 0, 9], [1, 2, 3]),
-        ([9, 9, 4, 4.05, 4, 6], [0, 2, 5]),
-        ([2, 2, 2], [0, 2]),
+        ([0, 5, 9, 3, 7, 0], [2, 3, 4]),
+        ([4, 9, 0, 9], [1, 2]),
+        ([9, 9, 4, 4.05, 4, 6], [4]),
+        ([2, 2, 2], []),
     ],
 )
 def test_turning_points_are_where_a_voltage_goes_back(run, values, turns):
     assert run(f"print(turningPoints({values}, 0.1));") == turns
+    assert turning_points(np.array(values, dtype=float), 0.1).tolist() == turns
 
 
 def test_branches_of_a_path_are_tested_as_python_says(run):
@@ -244,8 +247,9 @@ def test_branches_of_a_path_are_tested_as_python_says(run):
     steps = plane.path(voltage.astype("<f4").astype(float), seconds)
     assert found["open"] == plane.untested(steps) > 10
     assert len(found["branches"]) == sum(turn.times for turn in steps)
-    fastest = max(one["speed"] for one in found["branches"])
-    assert fastest == pytest.approx(max(turn.speed for turn in steps), rel=1e-3)
+    count = len(found["branches"])
+    speeds = speeds_of(seconds, voltage, legs(voltage, 100.0))[-count:]
+    assert [one["speed"] for one in found["branches"]] == pytest.approx(speeds, rel=1e-3)
     longest = max(one["held"] for one in found["branches"])
     assert longest == pytest.approx(max(turn.held for turn in steps), rel=1e-3) and longest > 0
 
@@ -280,9 +284,15 @@ def test_modules_become_one_script_without_two_names_that_are_equal(modules):
     ],
 )
 def test_a_path_is_read_from_text(run, text):
-    assert run(f"print(parsedPath({json.dumps(text)}));") == [
+    assert run(f"print(parsedPaths({json.dumps(text)})[0]);") == [
         pytest.approx(row) for row in [[0, 1], [0.5, 2], [1, 1.5]]
     ]
+
+
+def test_a_path_of_several_axes_is_read_by_their_names(run):
+    text = "time_s,y_nm,x_um\n0,1000,2\n1,3000,4\n"
+    assert run(f'print(parsedPaths({json.dumps(text)}, ["x", "y"]));') == [[[0, 2], [1, 4]], [[0, 1], [1, 3]]]
+    run(f'assert.throws(() => parsedPaths({json.dumps(text)}, ["x", "z"]), /time_s,x_um,z_um/);')
 
 
 @pytest.mark.parametrize(
@@ -296,7 +306,7 @@ def test_a_path_is_read_from_text(run, text):
     ],
 )
 def test_a_text_that_is_no_path_is_refused_with_the_reason(run, text, sentence):
-    run(f"assert.throws(() => parsedPath({json.dumps(text)}), /{sentence}/);")
+    run(f"assert.throws(() => parsedPaths({json.dumps(text)}), /{sentence}/);")
 
 
 def test_numbers_are_written_for_people(run):
