@@ -37,9 +37,8 @@ CORE_TESTS = {
         "tests/model/test_smooth_slip.py",
         "tests/model/test_dynamics.py",
         "tests/control/test_compensator.py",
-        "tests/core/test_all_parts.py",
-        "tests/core/test_blocks.py",
         "tests/contracts/test_hysteresis_laws.py",
+        "tests/core/test_all_parts.py",
     ),
 }
 FAST = ("-m", "not slow and not nightly and not fuzz")
