@@ -256,3 +256,20 @@ def test_a_loop_follows_a_temperature():
     ):
         with pytest.raises(ModelError):
             call()
+
+
+def test_a_cycle_repeats_from_its_steady_strains():
+    part, time = DisplacementCreep([0.5, 5.0, 80.0], [0.02, 0.01, 0.03]), np.arange(201) * 0.05
+    y = 1e-6 * (1 - np.cos(2 * np.pi * time / 10))
+    m, begun = part.steady(time, y)
+    again, strains = part.added(time, m, begun)
+    assert np.allclose(again, y, rtol=0, atol=1e-18)
+    assert np.allclose(strains, begun, rtol=0, atol=1e-18)
+    assert m[-1] == pytest.approx(m[0], abs=1e-18)
+
+
+def test_homing_waits_for_creep_in_displacement():
+    actuator = creeping()
+    homing = dehyst.shortest_homing(actuator, limits=actuator.voltage_range, tolerance=0.05 * np.ptp(actuator.knots))
+    assert homing.certified
+    assert homing.excitation is not None and homing.excitation.duration > 1.0
