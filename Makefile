@@ -1,6 +1,6 @@
 # make demo     install into .venv and run the main job on a virtual actuator
-# make test     install with the tests' dependencies and run the tests
-# make nightly  the same tests with all repeats and examples
+# make test     install with the tests' dependencies, run the tests of a push, print the slowest
+# make nightly  the same tests and those too slow for a push, with all repeats and examples
 # make check    lint, types, import contract, and the C core under strict warnings
 # make docs     build the site into build/docs, with all examples run; a warning is an error
 # make wasm     compile the core to WebAssembly (needs Debian's clang and lld); commit the result
@@ -11,6 +11,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/*)
 
 .PHONY: demo test nightly check docs wasm pictures wheel bench clean
@@ -19,10 +20,10 @@ demo: $(VENV)/.demo
 	$(BIN)/dehyst demo
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(PYTEST) --junitxml=build/test-results/push.xml
 
 nightly: $(VENV)/.test
-	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n auto --dist worksteal -m "not fuzz"
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) -m "not fuzz" --junitxml=build/test-results/nightly.xml
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .

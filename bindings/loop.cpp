@@ -15,6 +15,7 @@ struct Loop {
     nb::object on_clamp;
     bool reported[2] = {false, false};
     bool busy = false;
+    double per_metre = 1; // of displacements that offer and step are given
 
     // numbers: low, high, change, lag, keep, from_old, from_new.
     Loop(const Core &core_, Input decay_, Input gain_, Input transition, Input tap_, Input numbers,
@@ -328,9 +329,10 @@ void bind_loop(nb::module_ &m) {
     nb::class_<Loop>(m, "Loop")
         .def(nb::init<const Core &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
         .def("begin", &Loop::begin)
-        .def("offer", [](Loop &loop, nb::handle u) { return loop.offer(plain(u)); })
+        .def("offer", [](Loop &loop, nb::handle u) { return loop.offer(plain(u) / loop.per_metre); })
         .def("commit", &Loop::commit)
-        .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u)); })
+        .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u) / loop.per_metre); })
+        .def_rw("per_metre", &Loop::per_metre)
         .def("run", &Loop::run)
         .def("run_column", &Loop::run_column)
         .def("trace", &Loop::trace)

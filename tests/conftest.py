@@ -1,9 +1,11 @@
 """What every test shares: signals, Hypothesis without a stopwatch, and the C core compiled apart from Python."""
 
 import os
+import resource
 import shutil
 import signal
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import compiler_cache
@@ -28,12 +30,49 @@ def pytest_xdist_auto_num_workers():
     return int(given) if given else processors + 1
 
 
+def processor_time():
+    """Return the CPU time [s] of this process and of the children that it waited for."""
+    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    item.stash[BEGAN] = processor_time()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """State what a test cost: on a busy machine its duration tells little."""
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append((CPU, f"{processor_time() - item.stash[BEGAN]:.3f}"))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Print where the processor time went, by file and by test, of a run whose results are kept (`--junitxml`)."""
+    if not terminalreporter.config.option.xmlpath:
+        return
+    tests, files = Counter(), Counter()
+    for report in (each for reports in terminalreporter.stats.values() for each in reports):
+        seconds = float(dict(getattr(report, "user_properties", ())).get(CPU, 0))
+        tests[report.nodeid] += seconds if report.when == "teardown" else 0
+    for test, seconds in tests.items():
+        files[test.partition("::")[0]] += seconds
+    terminalreporter.section(f"processor time: {tests.total() / 60:.1f} minutes")
+    for name, seconds in files.most_common(25) + tests.most_common(25):
+        terminalreporter.write_line(f"{seconds:8.1f} s  {name}")
+
+
+BEGAN, CPU = pytest.StashKey(), "cpu_s"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 # Shared machines stall: a time limit on one example would fail tests that are right.
 # A push tries the same examples each time, so that it does not fail by chance; `make nightly` tries new ones.
 settings.register_profile(
-    "dehyst", deadline=None, max_examples=60, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "dehyst", deadline=None, max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile("nightly", settings.get_profile("dehyst"), max_examples=300, derandomize=False)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dehyst"))

@@ -77,6 +77,7 @@ class Bank:
     ) -> None: ...
 
 class Loop:
+    per_metre: float
     def __init__(
         self,
         core: Core,

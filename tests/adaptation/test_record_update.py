@@ -58,7 +58,10 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert made.held_out[1] < 0.3 * made.before[1]
     assert made.after[1] < 0.3 * made.before[1]
     assert any("gain" in sentence for sentence in made.sentences())
-    assert made.actuator.identification.expected_rms == made.held_out[1]
+    known = made.actuator.identification
+    assert known.expected_rms == known.validity.anywhere.rms == made.promise.rms
+    assert known.validity.rms >= old.identification.validity.rms
+    assert len(known.validity.legs) > len(old.identification.validity.legs)
     assert made.actuator.provenance["updated_from"] == old.name
     assert made.actuator.limits == old.limits
 

@@ -61,7 +61,7 @@ def test_the_model_of_the_initial_factors_is_the_model(name):
 
 def test_parts_behind_the_elements_are_refused():
     for parts in ({"displacement_creep": DisplacementCreep([1.0], [0.01])}, {"thermal": Thermal(1e-3, 0.0, 20.0)}):
-        with pytest.raises(ModelError, match="do not adapt"):
+        with pytest.raises(ModelError, match="not adapt"):
             Weights.of(replace(PLANTS["plain"], **parts))
 
 

@@ -144,7 +144,7 @@ def test_what_no_voltage_reaches_is_refused():
     bank = PlayBank([0.0], [[0.0, 10.0]], [[0, 1e-7, 0]])
     v, _ = bank.compensate(np.array([0.0, 1e-6, 0.5e-6]), bank.state_after_descent(0.0), None)
     np.testing.assert_allclose(v, [0, 10, 5])
-    with pytest.raises(ModelError, match=r"1.1 um at index 1 is beyond what this model reaches at any voltage; stay"):
+    with pytest.raises(ModelError, match="index 1 is beyond"):
         bank.compensate(np.array([0.0, 1.1e-6]), bank.state_after_descent(0.0), None)
 
 

@@ -182,7 +182,7 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "truth", "numbers"), NUMBERS)
 def test_how_good_they_are_on_held_out_paths(kind, truth, numbers):
     got = missed(fitted(kind, truth), truth())
@@ -235,7 +235,7 @@ def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
     assert prepare_training(recorded(PlayActuator().play, voltage)).delay == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", MODELS)
 def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
@@ -290,9 +290,9 @@ def test_every_baseline_is_one_and_none_is_built_upon(kind):
 
 def test_a_creeping_model_needs_the_time_and_others_do_not():
     creeping = GeneralizedPrandtlIshlinskii.fit(training(PlayActuator), lowpasses=[1.0, 30.0], delay=0.0)
-    with pytest.raises(ModelError, match=r"this model creeps: it needs the time"):
+    with pytest.raises(ModelError, match="model creeps:"):
         creeping.simulate([0, 1])
-    with pytest.raises(ModelError, match=r"this model creeps: it needs the time"):
+    with pytest.raises(ModelError, match="model creeps:"):
         creeping.compensate([0, 1e-6])
     path = creeping.simulate(wander(1), time=np.arange(wander(1).size)).displacement
     sent = creeping.compensate(path, time=np.arange(path.size)).voltage
@@ -336,18 +336,18 @@ def test_what_are_no_records_is_refused(kind):
         kind.fit([])
     with pytest.raises(IdentifyError, match=r"got str, need records; read a file"):
         kind.fit("loop.csv")
-    with pytest.raises(RecordError, match=r"0 full cycles of the voltage found, 1 needed"):
+    with pytest.raises(RecordError, match="voltage found, 1 needed"):
         kind.fit(recorded(PlayActuator().play, through((0, 1))))
 
 
 def test_impossible_curves_and_times_are_refused():
     record = recorded(PlayActuator().play, through(TOPS))
-    with pytest.raises(IdentifyError, match=r"lowpasses: got .*need time constants above 0"):
+    with pytest.raises(IdentifyError, match="constants above 0"):
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[0.0])
-    with pytest.raises(IdentifyError, match=r"lowpasses: 1 of 1 values are not finite"):
+    with pytest.raises(IdentifyError, match="lowpasses: 1 of 1 values"):
         GeneralizedPrandtlIshlinskii.fit(record, lowpasses=[np.nan])
     bank = PlayBank([0.0], [()], [[1.0]])
     with pytest.raises(ModelError, match=r"values: got .*strictly increasing"):
         ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 1], bank.state_after_descent(0))
-    with pytest.raises(ModelError, match=r"values: got 3, need one for each of 2 places"):
+    with pytest.raises(ModelError, match="values: got 3"):
         ModifiedPrandtlIshlinskii(bank, [0, 1], [1, 2, 3], bank.state_after_descent(0))

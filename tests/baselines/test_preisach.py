@@ -180,13 +180,13 @@ def test_smoothing_fills_what_tops_leave_open(plays):
 
 def test_refusals():
     table = of(densities(0, 4)).everett
-    with pytest.raises(ModelError, match="need a square of two or more finite nodes"):
+    with pytest.raises(ModelError, match="finite nodes"):
         Preisach((0, 1), table[:3])
-    with pytest.raises(ModelError, match="displacement would fall while the voltage rises"):
+    with pytest.raises(ModelError, match="would fall"):
         Preisach((0, 1), np.zeros((3, 3)))
-    with pytest.raises(ModelError, match="displacement would fall while the voltage rises"):
+    with pytest.raises(ModelError, match="would fall"):
         Preisach((0, 1), table - 0.9 * np.outer(np.arange(5) == 4, np.arange(5) == 0) * table[4, 0])
-    with pytest.raises(ModelError, match="the lower one first"):
+    with pytest.raises(ModelError, match="lower one"):
         Preisach((1, 0), table)
     with pytest.raises(ModelError, match="need a PreisachState"):
         Preisach((0, 1), table).simulate([0.5], state=dehyst.State(0.0, []))
@@ -199,7 +199,7 @@ def test_refusals():
         [[0.1, 0]],
         [[0, 0], [0.4, 0]],
     ):
-        with pytest.raises(ModelError, match="need a PreisachState that a motion of this model returned"):
+        with pytest.raises(ModelError, match="model returned"):
             Preisach((0, 1), table).compensate([0.5], state=PreisachState(0.5, 0.0, np.array(turns)))
     record = plain_records.loops(plain_records.plant(), plain_records.MAJOR)
     for options, said in (
@@ -215,5 +215,5 @@ def test_refusals():
         Preisach.fit(np.zeros(3))
     with pytest.raises(IdentifyError, match="got no records"):
         Preisach.fit([])
-    with pytest.raises(IdentifyError, match="first-order reversal curves, need at least three"):
+    with pytest.raises(IdentifyError, match="first-order reversal"):
         Preisach.from_reversal_curves(record)

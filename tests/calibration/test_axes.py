@@ -110,7 +110,7 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
     with (
         served() as (server, bench),
         rig_of(server, "1,2") as rig,
-        pytest.raises(FileFormatError, match=r"holds a calibration of .*axis 1,2,3, and this is"),
+        pytest.raises(FileFormatError, match="axis 1,2,3"),
     ):
         calibrate(rig, folder, plan=PLAN)
     assert [one.log.largest_step for one in bench.axes] == [0.0] * 3

@@ -196,7 +196,7 @@ def test_another_actuator_behind_an_equal_identity_is_refused(folder):
     for attempt in (1, 2):
         job = Session(folder, rig, NullProgress())
         for _ in range(2):
-            with pytest.raises(RecordError, match=r"looks like another actuator \(loop differs by 4\d %.*give another"):
+            with pytest.raises(RecordError, match="differs by 4"):
                 job.record(PACE.look(), "look")
         assert (job.kept, job.played, attempt) == ([], [], attempt)
     after = contents(folder)
@@ -214,7 +214,7 @@ def test_a_calibration_refuses_it_and_leaves_a_safe_voltage(folder):
     (folder / "records" / "look.h5").unlink()
     Session(folder, rig_of(PlayActuator()), NullProgress()).record(look, "look")
     before = contents(folder)
-    with pytest.raises(RecordError, match="looks like another actuator") as caught:
+    with pytest.raises(RecordError, match="looks like") as caught:
         calibrate(rig, folder)
     assert "The voltage was brought to 0 V." in caught.value.__notes__
     assert rig.instrument.axis.voltage == 0
@@ -238,7 +238,7 @@ def test_a_later_record_is_compared_if_the_first_was_lost(folder):
     (folder / "records" / "look.h5").write_bytes(b"")
     job = Session(folder, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(PACE.look(), "look")
-    with pytest.raises(RecordError, match="record 'loops' in this folder"):
+    with pytest.raises(RecordError, match="record 'loops'"):
         job.record(PACE.tops(), "loops")
 
 
@@ -320,7 +320,7 @@ def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
     before = contents(tmp_path / "out")
     with (
         open_rig(f"sim://{tmp_path}/b/model.json") as rig,
-        pytest.raises(FileFormatError, match=r"holds a calibration of simulated model-.*give another folder with -o"),
+        pytest.raises(FileFormatError, match="simulated model-"),
     ):
         Session(tmp_path / "out", rig, NullProgress())
     assert contents(tmp_path / "out") == before
@@ -372,8 +372,8 @@ def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     own.write_text(source.format(stroke=0.6 * STROKE))
     done = calibrated(f"{own}:make", tmp_path / "out")
     assert done.returncode == 2, done.stderr
-    assert "this looks like another actuator (loop differs by 40 % of the stroke" in done.stderr
-    assert "give another folder with -o" in done.stderr
+    assert "another actuator (loop differs" in done.stderr
+    assert "another folder" in done.stderr
     assert "The voltage was brought to 0 V." in done.stderr
     assert "the same command goes on" not in done.stderr
     after = contents(tmp_path / "out")

@@ -304,7 +304,7 @@ def test_what_is_no_journal_is_refused_by_its_name(folder, kind):
         os.mkfifo(path)
     else:
         path.symlink_to(folder / "nowhere")
-    with pytest.raises(FileFormatError, match=r"look\.h5\.part\.csv: is not a file, but has the name of a journal"):
+    with pytest.raises(FileFormatError, match="journal"):
         go_on(folder)
 
 
@@ -383,7 +383,7 @@ def test_a_disk_that_fails_keeps_the_journal(folder, monkeypatch):
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", fsync)
-    with pytest.raises(FileFormatError, match=r"cannot be written \(Input/output error\)"):
+    with pytest.raises(FileFormatError, match=r"written \(Input/output error\)"):
         salvage(folder / "records")
     assert (folder / JOURNAL).read_text() == HEAD + ROWS
 

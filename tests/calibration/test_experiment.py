@@ -62,8 +62,8 @@ def test_everything_is_on_disk(finished, tmp_path):
     assert Actuator.load(folder / "model.json").limits is not None
     write_calibration(tmp_path / "report.html", found, command="dehyst calibrate sim://play")
     page = (tmp_path / "report.html").read_text()
-    assert "Measured along a path" in page
-    assert "dehyst calibrate sim://play" in page
+    assert "Measured along" in page
+    assert "calibrate sim://play" in page
 
 
 def test_the_error_is_what_was_measured(finished):
@@ -146,7 +146,7 @@ def test_a_folder_of_another_instrument_is_refused(finished):
     truth = PlayActuator()
     rig = SimulatedRig(truth)
     rig.identity = "another controller"
-    with pytest.raises(FileFormatError, match=r"holds a calibration of simulated play-.*give another folder"):
+    with pytest.raises(FileFormatError, match="simulated play-"):
         calibrate(rig, folder, watcher=Heard())
 
 

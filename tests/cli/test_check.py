@@ -34,7 +34,7 @@ def test_a_model_that_is_not(folder):
     status, out, err = run("check", "model.json", "gain.csv", cwd=folder)
     assert (status, err) == (1, "")
     assert out.startswith("Recalibrate: ")
-    assert "The gain has risen by 2" in out
+    assert "risen by 2" in out
     assert re.search(r"^gain .*  counts$", out, re.M), out
     assert run("check", "model.json", "gain.csv", "--goal", "5", cwd=folder)[0] == 0
 
@@ -51,7 +51,7 @@ def test_a_history_is_kept_printed_and_drawn(folder):
         status, out, err = run("check", "model.json", f"{name}.csv", "--history", "checks", cwd=folder)
         assert (status, err) == (int(name == "gain"), "")
         assert f"Checks of this model in checks: {min(count, 3)};" in out
-    assert "Gain: average or cumulative sum of the checks has been outside" in out
+    assert "average or cumulative" in out
     assert re.search(r"^\d{4}-\d\d-\d\d gain +1\.\d{3} +\+\d+\.\d\d +\d+\.\d\d!", out, re.M), out
     assert "Picture: checks" in out
     assert (folder / "checks" / "history.html").read_text().startswith("<!DOCTYPE html>")
@@ -94,11 +94,11 @@ def test_a_damaged_check_is_left_out_of_the_history(kept):
     status, out, err = run("check", "model.json", "gain.csv", "--history", "checks", cwd=kept)
     assert status == 1 and out.startswith("Recalibrate: ")
     assert f"left out of the history: checks/{first.name}: line " in err and second.name not in err
-    assert "Checks of this model in checks: 2;" in out and "Picture: checks" in out
+    assert "checks: 2" in out and "Picture: checks" in out
     # The same record again mends its file.
     for name in ("same", "other"):
         status, out, err = run("check", "model.json", f"{name}.csv", "--history", "checks", cwd=kept)
-    assert (status, err) == (0, "") and "Checks of this model in checks: 3;" in out
+    assert (status, err) == (0, "") and "checks: 3" in out
 
 
 @pytest.mark.parametrize(("content", "words"), [(None, "is missing"), ("{}", "is damaged"), ("", "is damaged")])

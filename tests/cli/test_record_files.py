@@ -102,7 +102,7 @@ def test_a_column_that_is_nowhere_may_be_in_a_second_file(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
     done = run("show", "drive.csv")
     assert done.exit_code == 2
-    assert "in a second file" in done.stderr
+    assert "second file" in done.stderr
 
 
 def test_show_names_what_no_identification_takes(tmp_path, monkeypatch):
@@ -111,7 +111,7 @@ def test_show_names_what_no_identification_takes(tmp_path, monkeypatch):
     Path("flat.csv").write_text("time_s,voltage_V,displacement_um\n" + rows)
     shown = run("show", "flat.csv")
     assert shown.exit_code == 0 and "No problems found" not in shown.output
-    assert "  - Not usable for an identification: " in shown.output and "constant" in shown.output
+    assert "Not usable" in shown.output and "constant" in shown.output
 
 
 def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
@@ -119,7 +119,7 @@ def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
     done = run("show", "other.csv")
     assert done.exit_code == 2
     assert "  load_N  N       1 to 2" in done.stdout
-    assert "holds 'on', which is no number" in done.stdout
+    assert "holds 'on'" in done.stdout
     assert "no voltage column; no displacement column" in done.stderr
     assert "try:" not in done.stderr
 
@@ -141,7 +141,7 @@ def test_a_scale_that_contradicts_the_file_is_in_no_command(monitor):
     (monitor / "plain.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n2,0,0\n")
     done = run("show", "plain.csv", "--columns", "displacement=*10 um/V")
     assert done.exit_code == 2
-    assert "has the unit 'um', but the scale 10 um/V is for V" in done.stderr
+    assert "the scale 10 um/V" in done.stderr
     assert "try:" not in done.stderr
     # Nor if another column is to be selected, too.
     (monitor / "plain.csv").write_text("time_s,ch1_V,ch2_um\n0,0,0\n1,1,1\n2,0,0\n")
@@ -230,11 +230,11 @@ def far(monitor):
 def test_an_unreachable_path_names_the_range_and_the_option(far):
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv")
     assert done.exit_code == 2
-    assert "the model reaches -119.6 to -108.4 um" in done.stderr
-    assert "--zero bottom counts the path from the bottom of this range" in done.stderr
+    assert "model reaches -119.6 to -108.4" in done.stderr
+    assert "--zero bottom counts" in done.stderr
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv", "--zero", "bottom")
     assert done.exit_code == 0, done.stderr
-    assert "the path is counted from -119.6" in done.stderr
+    assert "counted from -119.6" in done.stderr
     low = Actuator.load("far.json").major_loop((0, 100))[0]
     table = read_table("voltage.csv")
     path = table.columns[table.names.index("phase")].data == 2
@@ -247,7 +247,7 @@ def test_a_path_that_is_somewhat_outside_names_the_range_too(far):
     (far / "high.csv").write_text(f"time_s,displacement_um\n{rows}")
     done = run("compensate", "far.json", "high.csv", "-o", "voltage.csv")
     assert done.exit_code == 1
-    assert "the path covers -114 to -106 um, the model reaches -119.6 to -108.4 um with 0 to 100 V" in done.stderr
+    assert "model reaches -119.6 to -108.4 um with 0 to 100" in done.stderr
     (value,) = re.findall(r"--zero (\S+) puts the path into the middle", done.stderr)
     assert run("compensate", "far.json", "high.csv", "-o", "voltage.csv", "--zero", value).exit_code == 0
 
@@ -268,7 +268,7 @@ def test_a_scan_is_counted_from_the_zero(far, more):
 def test_the_middle_and_the_start_as_zero(far):
     (far / "around.csv").write_text("time_s,displacement_um\n" + "".join(f"{k},{np.sin(k):.6f}\n" for k in range(9)))
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv")
-    assert "--zero mean counts the path from the middle" in done.stderr
+    assert "--zero mean counts" in done.stderr
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "mean", "--no-home")
     low, high = Actuator.load("far.json").major_loop((0, 100))
     assert read_table("out.csv").column("displacement")[0] == pytest.approx((low + high) / 2)
@@ -290,12 +290,12 @@ def test_the_middle_and_the_start_as_zero(far):
     assert first - wanted == pytest.approx(low, abs=1e-9)
     done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "top")
     assert done.exit_code == 2
-    assert "got 'top', need bottom, first, mean, or a displacement in um" in done.stderr
+    assert "bottom, first" in done.stderr
 
 
 def test_the_trajectory_of_an_assessment_names_the_range(far):
     asked = ["insight", "far.json", "far.csv", "--trajectory", "path.csv", *rare(repeats=20)]
-    assert "--zero bottom counts the path" in run(*asked).stderr
+    assert "--zero bottom counts" in run(*asked).stderr
     done = run(*asked, "--zero", "bottom", "-o", "band.csv")
     assert "--zero" not in done.stderr
     assert read_table("band.csv").column("time").size == 400
@@ -352,8 +352,8 @@ def test_the_advice_for_a_bad_cell_and_for_a_rate_that_is_a_word(far):
     assert "line 3" in done.stderr
     assert "in a second file" not in done.stderr
     (far / "lacks.csv").write_text("time_s,displacement_um\n0,2\n1,3\n2,4\n")
-    assert ". If it is in a second file" in run("show", "lacks.csv").stderr
+    assert "second file" in run("show", "lacks.csv").stderr
     done = run("show", "far.csv", "--columns", "rate=HZ")
-    assert "number of samples a second" in done.stderr
+    assert "samples a second" in done.stderr
     np.save(far / "square.npy", np.eye(3))
     assert "(3, 3)" in run("show", "square.npy").stderr

@@ -73,7 +73,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
         assert run("compensate", "model.json", "raster.csv", *axis, *TOP, "-o", "r.csv", cwd=folder)[0] == 0
         y = rows(folder / "r.csv")[1]
         assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
-    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", 0.02, *rare(shape="trapezoid"))
+    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, *rare(shape="trapezoid", edge=0.02))
     assert run("scan", *steps, "-o", "steps.csv", cwd=folder)[0] == 0
     assert run("compensate", "model.json", "steps.csv", *TOP, "-o", "s.csv", cwd=folder)[0] == 0
     # A scan is replaced by another one.
@@ -84,7 +84,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
     "kind",
     [
         ("spiral", "--frequency", 1, "--revolutions", 3, *rare(constant="angular"), "--y-low", 1, "--y-high", 11),
-        ("lissajous", "--frequency", 2, "--ratio", 3, 4, "--phase", 0, "--y-low", 5, "--y-high", 6),
+        ("lissajous", "--frequency", 2, "--ratio", 3, 4, *rare(phase=0), "--y-low", 5, "--y-high", 6),
     ],
 )
 def test_two_axes_in_the_middle_of_what_is_given(folder, kind):
@@ -153,11 +153,11 @@ def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
         ((*TRIANGLE, "--acceleration", 1000), "acceleration"),
         (("triangle", "--low", 12, "--high", 2, "--frequency", 10), "low, high"),
         (("triangle", "--low", 2, "--high", 12e6, "--frequency", 10), "high"),
-        (("steps", "--levels", "2,2", "--dwell", 0.1, "--edge", 1), "levels"),
-        (("steps", "--levels", "2", "--dwell", 0.1, "--edge", 1), "levels"),
+        (("steps", "--levels", "2,2", "--dwell", 0.1, *rare(edge=1)), "levels"),
+        (("steps", "--levels", "2", "--dwell", 0.1, *rare(edge=1)), "levels"),
         (("steps", "--levels", "2,6", "--dwell", 0.1), "edge"),
-        (("steps", "--levels", "2,6", "--dwell", 0.1, "--edge", 1e-3, "--acceleration", 10), "edge"),
-        (("lissajous", "--low", 2, "--high", 12, "--frequency", 1, "--phase", 1e9), "phase"),
+        (("steps", "--levels", "2,6", "--dwell", 0.1, *rare(edge=1e-3), "--acceleration", 10), "edge"),
+        (("lissajous", "--low", 2, "--high", 12, "--frequency", 1, *rare(phase=1e9)), "phase"),
         ((*TRIANGLE, "--sample-rate", 20), "sample_rate"),
         ((*TRIANGLE, "--sample-rate", 1e8), "scan"),
         (("raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000), "scan"),

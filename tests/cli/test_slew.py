@@ -9,7 +9,8 @@ import pytest
 from command_line import run
 
 import dehyst
-from dehyst.model import Stage
+from dehyst.model import Identification, Stage
+from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.records import signals as slew
 
@@ -85,7 +86,7 @@ def test_the_factor_is_that_of_the_path(folder):
 )
 def test_a_path_that_is_held_back_says_so_and_names_the_ways_out(folder, model, words):
     status, out, err = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", cwd=folder)
-    assert status == 1 and ", held back by the slew rate: missed by up to " in out.splitlines()[0]
+    assert status == 1 and "slew rate" in out.splitlines()[0]
     assert "--slew-rate V/S" in err and "--slew-rate none" in err and "5 %" in err
     status, out, _ = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", "--slew-rate", "none", cwd=folder)
     assert "missed" not in out.splitlines()[0]
@@ -110,6 +111,28 @@ def test_a_slew_rate_that_is_given_counts(folder):
     assert (status, result["slew_V_per_s"], result["slew_from"]) == (0, 1000, "option")
     assert SPEED < steepest(table) <= 1000 * (1 + 1e-6)
     assert len(factors(result)) == 1
+
+
+def test_the_remark_names_the_bound_that_holds(folder):
+    status, result, _ = compensated(folder, "fast.csv", "--slew-rate", 1.5 * SPEED)
+    assert status == 1
+    (remark,) = factors(result)
+    assert f"held back to the {1.5 * SPEED:.4g} V/s of --slew-rate" in remark
+    status, result, _ = compensated(folder, "slow.csv", "--slew-rate", 0.1 * SPEED)
+    assert status == 1 and not factors(result)
+    assert any("of --slew-rate" in one for one in result["warnings"])
+
+
+@pytest.mark.parametrize(
+    "change", [{"delay_s": 50.0}, {"limits": {"voltage_V": [0, 1e9]}}, {"limits": {"voltage_V": [210, 215]}}]
+)
+def test_what_no_record_has_shown_is_remarked(folder, change):
+    tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, SPEED))
+    replace(PLAIN, identification=Identification(validity=tested)).save(folder / "tested.json")
+    model = json.loads((folder / "tested.json").read_text())
+    (folder / "edited.json").write_text(json.dumps(model | change))
+    assert "tested.json: its " not in run("compensate", "tested.json", "slow.csv", "-o", "out.csv", cwd=folder)[2]
+    assert "edited.json: its " in run("compensate", "edited.json", "slow.csv", "-o", "out.csv", cwd=folder)[2]
 
 
 @pytest.mark.parametrize(("model", "path", "origin"), [("old", "fast", "unknown"), ("model", "timeless", "no time")])

@@ -5,13 +5,15 @@ from collections import Counter
 import numpy as np
 import pytest
 import ways_out
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+
+from examples import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
-@settings(max_examples=60)
+@examples(30, nightly=200)
 @given(st.integers(0, 2**32 - 1))
 def test_random_lives_never_jump(seed):
     assert ways_out.play(seed, 0, lambda _: None) == []

@@ -146,7 +146,7 @@ def test_a_voltage_that_has_nothing_to_do_with_the_limits_was_not_sent(volts):
     compensator = Compensator(PLANT, (0, 100), state=PLANT.relaxed(20.0))
     compensator.step(3e-6)
     before = compensator.snapshot()
-    with pytest.raises(ModelError, match="has nothing to do with the limits 0 to 100 V"):
+    with pytest.raises(ModelError, match="the limits 0 to 100"):
         compensator.commit(volts)
     assert gap(before.state, compensator.state) == 0
     compensator.commit(199.0)
@@ -263,16 +263,16 @@ def test_numbers_of_any_kind_are_taken():
 
 def test_a_clamp_is_said_once_of_each_kind():
     compensator = Compensator(PLANT, (0, 100), 1e3, period=1e-3, state=PLANT.relaxed(50.0))
-    with pytest.warns(ClampWarning, match=r"CLAMPED: 12\.8 um wanted, .* V to be sent: the slew rate allows no more"):
+    with pytest.warns(ClampWarning, match=r"CLAMPED: 12\.8 um wanted"):
         compensator.step(0.8 * plain_records.STROKE)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(3):
             compensator.step(0.8 * plain_records.STROKE)
-    with pytest.warns(ClampWarning, match="100 V to be sent: that is a limit"):
+    with pytest.warns(ClampWarning, match="100 V to be"):
         for _ in range(200):
             compensator.step(1.2 * plain_records.STROKE)
-    with pytest.warns(ClampWarning, match="50 of 50 voltages clamped: 50 at the limits 0 to 100 V, 0 by the slew"):
+    with pytest.warns(ClampWarning, match="50 of 50 voltages clamped: 50"):
         compensator.run(np.full(50, 1.2 * plain_records.STROKE))
 
 
@@ -308,7 +308,7 @@ def test_a_snapshot_of_another_loop_is_refused(tmp_path):
         Compensator(PLANT, FREE, period=2e-3),
         Compensator(replace(PLANT, delay=2e-3), FREE, period=1e-3, preview=True),
     ):
-        with pytest.raises(ModelError, match="of another shape, another period or preview"):
+        with pytest.raises(ModelError, match="another period"):
             other.restore(Snapshot.load(tmp_path / "loop.json"))
     renamed = replace(PLANT, name="the same under another name", limits=(0, 1))
     assert Compensator(renamed, FREE, period=1e-3).restore(Snapshot.load(tmp_path / "loop.json"))
@@ -368,7 +368,7 @@ def test_a_model_of_another_shape_is_refused_and_the_loop_stays():
         with pytest.raises(ModelError, match=word):
             compensator.exchange(other)
     ahead = Compensator(PLANT, FREE, period=1e-3, preview=True)
-    with pytest.raises(ModelError, match="samples that the preview needs"):
+    with pytest.raises(ModelError, match="the preview"):
         ahead.exchange(replace(PLANT, delay=5e-3))
     with pytest.raises(ModelError, match="need an Actuator"):
         compensator.exchange(None)
@@ -437,7 +437,7 @@ def test_copies_and_pickles_have_a_memory_of_their_own(name):
 def test_what_is_no_snapshot_or_lies_outside_the_limits_is_refused(tmp_path):
     wide, narrow = Compensator(PLANT, (0, 200)), Compensator(PLANT, (0, 50))
     wide.step(12e-6)
-    with pytest.raises(ModelError, match="lies outside the limits 0 to 50 V"):
+    with pytest.raises(ModelError, match="the limits 0 to 50"):
         narrow.restore(wide.snapshot())
     for bad in (None, "loop.json"):
         with pytest.raises(ModelError, match="need a Snapshot"):
@@ -447,9 +447,9 @@ def test_what_is_no_snapshot_or_lies_outside_the_limits_is_refused(tmp_path):
 @pytest.mark.parametrize("period", [1e-12, 1e-300])
 def test_a_period_too_short_to_look_ahead_is_refused(period):
     for parts in ({"delay": 1e-3}, {"dynamics": Dynamics(100.0, 0.1)}):
-        with pytest.raises(ModelError, match="too short to look ahead"):
+        with pytest.raises(ModelError, match="look ahead"):
             Compensator(replace(PLANT, **parts), FREE, period=period, preview=True).step(0.0)
-    with pytest.raises(ModelError, match="allow no change"):
+    with pytest.raises(ModelError, match="no change"):
         Compensator(PLANT, FREE, 1e-300, period=1e-300).step(0.0)
 
 
@@ -572,14 +572,14 @@ def test_impossible_loops_are_refused(arguments, message):
 
 @pytest.mark.parametrize("parts", ["creep", "lag", "inertia"])
 def test_steps_in_time_need_a_period(parts):
-    with pytest.raises(ModelError, match=r"give the period \[s\]"):
+    with pytest.raises(ModelError, match=r"the period \[s\]"):
         Compensator(PLANTS[parts], (0, 100)).step(0.0)
-    with pytest.raises(ModelError, match=r"give the period \[s\]"):
+    with pytest.raises(ModelError, match=r"the period \[s\]"):
         Compensator(PLANT, (0, 100), 1e3).step(0.0)
 
 
 def test_a_period_too_long_for_the_resonance_is_refused():
     spring, omega = dehyst.Spring([0, 5e-6, 1e-5], [0, 0.01, 100]), 2 * np.pi * 1e3
     uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=Dynamics(omega, 0.0, 1e8))
-    with pytest.raises(ModelError, match="too long for a resonance"):
+    with pytest.raises(ModelError, match="for a resonance"):
         Compensator(uneven, (0, 100), period=4.5 / omega * np.sqrt(1 + 1e8 / 1e7)).step(0.0)

@@ -76,13 +76,13 @@ def test_a_copy_keeps_the_unit():
 
 def test_what_strays_is_refused_in_words_of_the_unit():
     micro = pair()[1]
-    with pytest.raises(ModelError, match=r"This compensator takes displacements in um; or extrapolate"):
+    with pytest.raises(ModelError, match="compensator takes"):
         micro.trajectory(PATH * 1e3)
     assert micro.strays(PATH) == ""
     assert "in um" in micro.strays(PATH * 1e3)
     with pytest.raises(ModelError, match="displacement: got nan"):
         micro.step(float("nan"))
-    with pytest.raises(ModelError, match="units: got 'V', need a unit of length"):
+    with pytest.raises(ModelError, match="units: got 'V'"):
         Compensator(ACTUATOR, (0, 200), units="V")
 
 

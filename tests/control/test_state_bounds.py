@@ -194,15 +194,15 @@ def test_brackets_refuse():
     rest = StateBounds.at_rest(PLANT)
     with pytest.raises(ModelError, match="lower: got float, need a State"):
         StateBounds(0.0, rest.upper)
-    with pytest.raises(ModelError, match="got 10 and 3 carts, need states of one actuator"):
+    with pytest.raises(ModelError, match="got 10 and 3 carts"):
         StateBounds(rest.lower, plain_records.plant(3).relaxed())
-    with pytest.raises(ModelError, match="the lower state lies above the upper one"):
+    with pytest.raises(ModelError, match="lower state"):
         StateBounds(rest.upper, rest.lower)
     with pytest.raises(ModelError, match="voltage: got nan"):
         StateBounds.at_rest(PLANT, np.nan)
-    with pytest.raises(ModelError, match="voltage: 1 of 2 values are not finite"):
+    with pytest.raises(ModelError, match="voltage: 1 of 2 values"):
         rest.propagate(PLANT, [0.0, np.inf])
-    with pytest.raises(ModelError, match="this actuator has 3 elements"):
+    with pytest.raises(ModelError, match="actuator has 3 elements"):
         rest.propagate(plain_records.plant(3), [0.0])
     with pytest.raises(ModelError, match="tolerance: got 0"):
         least_width(PLANT, 0)
@@ -210,7 +210,7 @@ def test_brackets_refuse():
 
 def test_a_displacement_that_is_no_array_of_numbers_is_refused():
     rho = PLANT.slip.breakaway
-    with pytest.raises(ModelError, match="displacement: 1 of 2 values are not finite"):
+    with pytest.raises(ModelError, match="displacement: 1 of 2 values"):
         first_known_by_displacement(rho, [0.0, np.nan])
-    with pytest.raises(ModelError, match="displacement: got an array of shape"):
+    with pytest.raises(ModelError, match="displacement: got an array"):
         first_known_by_displacement(rho, [[0.0]])

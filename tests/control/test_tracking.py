@@ -47,15 +47,19 @@ def followed(name, structure="auto", seeds=(3, 4)):
     return tuple(max(column) for column in zip(*found, strict=True))
 
 
+# What is learnt from other truths than plays is looked at in `make nightly`.
+PLAY_NOW = ["play", *(pytest.param(name, marks=pytest.mark.nightly) for name in CASES if name != "play")]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", PLAY_NOW)
 def test_a_path_is_followed(name):
     assert fitted(name).outcome is Outcome.WIDER
     for got, measured in zip(followed(name), MEASURED[name], strict=True):
         assert got < 1.5 * measured
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["play", "Preisach"])
 def test_parts_that_records_do_not_need_do_not_hurt(name):
     """Truths without creep and dynamics, on paths that no record had: no worse than plain elements, nearly."""
@@ -72,7 +76,7 @@ def test_parts_that_records_do_not_need_do_not_hurt(name):
     assert chosen.actuator.delay == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_the_truth_has_is_found():
     creep, bouc_wen = fitted("creep").actuator, fitted("Bouc-Wen").actuator
     truth = BoucWenActuator()

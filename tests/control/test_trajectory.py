@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, Compensator, Dynamics, ModelError, State
 from dehyst.control import trajectory
+from examples import examples
 
 PLANT = plain_records.plant(10, seed=4)
 LOW, HIGH = 20.0, 150.0
@@ -136,7 +137,7 @@ def test_the_actuators_own_limits_are_the_default():
 
 
 def test_refusals():
-    with pytest.raises(ModelError, match="no voltage limits"):
+    with pytest.raises(ModelError, match="voltage limits"):
         Compensator(PLANT)
     for limits in ((1.0, 1.0), (2.0, 1.0), (0.0, np.nan), (-np.inf, 1.0), (1.0,), (0.0, 1.0, 2.0)):
         with pytest.raises(ModelError, match="limits: got"):
@@ -145,7 +146,7 @@ def test_refusals():
         with pytest.raises(ModelError, match="slew_rate: got"):
             Compensator(PLANT, (LOW, HIGH), rate)
     slewing = Compensator(PLANT, (LOW, HIGH), RATE)
-    with pytest.raises(ModelError, match="a slew rate needs the time"):
+    with pytest.raises(ModelError, match="slew rate"):
         slewing.trajectory([0.0, 1e-6])
     refused = {
         (0.0,): "got 1 values for 2 samples, need one a sample",
@@ -156,9 +157,9 @@ def test_refusals():
     for time, why in refused.items():
         with pytest.raises(ModelError, match=f"time: {why}"):
             slewing.trajectory([0.0, 1e-6], time=time)
-    with pytest.raises(ModelError, match="time since the voltage before"):
+    with pytest.raises(ModelError, match="voltage before"):
         slewing.trajectory([1e-6], time=[0.0])
-    with pytest.raises(ModelError, match="present: got 300 V, but the limits are 20 to 150 V"):
+    with pytest.raises(ModelError, match="limits are 20 to 150"):
         slewing.trajectory([0.0, 1e-6], time=[0.0, 1.0], present=300.0)
     with pytest.raises(ModelError, match="not finite"):
         slewing.trajectory([0.0, np.nan], time=[0.0, 1.0])
@@ -195,6 +196,7 @@ def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
 
 @pytest.mark.parametrize("kind", ["plain", *WIDE])
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
+@examples(20, nightly=100)
 def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing, loaded):
     """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
     plant = replace(PLANT if kind == "plain" else wider(kind), load_stiffness=1e7)
@@ -253,7 +255,7 @@ def test_a_clamped_mass_is_told_as_it_moves():
 
 
 def test_what_a_plain_or_a_timeless_task_lacks():
-    with pytest.raises(ModelError, match="creeps, so that the answer depends on time"):
+    with pytest.raises(ModelError, match="answer depends"):
         Compensator(wider("creep"), (0, 1)).trajectory([0.0, 1e-6])
     with pytest.raises(ModelError, match=r"\(load_stiffness=\)"):
         Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])

@@ -138,7 +138,7 @@ def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2)
     assert table.cycles == 2 and not table.settled
-    assert "after 2 cycles of start-up the first steady cycle deviates by up to" in table.warnings[-1]
+    assert "after 2 cycles" in table.warnings[-1]
     more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
     enough = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=2 + more)
     assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
@@ -262,7 +262,7 @@ def test_what_cannot_be_is_refused(options, said):
 def test_creep_that_no_start_up_can_outlast_is_said_so():
     slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
     table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
-    assert "NOT SETTLED: after 1 cycle of start-up" in table.warnings[-1]
+    assert "NOT SETTLED: after 1 cycle" in table.warnings[-1]
     assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for that time first")
 
 

@@ -59,7 +59,7 @@ NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), (
 
 @given(st.one_of(NESTED, our.motions(max_samples=500)))
 @example(barely_nested())
-@examples(60, nightly=300)
+@examples(30, nightly=300)
 def test_clips_and_stack_agree_on_the_voltage(motion):
     actuator, state, path = motion
     metres = RANGE * span_with(actuator, state, path)
@@ -70,7 +70,7 @@ def test_clips_and_stack_agree_on_the_voltage(motion):
 
 @given(st.one_of(NESTED, our.motions(max_samples=300)), our.SEEDS)
 @example(barely_nested(), 0)
-@examples(60, nightly=200)
+@examples(30, nightly=200)
 def test_clips_and_stack_agree_on_the_displacement(motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)

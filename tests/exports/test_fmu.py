@@ -159,7 +159,7 @@ def test_what_is_no_number_is_refused_and_moves_nothing(fmus, version, kind, val
         with pytest.raises(FMICallException):
             other.write([INPUT], [value])
         assert other.state() == before
-        assert "need a finite number of" in other.said[-1][1]
+        assert "finite number" in other.said[-1][1]
         np.testing.assert_array_equal(other.run(given[10:]), first[10:])
 
 
@@ -174,7 +174,7 @@ def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):
         with pytest.raises(FMICallException):
             slave.step(by=4 * PERIOD)
         assert slave.state() == before
-        assert "more than the model can follow" in slave.said[-1][1]
+        assert "can follow" in slave.said[-1][1]
         if model == "preview":
             assert slave.step() == ALL[model].limits[0]
 

@@ -114,10 +114,10 @@ def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
 def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path / "absent"))
-    with pytest.warns(SourceOnlyWarning, match="no C compiler is installed"):
+    with pytest.warns(SourceOnlyWarning, match="compiler"):
         export_fmu(ALL["plain"], tmp_path / "a.fmu")
     monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
-    with pytest.warns(SourceOnlyWarning, match="No such file"):
+    with pytest.warns(SourceOnlyWarning, match="such file"):
         export_fmu(ALL["plain"], tmp_path / "b.fmu")
     names = zipfile.ZipFile(tmp_path / "a.fmu").namelist()
     assert "sources/all.c" in names and not [name for name in names if name.startswith("binaries")]
@@ -144,11 +144,11 @@ def test_refusals(tmp_path):
         export_fmu(ALL["plain"], tmp_path / "x.fmu", kind="plant")
     with pytest.raises(FileFormatError, match=r"ends in \.fmu"):
         export_fmu(ALL["plain"], tmp_path / "x.zip")
-    with pytest.raises(ModelError, match="give the period"):
+    with pytest.raises(ModelError, match="the period"):
         export_fmu(Compensator(ALL["creep"].actuator, (0, 1)), tmp_path / "x.fmu")
     with pytest.raises(ModelError, match="got Actuator, need a Compensator; pass Compensator"):
         export_fmu(ALL["plain"].actuator, tmp_path / "x.fmu")
-    with pytest.raises(FileFormatError, match="got 7, need the name of a file or a folder"):
+    with pytest.raises(FileFormatError, match="got 7"):
         export_fmu(ALL["plain"], 7)
     assert list(tmp_path.iterdir()) == []
 

@@ -77,7 +77,7 @@ def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(data
     # Nothing that was given is wrong: it is not done yet.
     assert process.returncode == 1, errors
     assert time.monotonic() - began < 110
-    assert "the connection to Dask's scheduler is lost; what is done is kept" in errors and "Traceback" not in errors
+    assert "connection to Dask's scheduler" in errors and "Traceback" not in errors
     _, address = cluster("second")
     again = client(dataset, output, "--dask", address, "--resume")
     _, errors = again.communicate(timeout=300)
@@ -87,5 +87,5 @@ def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(data
 
 def test_no_scheduler_answers(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr("dehyst.fleet.engine._PATIENCE", 2)
-    with pytest.raises(OSError, match="no Dask scheduler with a worker"):
+    with pytest.raises(OSError, match="Dask scheduler"):
         identify_fleet(dataset, tmp_path / "m.parquet", by=BY, dask="tcp://127.0.0.1:9")

@@ -86,7 +86,7 @@ def test_a_serial_that_ages_is_to_be_recalibrated(table):
     assert np.all(np.diff(one.costs) > 0) and one.chart.outside
     # The truth: 3 % of the stroke a session.
     assert np.allclose(one.signed, [-3.1, -6.4, -9.9], atol=0.5)
-    with pytest.raises(FileFormatError, match="has no column 'batch'"):
+    with pytest.raises(FileFormatError, match="column 'batch'"):
         drifts_of(load(table), by="batch", over="session")
 
 
@@ -209,7 +209,7 @@ def test_an_error_of_the_comparison_refuses_no_record(shape, monkeypatch):
 def test_a_dead_actuator_gets_no_prior(shape):
     t, v, y = columns(1)
     dead = Record(t, v, np.random.default_rng(1).normal(0, 2e-9, y.size))
-    with pytest.raises(ValueError, match="constant but for noise"):
+    with pytest.raises(ValueError, match="constant but"):
         identified_with_prior(dead, shape, FleetOptions().identification)
 
 
@@ -222,7 +222,7 @@ def test_a_run_with_a_prior_names_what_was_kept(table, tmp_path):
 def test_a_prior_needs_some_models(tmp_path):
     path = write_parquet(tmp_path / "few.parquet", 2)
     identify_fleet(path, tmp_path / "m.parquet", by=("serial", "session"), jobs=1)
-    with pytest.raises(IdentifyError, match="has 2 plain models of one grid, a prior needs 5"):
+    with pytest.raises(IdentifyError, match="has 2 plain models"):
         shape_of(load(tmp_path / "m.parquet"))
 
 
@@ -270,10 +270,8 @@ def test_an_actuator_out_of_its_limits_is_to_be_recalibrated_below_the_goal(tabl
         assert one.recalibrate == (one.costs[-1] > 8 or one.outside) == one.as_dict()["recalibrate"]
         assert one.as_dict()["outside"] == one.outside
     due = {one.serial: one for one in found.recalibrate}
-    assert due[f"S{AGEING:03d}"].costs[-1] < 8 and "out of its limits since" in due[f"S{AGEING:03d}"].words
-    assert any(
-        "limits: from a deviation of 0.8 % (a tenth of the goal; that of the fleet is" in x for x in found.lines()
-    )
+    assert due[f"S{AGEING:03d}"].costs[-1] < 8 and "limits since" in due[f"S{AGEING:03d}"].words
+    assert any("deviation of 0.8 % (a tenth" in x for x in found.lines())
     status, text, _ = run("fleet", "report", str(table), "--goal", "8", "--json")
     assert status == 1 and set(json.loads(text)["drift"]["recalibrate"]) == set(due)
 
@@ -299,11 +297,11 @@ def test_models_of_one_session_count_once_and_are_remarked(table, tmp_path):
     found = drifts_of(fleet, by="serial", over="session")
     ageing = next(one for one in found.ageing if one.serial == f"S{AGEING:03d}")
     assert ageing.sessions == (0, 1, 2) and abs(ageing.signed[-1] + 9.9) < 0.5
-    assert "models share serial and session with another, as S000/2 (2 models)" in found.remarks[0]
+    assert "another, as S000/2 (2 models)" in found.remarks[0]
     _, text, errors = run("fleet", "report", str(tmp_path / "m.parquet"), "--json")
-    assert "share serial and session" in errors and json.loads(text)["drift"]["warnings"]
+    assert "share serial" in errors and json.loads(text)["drift"]["warnings"]
     one = edited(table, tmp_path / "one.parquet", with_column("session", lambda old: [0 for _ in old]))
-    with pytest.raises(FileFormatError, match=r"nothing to compare; \d+ models share serial and session"):
+    with pytest.raises(FileFormatError, match=r"\d+ models share"):
         drifts_of(one, by="serial", over="session")
 
 
@@ -314,14 +312,14 @@ def test_a_table_without_a_column_is_refused(table, tmp_path, name):
 
 
 def test_a_column_of_another_kind_is_refused(table, tmp_path):
-    with pytest.raises(FileFormatError, match="column 'rms_percent' is of kind string, need double"):
+    with pytest.raises(FileFormatError, match="kind string"):
         edited(table, tmp_path / "m.parquet", with_column("rms_percent", lambda old: [str(x) for x in old]))
 
 
 @pytest.mark.parametrize("text", ["{", "{}", "[1]", None, '{"format": "dehyst-actuator", "version": 2}'])
 def test_a_damaged_model_names_file_and_row(table, tmp_path, text):
     fleet = edited(table, tmp_path / "m.parquet", with_column("model", lambda old: [*old[:3], text, *old[4:]]))
-    with pytest.raises(FileFormatError, match=r"m.parquet: row 3 \(S000/3\): the column 'model' holds no model"):
+    with pytest.raises(FileFormatError, match=r"row 3 \(S000/3\): the column 'model' holds"):
         fleet.actuators()
 
 

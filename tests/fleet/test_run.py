@@ -116,9 +116,9 @@ def test_a_killed_client_leaves_shards_and_no_worker_and_resumes(dataset, comple
     assert len(workers) == 2 and until(lambda: not any(map(alive, workers)), 10)
     left = {path.name: path.stat().st_mtime_ns for path in shards(output)}
     assert 4 <= len(left) < COUNT
-    with pytest.raises(FileFormatError, match=r"holds \d+ records of a run that did not end; go on with --resume"):
+    with pytest.raises(FileFormatError, match=r"holds \d+ records"):
         identify_fleet(dataset, output, by=BY, jobs=2)
-    with pytest.raises(FileFormatError, match="of another dataset, other options or another version"):
+    with pytest.raises(FileFormatError, match="another version"):
         identify_fleet(dataset, output, by=BY, options=FleetOptions(elements=7), jobs=2, resume=True)
     # One shard was cut off, as by a disk that failed.
     cut = shards(output)[0]
@@ -177,7 +177,7 @@ def test_a_record_that_ends_its_workers_is_lost_at_the_third_time_and_the_others
 def test_workers_that_never_begin_end_the_run(dataset, tmp_path, monkeypatch):
     (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(9)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(OSError, match="workers cannot be started"):
+    with pytest.raises(OSError, match="started"):
         identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=2)
     assert not workers_of(os.getpid())
 
@@ -217,9 +217,9 @@ def test_options_that_are_impossible(dataset, tmp_path):
         with pytest.raises(IdentifyError) as caught:
             identify_fleet(dataset, tmp_path / "m.parquet", **arguments)
         assert caught.value.argument == words
-    with pytest.raises(FileFormatError, match=r"give a name that ends in \.parquet"):
+    with pytest.raises(FileFormatError, match=r"ends in \.parquet"):
         identify_fleet(dataset, tmp_path / "m.csv")
-    with pytest.raises(IdentifyError, match="'auto' takes neither elements nor a prior"):
+    with pytest.raises(IdentifyError, match="'auto' takes neither"):
         FleetOptions(structure="auto", elements=3)
 
 
@@ -285,12 +285,12 @@ def test_a_table_is_not_written_into_its_dataset(tmp_path):
         assert process.returncode == 2 and "lies in the dataset" in errors
     assert not list(folder.rglob("*.parquet*"))
     path = write_parquet(tmp_path / "d.parquet", 2)
-    with pytest.raises(FileFormatError, match="is the dataset; give another name"):
+    with pytest.raises(FileFormatError, match="the dataset"):
         identify_fleet(path, path, by=BY, jobs=1)
 
 
 def test_a_run_that_is_refused_leaves_no_empty_folder(dataset, tmp_path):
     output = tmp_path / "m.parquet"
-    with pytest.raises(IdentifyError, match="a scheduler has workers of its own"):
+    with pytest.raises(IdentifyError, match="scheduler"):
         identify_fleet(dataset, output, by=BY, dask="tcp://127.0.0.1:1", jobs=2)
     assert not list(tmp_path.iterdir())

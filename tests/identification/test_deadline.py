@@ -123,7 +123,7 @@ def test_a_search_ends_with_the_best_so_far(monkeypatch):
     assert deadline.cut == ["the search for a structure after 4 of up to 21 trials"]
     assert said[0] == "trial 1 (of up to 21): 20 elements; 0 s so far"
     assert said[3] == (
-        "trial 4 (of up to 21): 20 elements and graded in 8 segments; best held-out error 0.2 % of the range; "
+        "trial 4 (of up to 21): 20 elements and graded in 8 segments; best held-out error 0.2 % of the stroke; "
         "0 s so far"
     )
 

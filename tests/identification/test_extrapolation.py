@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import plain_records
@@ -37,14 +38,21 @@ def recorded(actuator, disturb, noise=5e-4):
     return Record(time, voltage, y + jitter + stroke * disturb(time), "disturbed")
 
 
+DISTURBANCES = {
+    "drift": lambda time: 0.03 * time / time[-1],
+    "vibration": lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time),
+}
+
+
+@cache
+def disturbed(name):
+    return dehyst.identify(recorded(PLANT, DISTURBANCES[name]))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "disturb",
-    [lambda time: 0.03 * time / time[-1], lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time)],
-    ids=["drift", "vibration"],
-)
-def test_what_the_voltage_does_not_cause_makes_no_part(disturb):
-    fit = dehyst.identify(recorded(PLANT, disturb))
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_what_the_voltage_does_not_cause_makes_no_part(name):
+    fit = disturbed(name)
     assert fit.actuator.dynamics is None
     assert fit.actuator.creep is None
     assert fit.actuator.delay == 0
@@ -67,7 +75,6 @@ def test_creep_that_is_there_stays():
 
 @pytest.mark.slow
 def test_a_vibration_is_reported_with_its_frequency():
-    fit = dehyst.identify(recorded(PLANT, lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time)))
-    (remaining,) = fit.remaining
+    (remaining,) = disturbed("vibration").remaining
     assert remaining.frequency == pytest.approx(3.1, abs=0.1)
     assert remaining.vibration_amplitude == pytest.approx(0.005 * np.ptp(two_speeds(PLANT)[2]), rel=0.1)

@@ -150,7 +150,7 @@ def test_the_slope_floor_is_kept_and_reported():
     floor = 0.6 * np.ptp(TOPS.voltage) / plain_records.STROKE
     assert fit.outcome is Outcome.FLOOR_ACTIVE
     assert fit.actuator.spring.slopes.min() == pytest.approx(floor, rel=1e-9)
-    assert any("slope lies on its floor at" in remark for remark in fit.remarks)
+    assert any("slope lies" in remark for remark in fit.remarks)
 
 
 def test_noise_of_2_nm_does_little_harm():
@@ -301,7 +301,7 @@ def test_impossible_options_are_refused(options, message):
 def test_records_that_tell_nothing_are_refused():
     with pytest.raises(IdentifyError, match="got no records, need one loop"):
         dehyst.identify([])
-    with pytest.raises(IdentifyError, match="samples count for 400 elements"):
+    with pytest.raises(IdentifyError, match="count for 400 elements"):
         dehyst.identify(plain_records.loops(PLANT, MAJOR[:4]), elements=400)
     growing = plain_records.loops(
         PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * plain_records.STROKE)

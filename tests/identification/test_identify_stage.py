@@ -42,10 +42,10 @@ def test_matrix_and_held_out_record(fit):
 def test_exchanged_columns_of_displacements_are_not_usable():
     training, _ = coupled_stage.excited(coupling=np.array([[1.0, 0.05], [0.04, 1.0]]))
     turned = dehyst.Record(training.time, training.voltage, training.displacement[:, ::-1], "turned", axes=("x", "y"))
-    found = dehyst.identify_stage(turned)
+    found = dehyst.identify_stage(turned, structure="maxwell_slip")
     assert found.exchanged == ("x", "y")
     assert not found.good
-    assert "are the columns of displacements exchanged?" in found.verdict
+    assert "displacements exchanged?" in found.verdict
 
 
 def test_the_stage_follows_a_path_on_the_truth(fit):
@@ -86,7 +86,7 @@ def test_other_order_of_the_axes_gives_the_same_matrix():
 
 def test_coupling_with_hysteresis_is_found_out():
     training, _ = coupled_stage.excited(bent=0.04)
-    fit = dehyst.identify_stage(training)
+    fit = dehyst.identify_stage(training, structure="maxwell_slip")
     assert not fit.is_matrix
     assert fit.cross_talk.beyond[1, 0]
     assert not fit.cross_talk.beyond[0, 1]
@@ -98,7 +98,7 @@ def test_axes_that_always_move_together_are_refused():
     training, _ = coupled_stage.excited()
     same = np.column_stack([training.voltage[:, 0], 1.2 * training.voltage[:, 0]])
     record = coupled_stage.played(training.time, same)
-    with pytest.raises(dehyst.IdentifyError, match="one after the other"):
+    with pytest.raises(dehyst.IdentifyError, match="one after"):
         dehyst.identify_stage(record)
 
 
@@ -123,7 +123,7 @@ def test_what_is_wrong_with_an_axis_names_that_axis():
 
 def test_records_of_other_axes_are_refused():
     training, _ = coupled_stage.excited()
-    with pytest.raises(dehyst.RecordError, match="same axes in the same order"):
+    with pytest.raises(dehyst.RecordError, match="same order"):
         dehyst.identify_stage([training, exchanged(training)])
-    with pytest.raises(dehyst.RecordError, match="need records of several axes"):
+    with pytest.raises(dehyst.RecordError, match="several axes"):
         dehyst.identify_stage(training.axis(0))

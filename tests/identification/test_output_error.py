@@ -92,7 +92,7 @@ def test_identify_says_what_came_of_it():
         plant.record(noise=1e-4 * plain_records.STROKE), structure=Structure(8, knots=7), refine=True, delay=0.0
     )
     assert any(remark.startswith("Refined by simulation: RMS error of cycles held out") for remark in fit.remarks)
-    with pytest.raises(IdentifyError, match="refine: 'maxwell_slip' is fitted as it is"):
+    with pytest.raises(IdentifyError, match="refine: 'maxwell_slip' is fitted"):
         dehyst.identify(plant.record(), elements=10, refine=True)
 
 

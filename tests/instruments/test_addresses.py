@@ -36,7 +36,7 @@ def test_addresses_go_to_their_rigs(monkeypatch):
     ]
     with open_rig("sim://creep", slew_rate=7.0) as rig:
         assert rig.slew_rate == 7.0
-    with pytest.raises(DehystError, match="need one of play, creep, preisach, boucwen"):
+    with pytest.raises(DehystError, match="preisach, boucwen"):
         open_rig("sim://wobble")
 
 
@@ -95,5 +95,5 @@ def test_a_rig_that_was_never_made_is_told(tmp_path):
         "class Half(SimulatedRig):\n    def __init__(self): pass\n"
         "def make(**asked):\n    return Half()\n"
     )
-    with pytest.raises(RigError, match=r"Half: its __init__ does not call super"):
+    with pytest.raises(RigError, match="its __init__"):
         open_rig(f"{own}:make")

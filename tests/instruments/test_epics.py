@@ -159,7 +159,7 @@ def test_without_waves_the_host_keeps_time(doomed):
 def test_an_ioc_without_waves_is_told_and_used(ioc):
     """Names that nobody answers for, all of those for waves."""
     nobody = {what: f"NO:{name}" for what, name in PvNames().waves.items()}
-    with pytest.warns(UserWarning, match="NO:WAVE:VOLTAGE and all others for waves are missing"):
+    with pytest.warns(UserWarning, match="are missing"):
         rig = EpicsRig.connect(ioc.prefix, names=replace(PvNames(), **nobody), timeout=0.5)
     assert len(rig.play(cosine(20, 100.0, 5.0))) == 20
 
@@ -186,9 +186,9 @@ def test_missing_variables_are_named(ioc):
 
 
 def test_some_variables_for_waves_are_not_enough(ioc):
-    with pytest.raises(LinkError, match="WAVE:NONE: no such"):
+    with pytest.raises(LinkError, match="WAVE:NONE: no"):
         EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy="WAVE:NONE"), timeout=0.5)
-    with pytest.raises(RigError, match="got none for wave_busy"):
+    with pytest.raises(RigError, match="none for wave_busy"):
         EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy=None), timeout=0.5)
 
 
@@ -200,7 +200,7 @@ def test_no_ioc():
 
 
 def test_a_position_in_volts_is_refused(ioc):
-    with pytest.raises(LinkError, match="its unit is 'V', need m, mm, um or nm"):
+    with pytest.raises(LinkError, match="unit is 'V'"):
         EpicsRig.connect(ioc.prefix, names=PvNames(position="VOLTAGE:RBV"))
 
 
@@ -210,7 +210,7 @@ def test_a_text_is_no_number(ioc):
 
 
 def test_a_put_that_is_refused(ioc):
-    with pytest.raises(DeviceError, match="POSITION: Channel write request failed"):
+    with pytest.raises(DeviceError, match="POSITION: Channel write"):
         ChannelAccess(f"{ioc.prefix}:", 1.0).put("POSITION", 1.0)
 
 
@@ -232,9 +232,7 @@ def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
-    with pytest.raises(
-        DeviceError, match=r"reports: VOLTAGE: got 82 V, which is outside the amplifier's range"
-    ) as caught:
+    with pytest.raises(DeviceError, match="reports: VOLTAGE: got 82") as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):
@@ -250,7 +248,7 @@ def test_limits_narrower_in_the_record(ioc):
     rig.retreat()
     link.put("VOLTAGE.DRVH", 50.0)
     try:
-        with pytest.raises(DeviceError, match=r"took 50 V when .* narrower than it reports"):
+        with pytest.raises(DeviceError, match="took 50 V when"):
             rig.set_voltage(90.0)
         assert rig.read().voltage == 0.0
     finally:
@@ -259,7 +257,7 @@ def test_limits_narrower_in_the_record(ioc):
 
 def test_killed_in_mid_wave(doomed):
     rig, keeps = EpicsRig.connect(doomed.prefix, timeout=1.0), Breaks(doomed.kill)
-    with pytest.raises(LinkError, match=r"the connection was lost after \d+ samples") as caught:
+    with pytest.raises(LinkError, match=r"lost after \d+ samples") as caught:
         rig.play(slow(), keeps)
     assert "could not be brought to 0 V" in caught.value.__notes__[0]
     assert keeps.count >= 100
@@ -278,7 +276,7 @@ def test_killed_and_started_again_it_goes_on(doomed):
 def test_hung_in_mid_wave(doomed):
     """Connected, but silent; when it wakes up, the rig can be told to retreat."""
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
-    with pytest.raises(LinkError, match=r"no answer within 1 s, though it is connected") as caught:
+    with pytest.raises(LinkError, match="answer within 1 s, though") as caught:
         rig.play(slow(), Breaks(lambda: doomed.process.send_signal(signal.SIGSTOP)))
     assert "could not be brought" in caught.value.__notes__[0]
     doomed.process.send_signal(signal.SIGCONT)

@@ -55,7 +55,7 @@ def test_a_limit_itself_is_sent_exactly_where_it_must_be(limit):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.0001, -0.1])
 def test_what_is_not_within_limits_is_no_text(value):
-    with pytest.raises(RigError, match="nothing was sent"):
+    with pytest.raises(RigError, match="nothing"):
         gcs_syntax.volts(value, 0.0, 100.0)
 
 
@@ -72,7 +72,7 @@ def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
 
 
 def test_a_point_that_fits_no_line_is_refused():
-    with pytest.raises(RigError, match="allow longer lines"):
+    with pytest.raises(RigError, match="longer lines"):
         list(gcs_syntax.wave_points(1, ["1.0"], 10))
 
 
@@ -98,7 +98,7 @@ def test_a_line_of_other_bytes_is_refused(raw):
 
 
 def test_an_answer_whose_lines_do_not_go_on_is_refused():
-    with pytest.raises(LinkError, match="space before every line feed"):
+    with pytest.raises(LinkError, match="space before"):
         gcs_syntax.lines_of("1=2\n2=3\n")
 
 

@@ -74,7 +74,7 @@ def test_a_monitor_shows_what_reaches_the_actuator(card):
     rig = opened(card, monitor="Dev1/ai1")
     assert rig.play(UP).voltage == pytest.approx(UP.voltage)
     card.amplifies = False
-    with pytest.raises(DeviceError, match=r"its output is .* V away from what was sent; is the amplifier on"):
+    with pytest.raises(DeviceError, match="its output"):
         rig.play(Excitation("up", np.linspace(0, 30, 101), 1000.0))
     half = opened(card, monitor="Dev1/ai1", monitor_gain=5.0)
     card.amplifies = True
@@ -84,7 +84,7 @@ def test_a_monitor_shows_what_reaches_the_actuator(card):
 
 def test_a_card_that_does_not_show_its_output_needs_a_monitor():
     with installed(internal=False) as card:
-        with pytest.raises(RigError, match=r"does not exist .*_ao0_vs_aognd must be readable.* give it as monitor"):
+        with pytest.raises(RigError, match="_ao0_vs_aognd must"):
             opened(card)
         assert opened(card, monitor="Dev1/ai1").read().voltage == 0.0
         assert card.tasks == []
@@ -120,7 +120,7 @@ def test_a_driver_that_fails_in_mid_wave(card):
     def listen(samples):
         card.broken = "Device was unplugged." if samples.voltage[-1] > 20 else ""
 
-    with pytest.raises(DeviceError, match=r"PCIe-6323 .*: Device was unplugged\. Status Code: -88705") as caught:
+    with pytest.raises(DeviceError, match="Status Code: -88705") as caught:
         rig.play(UP, listen)
     assert "could not be brought to 0 V" in caught.value.__notes__[0]
     assert card.tasks == []
@@ -128,14 +128,14 @@ def test_a_driver_that_fails_in_mid_wave(card):
 
 def test_refusals(card, monkeypatch):
     for options in ({"gain": 0.0}, {"gain": -10.0}, {"gain": np.inf}, {"scale": 0.0}, {"scale": np.nan}):
-        with pytest.raises(RigError, match="need a gain above 0 and a scale that is not 0"):
+        with pytest.raises(RigError, match="gain above 0"):
             opened(card, **options)
-    with pytest.raises(DeviceError, match=r"Dev2/ao0: Device identifier is invalid\. Status Code: -200220"):
+    with pytest.raises(DeviceError, match="Dev2/ao0: Device identifier"):
         NiRig("Dev2/ao0", "Dev2/ai0", gain=1, scale=1)
-    with pytest.raises(RigError, match=r"does not exist on this device.*must be readable"):
+    with pytest.raises(RigError, match="readable"):
         NiRig("Dev1/ao0", "Dev1/ai7", gain=1, scale=1)
     monkeypatch.setattr(fake_nidaqmx.Device, "ao_samp_clk_supported", False)
-    with pytest.raises(RigError, match="has no hardware-timed output, which waves need"):
+    with pytest.raises(RigError, match="hardware-timed output"):
         opened(card)
     assert astuple(card.log) == (0.0, 0.0, 0.0, 0.0, 0)
 

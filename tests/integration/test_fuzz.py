@@ -55,7 +55,7 @@ def lives(program, seed, count):
     assert f"{count} cases" in done.stdout
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("number", ["double", pytest.param("float", marks=pytest.mark.nightly)])
 def test_random_lives_on_the_sanitized_core(native, number):
     lives(native(number), 1, 5000)
 

@@ -92,7 +92,7 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
         assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # `make docs` runs every example too
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 def test_an_example_runs_draws_and_leaves_no_file(example, tmp_path, monkeypatch):
@@ -110,7 +110,7 @@ def test_an_example_runs_draws_and_leaves_no_file(example, tmp_path, monkeypatch
     assert list((tmp_path / "gallery").iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # as `make docs` does
 def test_the_site_is_read_without_a_warning(tmp_path):
     """Links within it lead somewhere, and every page is in a table of contents. The examples are not run here."""
     missing = [name for name in GENERATORS if importlib.util.find_spec(name) is None]

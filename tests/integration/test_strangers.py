@@ -95,7 +95,7 @@ def test_a_refusal_is_no_silent_failure():
     assert not verdicts["silent"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_process_of_its_own_finds_the_same():
     cases = [named("stribeck/sparse/vibration", 0)]
     (alone,), (sent,) = (list(command.run(cases, jobs)) for jobs in (1, 2))

@@ -52,9 +52,8 @@ actuator = plain_records.plant(6)
 record = plain_records.loops(actuator, plain_records.DESCENDING_TOPS)
 """
 SOLVERS = {
-    "plain": "dehyst.identify(record, structure='maxwell_slip')",
     "a structure": "dehyst.identify(record, structure=Structure(elements=8, knots=9, transformer=4, creep=2))",
-    "insight": "insight(dehyst.identify(record, structure='maxwell_slip').actuator, record, repeats=20)",
+    "plain, insight": "insight(dehyst.identify(record, structure='maxwell_slip').actuator, record, repeats=20)",
     "compare": "compare(record, models={'linear': contenders()['linear ratio'], 'play': contenders()['Preisach']})",
 }
 FREE = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}

@@ -275,6 +275,6 @@ def test_a_step_in_which_an_overshoot_would_outdo_the_spring_is_refused():
     uneven = Spring([0, 5e-6, 1e-5], [0, 0.01, 100])
     actuator = free(1e8, 0.0, uneven)
     time = np.arange(4) * 4.5 / OMEGA * np.sqrt(1 + 1e8 / 1e7)
-    with pytest.raises(ModelError, match=r"a step of .* s is too long for a resonance at 1e\+03 Hz"):
+    with pytest.raises(ModelError, match=r"resonance at 1e\+03"):
         actuator.simulate(np.zeros(4), time=time)
     assert np.isfinite(actuator.simulate(np.zeros(4), time=time / 20).displacement).all()

@@ -292,7 +292,7 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
     try:
         Actuator(slip, spring)
     except ModelError as error:
-        assert "outermost branch near" in str(error)
+        assert "outermost branch" in str(error)
     else:
         assert slope > 0
 
@@ -335,11 +335,11 @@ def test_impossible_parts_are_refused(make, message):
 
 def test_physical_units_are_refused_where_they_mean_nothing():
     constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
-    with pytest.raises(ModelError, match="graded elements have no single stiffness"):
+    with pytest.raises(ModelError, match="single stiffness"):
         Actuator(GRADED, SPRING).physical(**constants)
     with pytest.raises(ModelError, match="T v is no force"):
         Actuator(SLIP, SPRING, transformer=TAU).physical(**constants)
-    with pytest.raises(ModelError, match="transformer_ratio: got 0, need a positive number"):
+    with pytest.raises(ModelError, match="transformer_ratio: got 0"):
         Actuator(SLIP, SPRING).physical(**{**constants, "transformer_ratio": 0})
     creeping = Actuator(SLIP, SPRING, creep=CREEP).physical(**constants)
     assert np.array_equal(creeping.friction, Actuator(SLIP, SPRING).physical(**constants).friction)

@@ -260,7 +260,7 @@ def test_a_clamp_is_said_once_of_each_kind():
 
 def test_refusals():
     actuator, creeping = plain_records.plant(10), _creeping()
-    with pytest.raises(ModelError, match=r"need the time between samples; give the period \[s\]"):
+    with pytest.raises(ModelError, match=r"the period \[s\]"):
         creeping.to_control()
     for period in (0.0, -1.0, np.nan):
         with pytest.raises(ModelError, match="period: got"):
@@ -275,20 +275,20 @@ def test_refusals():
         broken = block.start.copy()
         broken[1] += 1.0
         for x in (block.start[:-1], broken, np.full(block.nstates, np.nan)):
-            with pytest.raises(ModelError, match="Give `start` of the block"):
+            with pytest.raises(ModelError, match="Give `start`"):
                 block.updfcn(0.0, x, np.array([1e-6]), {})
 
 
 def test_a_linearisation_is_refused():
     block = plain_records.plant(10).to_control()
     for start in (block.start, 0):
-        with pytest.raises(ModelError, match=r"linearize: linearising and searching for an operating point"):
+        with pytest.raises(ModelError, match="linearize: linearising"):
             control.linearize(block, start, [100.0], eps=1e-10)
     with pytest.raises(ModelError, match=r"control.find_operating_point[)] are not possible: they change one"):
         control.find_operating_point(block, block.start, [100.0])
     # Of a loop of blocks the parts are asked, each number of their memory alone.
     loop = control.interconnect([block], inputs="voltage", outputs="displacement")
-    with pytest.raises(ModelError, match=r"a cart lies farther .* If you did: linearising and searching"):
+    with pytest.raises(ModelError, match="cart lies"):
         control.linearize(loop, block.start, [100.0], eps=1e-10)
 
 
@@ -307,7 +307,7 @@ def test_what_is_no_input_or_name_is_refused():
             block.output(0, block.start, [])
     for make in (actuator.to_control, Compensator(actuator, ANY).to_control):
         for name in (5, None, ""):
-            with pytest.raises(ModelError, match=r"name: got .*, need a word, such as 'stage'"):
+            with pytest.raises(ModelError, match="such as 'stage'"):
                 make(name=name)
 
 

@@ -435,7 +435,7 @@ def test_a_key_that_is_there_twice(tmp_path):
     write_json(tmp_path / "a.json", made().as_dict())
     text = (tmp_path / "a.json").read_text()
     (tmp_path / "a.json").write_text(text.replace(' "delay_s"', ' "delay_s": 0.0,\n "delay_s"'))
-    with pytest.raises(FileFormatError, match="the key 'delay_s' is there twice"):
+    with pytest.raises(FileFormatError, match="the key 'delay_s'"):
         read_json(tmp_path / "a.json")
 
 
@@ -453,6 +453,6 @@ def test_provenance_that_is_no_json_leaves_the_old_file(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, made().as_dict())
     before = path.read_bytes()
-    with pytest.raises(FileFormatError, match=r"a\.json: cannot be written as JSON \(.*\); use text, finite numbers"):
+    with pytest.raises(FileFormatError, match="written as JSON"):
         write_json(path, replace(made(), provenance={"gap": float("nan")}).as_dict())
     assert path.read_bytes() == before

@@ -196,7 +196,7 @@ def test_simulate_agrees_with_the_oracle(motion):
 
 
 @given(motion=motions(max_samples=200))
-@examples(60, nightly=200)
+@examples(30, nightly=200)
 def test_simulating_the_compensating_voltage_gives_the_path(motion):
     actuator, state, path = motion
     sent = actuator.compensate(path, state=state, extrapolate=True)

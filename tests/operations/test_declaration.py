@@ -150,7 +150,7 @@ def test_options_are_read_from_json_toml_or_themselves_and_strictly(tmp_path):
     (tmp_path / "few.toml").write_text('kind = "b"\n')
     for text in (str(tmp_path / "few.json"), str(tmp_path / "few.toml"), '{"kind": "b"}'):
         assert sample.options_in(text) == {"kind": "b"}
-    for wrong in ('{"size": 3}', '{"kind": "c"}', '{"kind": }'):
+    for wrong in ('{"size": 3}', '{"kind": "c"}', '{"kind": }', "[1]", '["kind"]', '"kind"'):
         with pytest.raises(OperationError):
             sample.options_in(wrong)
 

@@ -32,7 +32,7 @@ def with_displacement(record, displacement):
 @pytest.mark.parametrize(("low", "high"), [(-200, 200), (-100, 300), (-140, 260), (-70, 170), (-70, 70)])
 def test_a_butterfly_is_refused_with_the_voltages_to_record(low, high, noise):
     record = butterfly(low, high, noise)
-    with pytest.raises(RecordError, match=r"both rises, by .* um, and falls, by .* um, with rising voltage: a butterf"):
+    with pytest.raises(RecordError, match="rising voltage: a butterfly"):
         record.check_usable()
     found = butterfly_of(record.voltage, record.displacement)
     assert -COERCIVE < found.low < -COERCIVE + 0.1 * (high - low)
@@ -59,10 +59,10 @@ def test_bipolar_loops_within_the_coercive_field_are_usable(noise):
 @pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-7])
 def test_a_sensor_that_is_only_inverted_is_told_so(noise):
     record = butterfly(-40, 120, noise)
-    with pytest.raises(RecordError, match="the sensor's sign is inverted"):
+    with pytest.raises(RecordError, match="the sensor's sign"):
         with_displacement(record, -record.displacement).check_usable()
     # Poled the other way and kept there: the whole displacement falls.
-    with pytest.raises(RecordError, match="the actuator is poled the other way"):
+    with pytest.raises(RecordError, match="actuator is poled"):
         butterfly(-160, 40, noise).check_usable()
 
 

@@ -97,7 +97,7 @@ def test_quantities_are_converted():
     )
     assert record.others[0].values == pytest.approx(TEMPERATURE)
     assert record.others[1].values == pytest.approx(LOAD)
-    with pytest.raises(RecordError, match="load_N: got a quantity in second, need one that can be converted to N"):
+    with pytest.raises(RecordError, match="load_N: got a quantity"):
         Record(T, V, Y, others={"load_N": T * units.s})
 
 
@@ -175,7 +175,7 @@ def test_the_hash_of_an_hdf5_file_covers_them(tmp_path):
     with h5py.File(tmp_path / "a.h5", "a") as file:
         assert file["load_N"].attrs["unit"] == "N"
         file["load_N"][3] += 1e-9
-    with pytest.raises(FileFormatError, match="its samples are not those that were written"):
+    with pytest.raises(FileFormatError, match="not those"):
         read(tmp_path / "a.h5")
 
 
@@ -208,7 +208,7 @@ def test_columns_choose_and_leave_out(tmp_path):
     record = read(path, columns="time:s,voltage:V,displacement:m,temperature:C?,humidity:%")
     assert shown(record) == {key: ALL[key] for key in ("temperature_C", "humidity [%]")}
     assert record.meta["guesses"] == {"temperature": "column '4' in C"}
-    assert any("The temperature is guessed, verify" in words for words in record.problems())
+    assert any("guessed, verify" in words for words in record.problems())
     assert record.meta["columns"]["humidity"] == "humidity"
     record = read(path, columns="time:s,voltage:V,displacement:m,-,humidity")
     assert record.others == ()
@@ -224,7 +224,7 @@ def test_a_channel_that_cannot_be_read_is_left_out_unless_it_was_asked_for(tmp_p
     assert any(
         "Column 'temperature_C' is left out: temperature holds 19 values not finite" in w for w in record.problems()
     )
-    with pytest.raises(RecordError, match=r"a\.csv: column 'temperature': temperature holds 19 values not finite"):
+    with pytest.raises(RecordError, match="column 'temperature': temperature holds 19 values"):
         read(path, columns="time:s,voltage:V,displacement:um,temperature:C")
 
 
@@ -281,14 +281,14 @@ def test_a_recording_keeps_them(tmp_path):
     with Recording(tmp_path / "a.h5", others=OTHERS) as recording:
         for start in range(0, N, 40):
             recording.add(Block(slice(start, start + 40), **OTHERS))
-        with pytest.raises(RecordError, match="got samples without load_N, humidity"):
+        with pytest.raises(RecordError, match="without load_N, humidity"):
             recording.add(Block(slice(0, 5), temperature_C=TEMPERATURE))
         recording.finish()
     assert_all(read(tmp_path / "a.h5"))
     with Recording(tmp_path / "b.h5") as recording:
         recording.finish(RECORD)
     assert_all(read(tmp_path / "b.h5"))
-    with pytest.raises(FileFormatError, match=r"others: got .*need a name with its unit"):
+    with pytest.raises(FileFormatError, match=r"others: got .*unit"):
         Recording(tmp_path / "c.h5", others=["temperature"])
 
 

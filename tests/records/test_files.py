@@ -155,7 +155,7 @@ def test_a_table_needs_only_what_is_asked(tmp_path):
     assert table.fitting("voltage") == 1
     assert table.fitting("displacement") == 0
     assert table.column("voltage").tolist() == [1, 2]
-    with pytest.raises(FileFormatError, match=r"a\.csv: no displacement column; the file holds 'time_s', 'voltage_V'"):
+    with pytest.raises(FileFormatError, match="file holds 'time_s', 'voltage_V'"):
         table.column("displacement")
 
 
@@ -242,7 +242,7 @@ def test_a_missing_cell_is_refused_by_the_record(tmp_path, cell):
 
 
 def test_time_that_does_not_rise_is_refused_by_the_record(tmp_path):
-    with pytest.raises(RecordError, match=r"'a': time must rise strictly"):
+    with pytest.raises(RecordError, match="'a': time must"):
         read(text(tmp_path, HEAD + "0,1,2\n0,1,3\n"))
 
 
@@ -257,9 +257,9 @@ def test_chosen_columns(tmp_path):
     with pytest.raises(FileFormatError, match=r"column 'level' has no unit.*voltage \"level:V\?\"") as refused:
         read(path, voltage="level")
     assert refused.value.change == ("voltage",)
-    with pytest.raises(FileFormatError, match="unit 'bar', unknown for voltage"):
+    with pytest.raises(FileFormatError, match="unit 'bar', unknown"):
         read(path, voltage="level:bar")
-    with pytest.raises(FileFormatError, match=r"no column 'absent' for voltage; the file holds 'time_s', 'level'"):
+    with pytest.raises(FileFormatError, match="file holds 'time_s', 'level'"):
         read(path, voltage="absent")
     double = text(tmp_path, "time_s,a_V,a_V,y_um\n0,1,2,3\n1,2,3,4\n", "b.csv")
     with pytest.raises(FileFormatError, match="2 columns fit: 'a_V', 'a_V' as column 'a_V' for voltage"):
@@ -288,28 +288,26 @@ def test_sample_rate(tmp_path):
     assert record.time.tolist() == [0, 0.005, 0.01]
     assert record.meta["columns"]["time"] == "index / 200 Hz"
     for rate in (0, -1, float("nan"), float("inf")):
-        with pytest.raises(FileFormatError, match=r"sample_rate is .* Hz; give a number above 0"):
+        with pytest.raises(FileFormatError, match="number above 0"):
             read(path, sample_rate=rate)
     timed = text(tmp_path, HEAD + "0,1,2\n1,2,3\n", "b.csv")
-    with pytest.raises(FileFormatError, match="got a sample rate and the time column 'time_s'; leave one"):
+    with pytest.raises(FileFormatError, match="time column 'time_s'"):
         read(timed, sample_rate=200)
-    with pytest.raises(FileFormatError, match="got a sample rate and the time column 'voltage_V'"):
+    with pytest.raises(FileFormatError, match="time column 'voltage_V'"):
         read(path, sample_rate=200, time="voltage_V")
     counted = text(tmp_path, "time_ticks,voltage_V,y_um\n0,1,2\n9,2,3\n", "c.csv")
     assert read(counted, sample_rate=10).time.tolist() == [0, 0.1]
 
 
 def test_paths_that_are_no_measurement(tmp_path):
-    with pytest.raises(FileFormatError, match=r"absent\.csv: no such file"):
+    with pytest.raises(FileFormatError, match=r"absent\.csv:"):
         read(tmp_path / "absent.csv")
     (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(FileFormatError, match=r"folder\.csv: this is a folder"):
+    with pytest.raises(FileFormatError, match=r"folder\.csv:"):
         read(tmp_path / "folder.csv")
-    with pytest.raises(
-        FileFormatError, match=r"unknown kind of file '\.xls'; dehyst reads \.csv .*\.npz; save it as CSV"
-    ):
+    with pytest.raises(FileFormatError, match=r"file '\.xls'"):
         read(text(tmp_path, "a", "a.xls"))
-    with pytest.raises(FileFormatError, match="unknown kind of file ''"):
+    with pytest.raises(FileFormatError, match="file ''"):
         read(text(tmp_path, "a", "plain"))
 
 
@@ -319,7 +317,7 @@ def test_no_permission(tmp_path, monkeypatch):
 
     path = text(tmp_path, HEAD)
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(FileFormatError, match=r"a\.csv: no permission to read it"):
+    with pytest.raises(FileFormatError, match="permission"):
         read(path)
 
 
@@ -334,13 +332,13 @@ def test_content_that_does_not_fit_the_suffix(tmp_path, suffix):
 
 def test_pickles_in_npz_are_not_opened(tmp_path):
     np.savez(tmp_path / "a.npz", time_s=np.array([{}, {}], dtype=object))
-    with pytest.raises(FileFormatError, match=r"a\.npz: array .time_s. holds Python objects, which are not opened"):
+    with pytest.raises(FileFormatError, match=r"array .time_s. holds Python objects"):
         read(tmp_path / "a.npz")
 
 
 def test_no_vectors(tmp_path):
     np.savez(tmp_path / "a.npz", time_s=np.eye(3), name=np.array("x"))
-    with pytest.raises(FileFormatError, match="no numeric columns found; store time"):
+    with pytest.raises(FileFormatError, match="numeric columns"):
         read(tmp_path / "a.npz")
 
 
@@ -397,7 +395,7 @@ def test_measured_data(name, rows):
 
 def test_a_record_that_is_written_is_a_record(tmp_path):
     record = Record(T, V, Y)
-    with pytest.raises(FileFormatError, match="record: got str, need a Record; give the path first"):
+    with pytest.raises(FileFormatError, match="record: got str"):
         write_record(record, str(tmp_path / "a.csv"))
 
 

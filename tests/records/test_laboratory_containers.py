@@ -139,7 +139,7 @@ def test_rows_of_one_array_are_series_or_refused(tmp_path):
     assert_measured(read(tmp_path / "b.npz", **options))
     for name, array in (("square", np.eye(4)), ("cube", np.zeros((3, 4, 5))), ("text", np.array(["a", "b"]))):
         np.save(tmp_path / f"{name}.npy", array)
-        with pytest.raises(FileFormatError, match="no numeric columns found"):
+        with pytest.raises(FileFormatError, match="numeric columns"):
             read(tmp_path / f"{name}.npy")
     np.save(tmp_path / "objects.npy", np.array([{}, {}], dtype=object))
     with pytest.raises(FileFormatError, match="holds Python objects"):

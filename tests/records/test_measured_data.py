@@ -78,7 +78,7 @@ def test_drift_is_told_and_is_what_the_data_are_known_to_have():
 
 
 def test_the_small_first_element_is_remarked_on():
-    assert any("times the sensor's noise" in remark for remark in fitted().remarks)
+    assert any("the sensor's noise" in remark for remark in fitted().remarks)
 
 
 def test_what_was_held_out_is_predicted():

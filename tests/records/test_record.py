@@ -135,7 +135,7 @@ def test_reversals_take_the_last_sample_of_a_hold():
 def test_reversals_refuse():
     with pytest.raises(RecordError, match="no signal 'current'; try 'voltage'"):
         lagging().reversals("current")
-    with pytest.raises(RecordError, match=r"band is -1\.0; give a number >= 0"):
+    with pytest.raises(RecordError, match="number >= 0"):
         lagging().reversals(band=-1.0)
 
 
@@ -219,9 +219,9 @@ def test_parts_keep_name_and_meta():
         assert (part.name, part.meta) == ("whole", {"source": "a"})
     assert record.with_name("b").name == "b"
     assert record.with_name("b").meta == {"source": "a"}
-    with pytest.raises(RecordError, match="slices of step 1"):
+    with pytest.raises(RecordError, match="step 1"):
         record[::2]
-    with pytest.raises(RecordError, match="slices of step 1"):
+    with pytest.raises(RecordError, match="step 1"):
         record[0]
     with pytest.raises(RecordError, match=r"0 samples"):
         record.between(7, 9)
@@ -287,7 +287,7 @@ def test_problems():
     coarse = with_displacement(record, 1e-7 * np.round(record.displacement / 1e-7)).problems()
     assert coarse == ("The displacement moves in steps of 1e-07 m, 1 % of its range: quantised.",)
     for gain in (1e6, 1e-6):
-        assert "check the displacement's unit" in with_displacement(record, gain * record.displacement).problems()[0]
+        assert "the displacement's unit" in with_displacement(record, gain * record.displacement).problems()[0]
 
 
 def test_usable():
@@ -298,7 +298,7 @@ def test_usable():
 def test_refuses_too_few_samples_and_cycles():
     with pytest.raises(RecordError, match="'made': 11 samples, 20 are needed"):
         lagging()[:11].check_usable()
-    with pytest.raises(RecordError, match=r"5 full cycles of the voltage found, 6 needed; drive it up and back"):
+    with pytest.raises(RecordError, match="voltage found, 6 needed"):
         lagging().check_usable(min_cycles=6)
     with pytest.raises(RecordError, match=r"0 full cycles"):
         lagging()[:200].check_usable()
@@ -307,7 +307,7 @@ def test_refuses_too_few_samples_and_cycles():
 
 def test_refuses_a_constant_voltage():
     record = lagging()
-    with pytest.raises(RecordError, match="the voltage is constant at 5 V; drive"):
+    with pytest.raises(RecordError, match="constant at 5"):
         Record(record.time, 5 + 1e-10 * record.voltage, record.displacement).check_usable()
 
 
@@ -316,14 +316,14 @@ def test_refuses_a_constant_displacement(n):
     record = lagging(n)
     noise = 1e-8 * np.random.default_rng(5).normal(size=n + 1)
     for still in (np.full(n + 1, 1e-6), 1e-6 + noise):
-        with pytest.raises(RecordError, match="the displacement is constant but for noise: its stroke,"):
+        with pytest.raises(RecordError, match="displacement is constant"):
             with_displacement(record, still).check_usable()
 
 
 @pytest.mark.parametrize("noise", [0, 1e-7])
 def test_refuses_an_inverted_sensor(noise):
     record = lagging(noise=noise)
-    with pytest.raises(RecordError, match=r"displacement falls when voltage rises: .*inverted; try multiplying"):
+    with pytest.raises(RecordError, match="try multiplying"):
         with_displacement(record, -record.displacement).check_usable()
 
 
@@ -331,7 +331,7 @@ def test_refuses_an_inverted_sensor(noise):
 def test_refuses_swapped_columns(noise):
     record = lagging(noise=noise)
     swapped = Record(record.time, record.displacement * 1e7, record.voltage * 1e-7)
-    with pytest.raises(RecordError, match=r"leads the voltage .* columns look swapped"):
+    with pytest.raises(RecordError, match="look swapped"):
         swapped.check_usable()
 
 

@@ -32,5 +32,5 @@ def test_a_panel_for_the_error_and_for_each_change(tmp_path):
 
 
 def test_nothing_to_draw_is_an_error(tmp_path):
-    with pytest.raises(IdentifyError, match="got no check of this model"):
+    with pytest.raises(IdentifyError, match="got no check"):
         write_check_history(tmp_path / "one.html", CheckHistory.read(tmp_path / "absent", "none"))

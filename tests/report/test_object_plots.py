@@ -122,13 +122,13 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
     from matplotlib import pyplot
 
     figures = pyplot.get_fignums()
-    with pytest.raises(RecordError, match="kind: got 'loops', need 'loop' or 'time'; did you mean 'loop'"):
+    with pytest.raises(RecordError, match="'loop' or 'time'"):
         things["record"].plot("loops")
     with pytest.raises(ModelError, match="without creep"):
         things["actuator"].plot("creep")
-    with pytest.raises(ModelError, match="kind: got 'loops', need one of directions, loop, stiffnesses, band"):
+    with pytest.raises(ModelError, match="stiffnesses, band"):
         things["insight"].plot("loops")
-    with pytest.raises(ModelError, match=r"fit without traces.*Not identified"):
+    with pytest.raises(ModelError, match="without traces"):
         Fit(None, Outcome.FAILED).plot()
     assert pyplot.get_fignums() == figures
 

@@ -12,7 +12,7 @@ FACES = {
             wave_table write_record
         """,
         "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot Exchange Update update
+            AdaptiveCompensator AdaptiveSnapshot Exchange StageUpdate Update update update_stage
         """,
         "baselines": """
             BASELINES ModelComparison compare

@@ -8,7 +8,6 @@ import numpy as np
 import places
 import plain_records
 import pytest
-from scipy.stats import binom
 
 import dehyst
 from dehyst import IdentifyError, Outcome
@@ -58,29 +57,6 @@ def benchmark():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def shares_of_ninety_percent(repeats):
-    """What 90 % leave of so many repeats, at most as rarely outside as 200 repeats are outside 85 to 95 %.
-
-    As if the numbers of one repeat stood or fell together: their shares are binomial then, and scatter the most.
-    """
-    risks = np.array([binom.cdf(0.85 * 200 - 1, 200, 0.9), binom.sf(0.95 * 200, 200, 0.9)]) * (1 + 1e-9)
-    return binom.ppf(risks[0], repeats, 0.9) / repeats, binom.isf(risks[1], repeats, 0.9) / repeats
-
-
-def test_fewer_repeats_scatter_more():
-    assert shares_of_ninety_percent(200) == (0.85, 0.95)
-    assert shares_of_ninety_percent(20000) == pytest.approx((0.895, 0.905), abs=7e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("norm", "repeats"), [("l2", 60), ("l1", 15)])
-def test_ninety_percent_intervals_hold_the_truth(norm, repeats):
-    lowest, highest = shares_of_ninety_percent(repeats)
-    found = benchmark().coverage(5, norm, NOISE, repeats=repeats, resamples=50, samples=60)
-    for name in ("stiffness", "spring", "prediction"):
-        assert lowest <= found[name]["share"] <= highest, (name, found)
 
 
 @pytest.mark.nightly

@@ -89,23 +89,23 @@ def test_folders_and_files_of_others_are_refused(tmp_path):
     recheck = dehyst.check(loops.model(), loops.later())
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
-    with pytest.raises(FileFormatError, match=r"holds other files \(notes.txt\).*with --history"):
+    with pytest.raises(FileFormatError, match=r"files \(notes.txt\)"):
         CheckHistory.keep(tmp_path / "mine", recheck)
     CheckHistory.keep(tmp_path / "own", recheck)
     (path,) = (tmp_path / "own").glob("check-*.json")
     good = json.loads(path.read_text())
     for key, value in (("changes", 3), ("checked", "2024-05-01"), ("checked", "never"), ("goal_percent", None)):
         path.write_text(json.dumps({**good, key: value}))
-        with pytest.raises(FileFormatError, match=r"is no check that dehyst wrote .*; remove it from the folder"):
+        with pytest.raises(FileFormatError, match="dehyst wrote"):
             CheckHistory.read(tmp_path / "own", recheck.model_id)
-    with pytest.raises(FileFormatError, match="without a time zone"):
+    with pytest.raises(FileFormatError, match="time zone"):
         CheckHistory.keep(tmp_path / "own", recheck, moment=datetime(2024, 5, 1))
 
 
 def test_a_record_of_another_actuator_is_refused(tmp_path):
     recheck = dehyst.check(loops.model(), loops.later(gain=0.7))
-    assert not recheck.good and re.search(r"the gain differs by \+6\d\.\d %", recheck.mismatch)
-    with pytest.raises(IdentifyError, match=r"plainly not a record of the model's actuator.* not kept in the history"):
+    assert not recheck.good and re.search(r"differs by \+6\d", recheck.mismatch)
+    with pytest.raises(IdentifyError, match="the model's actuator"):
         CheckHistory.keep(tmp_path / "new", recheck)
     assert not (tmp_path / "new").exists()
     assert not dehyst.check(loops.model(), loops.later(gain=0.3)).mismatch

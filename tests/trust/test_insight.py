@@ -152,7 +152,7 @@ def test_the_newcomers_trap_is_caught(noise):
     turns = np.array([0.9, 0.02, 0.4, 0.02, 0.6, 0.2, 0.45])
     wanted = truth.stroke * np.interp(np.arange(0, 6.01, 0.02), np.arange(7), turns)
     found = insight(fit.actuator, record, trajectory=wanted, repeats=20)
-    assert "directions of the stiffnesses are open" in found.warnings()[0]
+    assert "stiffnesses are open" in found.warnings()[0]
     truth.play([0.0, truth.highest, 0.0, truth.highest], measured=False)
     reached = truth.play(found.band.voltage, measured=False)
     # The sensor read zero at the record's first sample, where the truth was relaxed and not at its own zero.
@@ -170,7 +170,7 @@ def test_without_repeats_there_are_no_intervals():
     assert found.trustworthy
     assert found.warnings() == ()
     assert found.homing.certified
-    with pytest.raises(dehyst.ModelError, match="got 0 and a trajectory"):
+    with pytest.raises(dehyst.ModelError, match="trajectory"):
         insight(actuator, record, trajectory=[1e-6, 2e-6], repeats=0)
 
 

@@ -132,7 +132,7 @@ def test_a_lone_loop_is_something_to_beware_of():
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert not found.trustworthy
-    assert "4 of 9 directions of plain elements are open" in found.warnings()[0]
+    assert "4 of 9 directions" in found.warnings()[0]
     assert f"Add {found.advice[0].words}" in found.warnings()[0]
     assert found.advice[0].determined == 9
     assert insight(model, whole, repeats=0).trustworthy
@@ -159,7 +159,7 @@ def test_a_look_at_a_wider_model(name):
         "When the state becomes known",
     ):
         assert words in text
-    assert "What the records determine of each part" in render(fit, insight=found)
+    assert "records determine" in render(fit, insight=found)
 
 
 def test_the_state_is_known_from_the_voltage_as_from_two_simulations():
@@ -177,7 +177,7 @@ def test_another_actuators_record_is_told():
     _, fit, record = looked("creep")
     other = Record(record.time, record.voltage, 0.8 * record.displacement, "other")
     found = insight(fit.actuator, other, repeats=0)
-    assert "they are of another actuator" in found.warnings()[0]
+    assert "another actuator" in found.warnings()[0]
     assert found.intervals is None
     assert found.loop is None
 
@@ -191,7 +191,7 @@ def test_limits_beyond_the_records_are_told():
 
 def test_a_creeping_model_asks_for_the_time_of_a_trajectory():
     _, fit, record = looked("creep")
-    with pytest.raises(ModelError, match="this actuator creeps, so that the answer depends on time") as refused:
+    with pytest.raises(ModelError, match="answer depends") as refused:
         insight(fit.actuator, record, trajectory=trajectory()[0], repeats=20)
     assert "time" in refused.value.change
 
@@ -242,20 +242,17 @@ def test_the_command(tmp_path):
     assert (tmp_path / "b.csv").read_text().startswith("time_s,wanted_um,voltage_V")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("records", [6, pytest.param(12, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["graded, transformer", "creep"])
-def test_a_band_of_90_percent_holds_the_truth_about_as_often(name, records):
-    # Of each of some records with fresh noise: how much of a path, compensated by the truth, lies in the band.
+def test_a_band_of_90_percent_holds_the_truth_about_as_often(name):
+    # Of each of twelve records with fresh noise: how much of a path, compensated by the truth, lies in the band.
     plant, (path, time) = truth(name), trajectory()
     clock = time if plant.actuator.needs_time else None
     voltage = plant.actuator.compensate(path, time=clock, state=plant.state).voltage
     held = []
-    for seed in range(records):
+    for seed in range(12):
         fit, record = fitted(name, seed=1 + seed)
         found = resample(Evidence.from_records(fit.actuator, record), repeats=40, seed=seed)
         low, high = found.prediction(voltage, lambda one: one.turned(float(path[0])), clock)
         held.append(np.mean(((low <= path) & (path <= high))[120:]))
-    # The mean of 12 records is held to 0.80 and 0.97; that of fewer scatters by the root of their ratio more.
-    scatter = np.sqrt(12 / records)
-    assert 0.9 - 0.1 * scatter <= np.mean(held) <= 0.9 + 0.07 * scatter
+    assert 0.80 <= np.mean(held) <= 0.97

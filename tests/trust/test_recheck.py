@@ -129,13 +129,13 @@ def test_a_narrow_record_leaves_the_offset_open():
     narrow = loops.later(offset=loops.OFFSET, tops=[60.0, 40.0])
     recheck = dehyst.check(loops.model(), narrow)
     assert of(recheck, "offset").error > 3 * of(dehyst.check(loops.model(), loops.later()), "offset").error
-    assert any("covers 30 % of the model's voltages" in remark for remark in recheck.remarks)
+    assert any("covers 30" in remark for remark in recheck.remarks)
 
 
 def test_voltages_outside_of_the_models_are_reported():
     model = replace(loops.model(), limits=(0.0, 150.0))
     remarks = dehyst.check(model, loops.later()).remarks
-    assert any("0 to 200 V, leave the model's limits, 0 to 150 V, at" in remark for remark in remarks)
+    assert any("the model's limits, 0 to 150" in remark for remark in remarks)
     assert not any("limits" in remark for remark in dehyst.check(loops.model(), loops.later()).remarks)
 
 

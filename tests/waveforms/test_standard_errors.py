@@ -58,13 +58,13 @@ def test_drives(options, message):
 
 @pytest.mark.parametrize("peaks", [[], [0.0], -5.0, [10.0, 0.0]])
 def test_peaks_not_above_the_base(peaks):
-    with pytest.raises(RecordError, match=r"peaks: got .*, need voltages above the base 0 V"):
+    with pytest.raises(RecordError, match=r"peaks: got .*above the base 0 V"):
         raised_cosine(peaks)
 
 
 @pytest.mark.parametrize("peaks", [[10.0, math.nan], math.inf, "200", [[1.0, 2.0]], None, [True]])
 def test_peaks_that_are_no_voltages(peaks):
-    with pytest.raises(RecordError, match=r"peaks: .*; give voltages in V"):
+    with pytest.raises(RecordError, match=r"peaks: .*in V"):
         raised_cosine(peaks)
 
 
@@ -115,7 +115,7 @@ def test_kinds(make, message):
 def test_too_long_before_memory_is_taken(make):
     tracemalloc.start()
     try:
-        with pytest.raises(RecordError, match=r"got .* samples, .* s at .* Hz, need 5e\+07 at most; lower"):
+        with pytest.raises(RecordError, match=r"5e\+07 at most"):
             make()
         assert tracemalloc.get_traced_memory()[1] < 10e6
     finally:
@@ -124,9 +124,9 @@ def test_too_long_before_memory_is_taken(make):
 
 def test_what_does_not_fit_behind():
     first = raised_cosine(10.0)
-    with pytest.raises(RecordError, match="begin at the present voltage 0"):
+    with pytest.raises(RecordError, match="present voltage 0"):
         first.then(homing(turns=[9.0], drive=Sampling(present=5.0)))
-    with pytest.raises(RecordError, match="sample rates: got 4 and then 8 Hz, need one; make both with the same"):
+    with pytest.raises(RecordError, match="rates: got 4 and then 8"):
         first.then(raised_cosine(10.0, drive=Sampling(sample_rate=8.0)))
 
 

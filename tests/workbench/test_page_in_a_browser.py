@@ -421,7 +421,9 @@ def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path
         said = page.inner_text("#drop")
         assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5", "Parquet"))
         page.click("#example")
-        page.wait_for_selector("#record-list .card.ready", timeout=LONGEST)
+        ready = page.locator("#record-list .card.ready")
+        sync_api.expect(ready).to_have_count(2, timeout=LONGEST)
+        assert sorted(ready.locator("h3").all_inner_texts()) == ["p885-major", "p885-ramps"]
         assert page.locator("#identify").is_enabled()
         page.close()
 

@@ -137,7 +137,7 @@ def test_a_text_is_a_text(value):
 
 @pytest.mark.parametrize("value", [True, "1", [], float("inf"), float("nan")])
 def test_a_number_is_finite(value):
-    with pytest.raises(RigError, match="need a finite number"):
+    with pytest.raises(RigError, match="finite number"):
         number({"do": "arm", "slew": value}, "slew")
 
 
@@ -148,5 +148,5 @@ def test_a_pair_is_two_numbers(value):
 
 
 def test_a_path_has_no_zero_byte():
-    with pytest.raises(RigError, match="not the name of a file"):
+    with pytest.raises(RigError, match="not the name"):
         path({"do": "play", "file": "a\0b"}, "file")

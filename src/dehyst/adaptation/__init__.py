@@ -2,6 +2,6 @@
 
 from dehyst.adaptation.adaptive_compensator import AdaptiveCompensator, AdaptiveSnapshot
 from dehyst.adaptation.estimator import Exchange
-from dehyst.adaptation.record_update import Update, update
+from dehyst.adaptation.record_update import StageUpdate, Update, update, update_stage
 
-__all__ = ["AdaptiveCompensator", "AdaptiveSnapshot", "Exchange", "Update", "update"]
+__all__ = ["AdaptiveCompensator", "AdaptiveSnapshot", "Exchange", "StageUpdate", "Update", "update", "update_stage"]

@@ -12,12 +12,13 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
+from dehyst._views.fields import json_values
 from dehyst.adaptation.active_set import StepwiseProgram
 from dehyst.adaptation.weights import Weights
 from dehyst.identification import Trace, compare, errors_of, prepare_for
-from dehyst.model import Actuator
-from dehyst.records import Record, largest, percent, rms
-from dehyst.trust import Change, Recheck, check
+from dehyst.model import Actuator, Promise, Stage, Validity, by_axis
+from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
+from dehyst.trust import Change, Recheck, check, check_stage
 
 # Groups of weights: more than in a loop, for time does not matter here.
 _ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
@@ -81,12 +82,23 @@ class Update:
     @property
     def sentence(self) -> str:
         """The result in one line, with its numbers."""
-        (old, _), (held, _) = self.before, self.held_out
-        errors = f"{lines.percent(held, self.stroke)} of the stroke on parts held out, where the old model has "
-        errors += lines.percent(old, self.stroke)
+        old, held = (lines.percent(largest_, self.stroke) for largest_ in (self.before[0], self.held_out[0]))
         if self.used:
-            return f"Updated: the largest error is {errors}."
-        return f"Not updated: the record shows no model that predicts it better; the largest error is {errors}."
+            return (
+                f"Updated: the largest error is {held} of the stroke on parts held out, where the old model has {old}."
+            )
+        return f"Not updated: no other model predicts the record better. Its largest error is {old} of the stroke."
+
+    @property
+    def promise(self) -> Promise | None:
+        """What to expect of any path within the recorded voltages by the model; None if that is not known."""
+        known = self.actuator.identification
+        return None if known is None or known.validity is None else known.validity.anywhere
+
+    @property
+    def good(self) -> bool:
+        """Whether parts that were held out are missed by the goal at most, the sensor's noise aside."""
+        return self.held_out[0] - NOISE_PEAK * self.recheck.noise <= self.recheck.goal / 100 * self.stroke
 
     def sentences(self) -> tuple[str, ...]:
         """Return what changed, a sentence each, the largest first, and what the record could not show."""
@@ -100,8 +112,7 @@ class Update:
         """Return JSON values without the model."""
         pairs = {"before": self.before, "after": self.after, "held_out": self.held_out}
         return {
-            "used": self.used,
-            "sentence": self.sentence,
+            **json_values(self, "used good sentence promise"),
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             "shape_percent": percent(self.shape, self.stroke),
             "shape_error_percent": percent(self.shape_error, self.stroke),
@@ -110,6 +121,33 @@ class Update:
             "datum_m": self.datum,
             "stroke_m": self.stroke,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class StageUpdate:
+    """A stage after a new record: an `Update` of each actuator, and what has changed of the coupling, which stays.
+
+    Attributes
+    ----------
+    stage : Stage
+    updates : tuple of Update
+        Of each actuator.
+    coupling_changes : tuple of str
+        Sentences on entries of the coupling that have changed: they need a new identification.
+    """
+
+    stage: Stage
+    updates: tuple[Update, ...]
+    coupling_changes: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether each actuator is followed within the goal, and the coupling is that of the model."""
+        return all(one.good for one in self.updates) and not self.coupling_changes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without the stage."""
+        return {**json_values(self, "good coupling_changes"), "axes": by_axis(self.stage.axes, self.updates)}
 
 
 def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> Update:
@@ -153,6 +191,27 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
         return rows.update(strength)
 
 
+def update_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageUpdate:
+    """Update each actuator of a stage from a new record; the coupling stays, and is checked.
+
+    Parameters
+    ----------
+    stage : Stage
+    record : Record
+        Of all axes.
+    goal : float, optional
+        As in `dehyst.check`.
+
+    Raises
+    ------
+    RecordError, IdentifyError
+        As `update`, of any axis.
+    """
+    changes = check_stage(stage, record, goal=goal).changes
+    found = tuple(update(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
+    return StageUpdate(replace(stage, actuators=tuple(one.actuator for one in found)), found, changes)
+
+
 class _Rows:
     """The rows of a record in the weights of a model, less its constants, drift and creep before it, and their sums."""
 
@@ -187,9 +246,9 @@ class _Rows:
         used = strength < np.inf and held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
         shape, spread = self._shape(strength)
         old = self.weights.actuator
-        made = made.with_identification(
-            largest_error=after[0], expected_largest=held_out[0], expected_rms=held_out[1], validated=False
-        )
+        tested = self._validity(after[0], held_out[1])
+        expected = {"expected_largest": tested.anywhere.largest, "expected_rms": tested.anywhere.rms}
+        made = made.with_identification(largest_error=after[0], validity=tested, validated=False, **expected)
         source = {"updated_from": old.name, "updated_with": self.record.name}
         return Update(
             replace(made, provenance={**old.provenance, **source}) if used else old,
@@ -203,6 +262,17 @@ class _Rows:
             tuple(self._missing()),
             -datum,
         )
+
+    def _validity(self, largest: float, held_out: float) -> Validity:
+        """Return what the old records and the new one tested of the updated model; errors as measured [m]."""
+        noise, known = self.recheck.noise, self.weights.actuator.identification
+        rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
+        largest_ = max(largest - NOISE_PEAK * noise, 0.0)
+        time, voltage = self.record.time, self.record.voltage
+        if known is None or known.validity is None:
+            stroke = self.recheck.stroke
+            return Validity.by_records([(time, voltage)], rms=rms_, largest=largest_, disagreement=0.0, stroke=stroke)
+        return known.validity.with_record(time, voltage, rms=rms_, largest=largest_)
 
     def factors(self, sums: Array, strength: float) -> Array:
         """Return the factors (m,) that sums over rows ask for, with a prior of a strength."""

@@ -89,7 +89,6 @@ class Compensator(ReadOnly):
     _start: State
     _warns: bool
     _per_metre: float
-    _scaled: bool
 
     def __init__(
         self,
@@ -113,7 +112,7 @@ class Compensator(ReadOnly):
             raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
         keep(self, actuator=actuator, period=seconds, preview=bool(preview), units=units, bounds=bounds)
         keep(self, limits=(bounds.low, bounds.high), slew_rate=bounds.slew_rate)
-        keep(self, _warns=bool(warns), _per_metre=per_metre(units), _scaled=per_metre(units) != 1)
+        keep(self, _warns=bool(warns), _per_metre=per_metre(units))
         self.reset(actuator.state if state is None else state)
 
     def __repr__(self) -> str:
@@ -152,18 +151,18 @@ class Compensator(ReadOnly):
         if temperature is not None:
             self.set_temperature(temperature)
         try:
-            return self._loop.step(self._metres(displacement) if self._scaled else displacement)
+            return self._loop.step(displacement)
         except TypeError:
-            return self._loop.step(self._metres(displacement))
+            return self._loop.step(number(displacement, "displacement", self.units))
         except CoreError as error:
             raise _refusal(displacement) from error
 
     def offer(self, displacement: float) -> float:
         """Return the voltage [V] for a `displacement` [m, or `units`], not committed. Raises and warns as `step`."""
         try:
-            return self._loop.offer(self._metres(displacement) if self._scaled else displacement)
+            return self._loop.offer(displacement)
         except TypeError:
-            return self._loop.offer(self._metres(displacement))
+            return self._loop.offer(number(displacement, "displacement", self.units))
         except CoreError as error:
             raise _refusal(displacement) from error
 
@@ -296,7 +295,7 @@ class Compensator(ReadOnly):
             start=state,
             present=now,
         )
-        if not self._scaled:
+        if self._per_metre == 1:
             return command
         hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
         return replace(command, warnings=(*command.warnings, *hint)).in_units(self.units)
@@ -307,7 +306,7 @@ class Compensator(ReadOnly):
 
     def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
         sentence = stray_sentence(self.actuator, self.bounds, displacement, load)
-        if not sentence or not self._scaled:
+        if not sentence or self._per_metre == 1:
             return sentence
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
@@ -318,10 +317,7 @@ class Compensator(ReadOnly):
         a value is not finite, or has a unit that cannot be converted.
         """
         plain = vector(values, what, f"{self.units}{per}")
-        return plain / self._per_metre if self._scaled else plain
-
-    def _metres(self, displacement: object) -> float:
-        return number(displacement, "displacement", self.units) / self._per_metre
+        return plain if self._per_metre == 1 else plain / self._per_metre
 
     @property
     def voltage(self) -> float:
@@ -517,7 +513,9 @@ class Compensator(ReadOnly):
 
     def new_loop(self) -> Loop:
         """Return a loop in C that is in the state of the construction or the last reset."""
-        return make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
+        loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
+        loop.per_metre = self._per_metre
+        return loop
 
 
 def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:

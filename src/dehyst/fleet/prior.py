@@ -78,7 +78,7 @@ def shape_of(fleet: Fleet) -> Shape:
     delays = []
     for _, actuator in fleet.models():
         slip, spring = actuator.slip, actuator.spring
-        if not actuator.wide and isinstance(slip, MaxwellSlip):
+        if not actuator.wide:
             x, stroke = spring.displacement, float(np.ptp(spring.displacement))
             parts = slip.breakaway / stroke, slip.stiffness * stroke, (x - float(x[0])) / stroke, spring.voltage
             coefficients = np.concatenate(parts)

@@ -10,14 +10,14 @@ from dehyst.identification.coupling.matrix import (
     separate_motion,
 )
 from dehyst.identification.diagnostics.branches import Branch, voltage_at
-from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probes
+from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probed
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit, label
 from dehyst.identification.identify import identify
 from dehyst.identification.paper_methods import BreakPointLoop, loops_of
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
-from dehyst.identification.preprocessing.denoising import remove_dynamics, remove_jitter
+from dehyst.identification.preprocessing.denoising import left_of
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect, epochs
 from dehyst.identification.regression.coefficients import Coefficients
@@ -31,10 +31,10 @@ from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.validation import (
-    MOST_ROWS,
     RecordComparison,
     compare,
     compare_all,
+    driving_path,
     errors_of,
     initial_state,
     prepare_for,

@@ -230,9 +230,9 @@ def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
 
 
 def _parts_of(actuator: Any) -> list[tuple[str, str]]:
-    """Return name and sentence of each part of an actuator; none of slip elements and a spring alone."""
-    more = isinstance(actuator, Actuator) and actuator.wide
-    return [(part.name, part.sentence) for part in parts_of(actuator)] if more else []
+    """Return name and sentence of each part of an actuator; none where there is no actuator."""
+    parts = parts_of(actuator) if isinstance(actuator, Actuator) else ()
+    return [(part.name, part.sentence) for part in parts]
 
 
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:

@@ -16,7 +16,7 @@ from dehyst._types import Progress
 from dehyst.identification import paper_methods
 from dehyst.identification.creep_search import CreepSearch
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.identifiability import identifiability, probes
+from dehyst.identification.diagnostics.identifiability import identifiability, probed
 from dehyst.identification.fit import Fit
 from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, held_out_holds, unsupported
 from dehyst.identification.preprocessing.denoising import left_of
@@ -215,7 +215,7 @@ def _identify_structure(
     frame = replace(data, lagging=run.lagging, datum=plain.datum, denoised=True)
     if isinstance(structure, str):
         # Without loops within loops nothing that distinguishes structures can be held out.
-        missing = messages.of_turns(identifiability(run.on_axis(plain.datum), probes(run.span)), run.drive)
+        missing = messages.of_turns(probed(run.on_axis(plain.datum), run.span), run.drive)
         if missing:
             run.remarks += missing
             return _maxwell_slip(run, data)

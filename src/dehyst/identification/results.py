@@ -118,7 +118,7 @@ class RecordErrors:
 
 
 def may_creep(rate: float, decades: float) -> bool:
-    """Return whether a drift can be creep, by its rate [% of the range a decade] and the decades covered.
+    """Return whether a drift can be creep, by its rate [% of the stroke a decade] and the decades covered.
 
     Piezoelectric actuators creep by a few percent a decade; a larger drift has another cause. A rate from a small part
     of a decade is an extrapolation.

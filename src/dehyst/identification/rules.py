@@ -74,7 +74,7 @@ class DecisionRules:
         0.3, "part of a step", "What grows by more within a twentieth of a cycle is a low-pass: creep is slow."
     )
     most_creep: float = _rule(
-        20.0, "% of the range a decade", "Piezoelectric actuators creep by a few percent; more has another cause."
+        20.0, "% of the stroke a decade", "Piezoelectric actuators creep by a few percent; more has another cause."
     )
     fewest_decades: float = _rule(0.5, "decades", "A rate from a smaller part of a decade is an extrapolation.")
 
@@ -119,7 +119,7 @@ class DecisionRules:
 
     check_risk: float = _rule(0.05, "probability", "Noise alone exceeds the floor of a check this often.")
     smallest_pattern: float = _rule(
-        0.1, "% of the range", "Resolution of a record of 50 samples a cycle: less is none."
+        0.1, "% of the stroke", "Resolution of a record of 50 samples a cycle: less is none."
     )
     smallest_drift: float = _rule(0.0002, "part of the stroke a decade", "A smaller drift is not reported.")
     voltage_margin: float = _rule(0.02, "part of the limits' range", "Held-out voltages may go beyond by this part.")

@@ -328,7 +328,7 @@ class IdentificationRun:
         errors = [trial.held_out for trial in self.trials if trial.structure == replace(structure, reach=1.0)]
         if not errors:
             return structure.words
-        return f"{structure.words}, which miss held-out cycles by {100 * errors[-1] / self.stroke:.2g} % of the range"
+        return f"{structure.words}, which miss held-out cycles by {100 * errors[-1] / self.stroke:.2g} % of the stroke"
 
     def finish(self, actuator: Actuator, regression: Regression, outcome: Outcome, status: str, gap: float) -> Fit:
         """Simulate all records whole, and judge the actuator."""

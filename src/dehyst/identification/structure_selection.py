@@ -167,7 +167,7 @@ class _Search:
 
     def _report(self, words: str) -> None:
         least = min((100 * tried.trial.held_out / self.stroke for tried in self.done), default=float("nan"))
-        error = f"best held-out error {least:.2g} % of the range; " if np.isfinite(least) else ""
+        error = f"best held-out error {least:.2g} % of the stroke; " if np.isfinite(least) else ""
         self.progress(f"trial {len(self.done) + 1} (of up to {self.most}): {words}; {error}{self.deadline.clock}")
 
 

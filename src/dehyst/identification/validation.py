@@ -264,11 +264,7 @@ def compare(
         record, actuator = record.without_creep(creep), actuator.before_creep
     few, whole = record.reduced, record.delayed(0, actuator.delay, actuator.lag)
     measured = whole if record.block == 1 else few.delayed(0, actuator.delay, actuator.lag)
-    pieces = measured
-    # Maxwell-slip takes a displacement of little noise as it is.
-    if actuator.wide or disturbs(few.noise, stroke):
-        paths = [remove_jitter(remove_dynamics(one.path, actuator.dynamics), few.noise, stroke) for one in measured]
-        pieces = [one._replace(path=path) for one, path in zip(measured, paths, strict=True)]
+    pieces = [one._replace(path=driving_path(actuator, one.path, few.noise, stroke)) for one in measured]
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
     source = RowSource.of(pieces, grid, [left_of(few.noise, stroke)] * len(pieces), leads=[few.lead])
     spring, model = actuator.spring, Coefficients.from_actuator(actuator)
@@ -285,6 +281,17 @@ def compare(
     regression = replace(regression, datum=np.array([datum]), source=None if regression.strained else source)
     found, samples = regression.fit_nuisances(model), [one.path for one in measured]
     return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]), creep)
+
+
+def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
+    """Return a measured piece as it drives the elements of an actuator: before the resonance, and without jitter.
+
+    Maxwell-slip elements and a spring take a displacement of little noise as it is. `noise`, `stroke`: standard
+    deviation of the sensor, and range of the widest loop [m].
+    """
+    if actuator.wide or disturbs(noise, stroke):
+        return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
+    return piece
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:

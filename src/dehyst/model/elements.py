@@ -93,6 +93,10 @@ class MaxwellSlip:
         """(N,) breakaway voltages kappa_i rho_i [V]: f_i seen at the terminals."""
         return self.stiffness * self.breakaway
 
+    def stiffest(self) -> MaxwellSlip:
+        """Return the elements themselves, which have one stiffness each; see `GradedSlip.stiffest`."""
+        return self
+
 
 @dataclass(frozen=True, eq=False)
 class GradedSlip:

@@ -39,9 +39,9 @@ class Outcome(Enum):
         "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not "
         "that of Maxwell-slip elements with a linear spring."
     )
-    INACCURATE = "Identified, but the model misses the records by more than 5 % of the range: do not use it."
+    INACCURATE = "Identified, but the model misses the records by more than 5 % of the stroke: do not use it."
     VALIDATION_MISSED = (
-        "Identified, but the model misses a held-out record by more than 5 % of the range: do not use it for motions "
+        "Identified, but the model misses a held-out record by more than 5 % of the stroke: do not use it for motions "
         "like that one."
     )
     FAILED = "Not identified: the solver found no optimum."

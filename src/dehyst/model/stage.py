@@ -17,6 +17,7 @@ from dehyst._views.fields import json_values
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import Motion, State
 from dehyst.model.serialization import JsonFile, demand_format, demand_keys, numbers
+from dehyst.records import Record
 
 # A stage whose inverse multiplies errors by more cannot be driven.
 _WORST_CONDITION = 1e3
@@ -156,6 +157,10 @@ class Stage(JsonFile):
     def decoupling(self) -> Array:
         """Inverse of `coupling` (axes, axes)."""
         return inverse(self.coupling)
+
+    def alone(self, record: Record, j: int) -> Record:
+        """Return a `record` of all axes as that of actuator `j` alone, without what others move it by the coupling."""
+        return record.axis(j, apply(self.decoupling, record.displacement)[:, j])
 
     @property
     def condition(self) -> float:

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Folder, Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, write_table
-from dehyst.operations.paths import Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathSlew, Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
 from dehyst.report import write_check_history, write_insight
@@ -136,6 +136,8 @@ def _path(
     path = path + zero_of_path(actuator, limits, zero)
     for warning in reach_remarks(actuator, path, limits, zero, refuse=False):
         run.note(warning)
+    for remark in PathSlew(None, "none").remarks(actuator, limits or actuator.voltage_range, path, time.get("time_s")):
+        run.note(f"{remark}; it is judged as wanted here, while compensate holds it back without --slew-rate none")
     return path, time
 
 

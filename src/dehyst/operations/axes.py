@@ -13,7 +13,7 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
-from dehyst.operations.files import MIDDLE, Columns, is_model, read_model
+from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
 from dehyst.operations.run import Run
 from dehyst.records.formats.columns import Table
 from dehyst.records.tables import AxisColumns, axis_columns
@@ -123,6 +123,9 @@ class AxesModel:
         stage = Stage.load(path)
         if not stage.is_matrix:
             run.note(f"{path}: when this stage was identified, its coupling was more than a matrix")
+        for axis, actuator in zip(stage.axes, stage.actuators, strict=True):
+            for sentence in edited(actuator):
+                run.note(f"{path}: {axis}: {sentence}")
         return cls(stage, stage.actuators, stage.axes)
 
     def by_axis(self, values: Iterable[Any]) -> Any:

@@ -326,11 +326,13 @@ class Operation:
         OperationError
             The file cannot be read, or holds something else.
         """
-        if text.lstrip().startswith("{"):
+        if text.lstrip().startswith(("{", "[", '"')):
             try:
                 given = json.loads(text)
             except ValueError as error:
                 raise OperationError(argument="options", got=f"no JSON ({error})", need="an object") from error
+            if not isinstance(given, dict):
+                raise OperationError(argument="options", got=text, need="an object, as {NAME: VALUE}, or a file of one")
         elif text.endswith(".toml"):
             with reading_errors(Path(text), "TOML"):
                 given = tomllib.loads(Path(text).read_text(encoding="utf-8"))

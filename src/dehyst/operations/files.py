@@ -276,6 +276,8 @@ def _number(text: str) -> float:
 
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
+# Part of the voltages of its records by which the limits of a model may be wider.
+_BEYOND = 0.1
 _LONGEST = 1_000_000
 
 
@@ -292,7 +294,28 @@ def read_model(run: Run, path: Path) -> Actuator:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
     if known is not None and known.provisional:
         run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
+    for sentence in edited(actuator):
+        run.note(f"{path}: {sentence}")
     return actuator
+
+
+def edited(actuator: Actuator) -> Iterator[str]:
+    """Yield what the records of a model cannot have shown: limits and a delay that somebody wrote into its file."""
+    tested = None if actuator.identification is None else actuator.identification.validity
+    if tested is None:
+        return
+    low, high = tested.limits
+    least, most = actuator.voltage_range
+    if max(low - least, most - high) > _BEYOND * (high - low):
+        yield (
+            f"its limits, {least:.6g} to {most:.6g} V, are wider than the voltages of its records, {low:.6g} to "
+            f"{high:.6g} V: nothing was measured there. Record these voltages and identify again"
+        )
+    elif least >= high or most <= low:
+        yield f"its limits, {least:.6g} to {most:.6g} V, hold no voltage of its records, {low:.6g} to {high:.6g} V"
+    lag = actuator.delay + actuator.lag
+    if lag * tested.speeds[1] > high - low:
+        yield f"its delay, {lag:.4g} s, is longer than its records took from {low:.6g} to {high:.6g} V: correct it"
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:

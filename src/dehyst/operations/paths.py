@@ -110,19 +110,25 @@ class PathSlew(NamedTuple):
     def remarks(
         self, actuator: Actuator, limits: tuple[float, float], wanted: Array, time: Array | None, **rates: Any
     ) -> list[str]:
-        """Remark a path (n,) [m] that needs more than the speed of the records and its margin."""
+        """Remark a path (n,) [m] that needs more than this bound, or than the speed of the records and its margin."""
         recorded = actuator.recorded_slew_rate
-        if recorded is None or time is None or len(wanted) < 2:
+        if (recorded is None and self.bound is None) or time is None or len(wanted) < 2:
             return []
         state = state_at(actuator, actuator.state, float(wanted[0]))
         motion = actuator.compensate(wanted, time=time, **rates, state=state, extrapolate=True)
         needed = float(np.abs(np.diff(np.clip(motion.voltage, *limits)) / np.diff(time)).max())
-        if needed <= recorded:
-            return []
         held = self.bound is not None and needed > self.bound
-        words = f"{needed:.4g} V/s, {needed / recorded:.3g} times the speed of the model's records with a margin of 5 %"
-        ways = ": held back; --slew-rate V/S sets another bound, --slew-rate none removes it" if held else ""
-        return [f"the path needs up to {words} ({recorded:.4g} V/s){ways}"]
+        words = f"the path needs up to {needed:.4g} V/s"
+        if recorded is not None and needed > recorded:
+            margin = f"with a margin of 5 % ({recorded:.4g} V/s)"
+            words += f", {needed / recorded:.3g} times the speed of the model's records {margin}"
+        elif not held:
+            return []
+        if held and self.origin == "option":
+            words += f": held back to the {self.bound:.4g} V/s of --slew-rate"
+        elif held:
+            words += ": held back; --slew-rate V/S sets another bound, --slew-rate none removes it"
+        return [words]
 
 
 @dataclass(frozen=True, eq=False)
@@ -538,7 +544,13 @@ def _tabulate(
     if not start.known:
         left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
-    judged = judge(actuator, path=left, voltage=played.voltage[first:], time=played.time[first:])
+    judged = judge(
+        actuator,
+        path=left,
+        voltage=played.voltage[first:],
+        time=played.time[first:],
+        missed=cycle.expected - cycle.displacement,
+    )
     fields = {
         "samples": played.voltage.size,
         "sample_rate_Hz": table.sample_rate,

@@ -38,6 +38,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "compensate": Entry("paths:compensate", "The voltage that follows a path"),
         "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
+        "update": Entry("update:update", "Make a model true again from one new record"),
     },
     "Deploy": {
         "export": Entry("export:export", "C source for a microcontroller, WebAssembly, or an FMU"),

@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted
+from dehyst._types import Array
 from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
@@ -53,7 +54,10 @@ def show(
         return Result(model.as_dict(), model.summary().split("\n"))
     (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
     table = columns.table(file)
-    run.known["file_columns"] = file_columns = [{"name": one.name, "unit": one.parts[1]} for one in table.columns]
+    run.known["file_columns"] = file_columns = [
+        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault or not one.data.size else _span(one.data)}
+        for one in table.columns
+    ]
     for line in _column_lines(table):
         run.say(line)
     record = columns.record_in(table, file.stem)
@@ -70,6 +74,10 @@ def show(
     fields = {axis: {**one.fields(), "file_columns": file_columns} for axis, one in axes.items()}
     lines = [line for one in axes.values() for line in one.lines()]
     return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report)])
+
+
+def _span(values: Array) -> list[float]:
+    return [float(values.min()), float(values.max())]
 
 
 def _column_lines(table: Table) -> Iterator[str]:
@@ -181,7 +189,7 @@ class _AxisView:
             "duration_s": float(record.time[-1] - record.time[0]),
             "voltage_V": list(record.voltage_range),
             "displacement_um": [1e6 * value for value in record.displacement_range],
-            "others": {one.column: [float(one.values.min()), float(one.values.max())] for one in record.others},
+            "others": {one.column: _span(one.values) for one in record.others},
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),
             "problems": self.problems(),

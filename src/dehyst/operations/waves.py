@@ -44,7 +44,7 @@ _holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "w
     Sampling,
     take=("shape",),
     more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
-    rare=("shape", "pace", "ramp", "seed", "lowest"),
+    rare=("shape", "pace", "ramp", "seed", "lowest", "count"),
 )
 def excite(
     run: Run,
@@ -252,7 +252,7 @@ def _scan_options() -> list[Parameter]:
     return found
 
 
-@operation(more=_scan_options(), rare=("rounding", "rising", "back", "constant", "shape"))
+@operation(more=_scan_options(), rare=("rounding", "rising", "back", "constant", "shape", "slow", "phase", "edge"))
 def scan(
     run: Run,
     kind: Literal["triangle", "raster", "spiral", "lissajous", "steps"],

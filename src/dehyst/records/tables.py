@@ -148,7 +148,7 @@ class ColumnsError(FileFormatError):
 
     def as_dict(self) -> dict[str, object]:
         """Return JSON values, with the options to try."""
-        return {**super().as_dict(), "suggestion": dict(self.options)}
+        return {**super().as_dict(), "reason": self.reason, "suggestion": dict(self.options)}
 
 
 def notes_on(options: Mapping[str, str]) -> list[str]:

@@ -17,7 +17,6 @@ from dehyst.identification import Fit
 from dehyst.model import (
     Actuator,
     GradedSlip,
-    MaxwellSlip,
     Slopes,
     SmoothSlip,
     Spring,
@@ -36,9 +35,7 @@ if TYPE_CHECKING:
 
 
 def made_of(actuator: Actuator) -> list[Part]:
-    """Return the section; empty for an actuator without further parts, which two other charts show completely."""
-    if not actuator.wide:
-        return []
+    """Return the section: what each part does, its charts and its numbers."""
     rows: list[Row] = [
         (
             part.name,
@@ -47,7 +44,14 @@ def made_of(actuator: Actuator) -> list[Part]:
         )
         for part in parts_of(actuator)
     ]
-    tables, charts = {}, []
+    caption = (
+        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
+        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
+    )
+    tables, charts = _slip_and_spring(actuator), [*element_charts(actuator), *spring_charts(actuator.spring)]
+    if isinstance(actuator.slip, GradedSlip):
+        caption += " Graded elements are shown with their largest stiffness."
+        charts += [_graded(actuator.slip), slopes_chart(actuator)]
     if actuator.transformer is not None:
         charts += _transformer(actuator.transformer)
     if (creep := actuator.creep) is not None:
@@ -56,23 +60,17 @@ def made_of(actuator: Actuator) -> list[Part]:
         branches = zip(creep.time_constants, creep.stiffness, strict=True)
         each = ((number(tau), number(c * 1e-6), f"{number(100 * c / total)} %") for tau, c in branches)
         tables["Creep branches"] = html.table(("Time constant (s)", "cⱼ (V/µm)", "of all"), each, texts=0)
-    if isinstance(actuator.slip, GradedSlip):
-        charts += [_graded(actuator.slip), slopes_chart(actuator)]
     if (smooth := actuator.smooth) is not None:
         charts.append(_smooth(smooth))
         elements = zip(smooth.length, smooth.closing, smooth.stiffness, strict=True)
-        numbers_ = (tuple(map(number, (y * 1e6, closing, k * 1e-6, k * y))) for y, closing, k in elements)
+        numbers = (tuple(map(number, (y * 1e6, closing, k * 1e-6, k * y))) for y, closing, k in elements)
         head = ("Length (µm)", "Closing", "k (V/µm)", "Holds (V)")
-        tables["Smooth elements"] = html.table(head, numbers_, texts=0)
-    caption = (
-        "The parts beyond a plain Maxwell-slip model. In a plain model this line of tau is zero, elements are even "
-        "stripes, and there is no creep."
-    )
+        tables["Smooth elements"] = html.table(head, numbers, texts=0)
     parts = html.table(("Part", "What it does", "Holds at most"), rows, texts=2)
     return [
         f"<h2>What the model is made of</h2>\n{parts}",
         Charts("", caption, charts),
-        html.folded("The parts' numbers", tables),
+        html.folded("The model's numbers", tables),
     ]
 
 
@@ -150,25 +148,9 @@ def _from_zero(values: Array) -> tuple[float, float]:
     return 0.0, 1.1 * float(values.max()) if values.any() else 1.0
 
 
-def slip_and_spring(actuator: Actuator) -> Charts:
-    """Return charts of the slip elements and of the spring."""
-    caption = (
-        "Among the slip elements, single large values between zeros (hollow circles) show that the records determine "
-        "sums of stiffnesses better than single ones. The spring rises everywhere (Assumption I)."
-    )
-    if isinstance(actuator.slip, GradedSlip):
-        caption += " These elements are graded: each is shown with its largest stiffness."
-    title = "Its slip elements and spring" if actuator.wide else "The model"
-    return Charts(title, caption, [*element_charts(actuator), *spring_charts(actuator.spring)])
-
-
-def _plain_slip(actuator: Actuator) -> MaxwellSlip:
-    return actuator.slip if isinstance(actuator.slip, MaxwellSlip) else actuator.slip.stiffest()
-
-
 def element_charts(actuator: Actuator) -> list[Chart]:
     """Return stiffness and breakaway voltage of each element over its breakaway elongation; hollow where zero."""
-    slip = _plain_slip(actuator)
+    slip = actuator.slip.stiffest()
     factor, unit = length_unit(float(slip.breakaway[-1]))
     rho, charts = slip.breakaway * factor, []
     for values, quantity, in_ in (
@@ -202,7 +184,7 @@ def spring_charts(spring: Spring) -> list[Chart]:
     ]
 
 
-def numbers(actuator: Actuator) -> str:
+def _slip_and_spring(actuator: Actuator) -> dict[str, str]:
     """Return tables of the slip elements and of the knots of the spring."""
 
     def rows(*columns: Array) -> Iterable[Row]:
@@ -214,14 +196,13 @@ def numbers(actuator: Actuator) -> str:
             )
             yield (str(i), *(text.replace("-", MINUS) for text in written))
 
-    slip, spring = _plain_slip(actuator), actuator.spring
+    slip, spring = actuator.slip.stiffest(), actuator.spring
     elements = rows(slip.breakaway * 1e6, slip.stiffness * 1e-6, slip.friction)
     knots = rows(spring.displacement * 1e6, spring.voltage)
-    tables = {
+    return {
         "Slip elements": html.table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0),
         "Knots of the parallel spring": html.table(("Knot", "y (µm)", "η (V)"), knots, texts=0),
     }
-    return html.folded("The model's numbers", tables)
 
 
 SAMPLES = 2001

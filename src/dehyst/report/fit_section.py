@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace, label
-from dehyst.model import Actuator
 from dehyst.records import largest, white_noise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
@@ -156,7 +155,7 @@ def remaining_error(fit: Fit) -> str:
     )
 
 
-def assumptions(fit: Fit, actuator: Actuator | None) -> str:
+def assumptions(fit: Fit) -> str:
     """Return the checks of a model's assumptions, with their floors."""
     if not fit.checks:
         return ""
@@ -167,15 +166,12 @@ def assumptions(fit: Fit, actuator: Actuator | None) -> str:
         )
         for check in fit.checks
     ]
-    where, slope = "the records", "Assumption I"
-    if actuator is not None and actuator.wide:
-        where = "its residuals (it needs neither symmetry nor closed loops, as a plain model does)"
-        slope = "rising branches"
+    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
     return (
         "<h2>Assumptions</h2>\n"
-        f'<p class="muted">The assumptions of the model, tested on {where}. Floor: with 95 % probability noise alone '
-        f"gives no more; for {slope} it is the least slope that was allowed. A value below 0.1 % of the range passes "
-        f"in any case.</p>\n{html.table(('Assumption', 'Verdict', 'Finding', 'Value', 'Floor'), rows, texts=3)}"
+        '<p class="muted">The assumptions of the model, tested on the records and on its residuals. Floor: with 95 % '
+        "probability noise alone gives no more; of a slope it is the least that was allowed. A value below 0.1 % of "
+        f"the range passes in any case.</p>\n{html.table(head, rows, texts=3)}"
     )
 
 

@@ -77,7 +77,7 @@ def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     }
     if (loop := found.loop) is not None:
         kinds["loop"] = lambda: trust_section.loop_chart(loop)
-    if found.feasible_set is not None or (found.intervals is None and not found.actuator.wide):
+    if found.feasible_set is not None or found.intervals is None:
         kinds["stiffnesses"] = lambda: trust_section.stiffness_chart(found)
     if (band := found.band) is not None:
         kinds["band"] = lambda: trust_section.band_chart(band, found.evidence.stroke)

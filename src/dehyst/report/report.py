@@ -14,7 +14,7 @@ from dehyst.baselines import ModelComparison
 from dehyst.identification import Fit, Structure
 from dehyst.model import Actuator
 from dehyst.report import fit_section as of_fit
-from dehyst.report.actuator_section import followed_sections, made_of, numbers, path_trial, slip_and_spring
+from dehyst.report.actuator_section import followed_sections, made_of, path_trial
 from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.html import Part, bullets, document, length, number, table, words
 from dehyst.report.trust_section import sections, turned
@@ -109,10 +109,10 @@ def render(
         *trust,
         *of_fit.structures(fit),
         of_fit.errors_table(fit.errors),
-        of_fit.assumptions(fit, actuator),
+        of_fit.assumptions(fit),
         bullets("What was repaired or left out", map(words, fit.repairs), "Nothing was repaired or left out."),
         bullets("Remarks", map(words, fit.remarks), "No remarks."),
-        *([*made_of(actuator), slip_and_spring(actuator), numbers(actuator)] if actuator else []),
+        *(made_of(actuator) if actuator else []),
         *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
     ]
@@ -120,8 +120,7 @@ def render(
 
 
 def _facts(fit: Fit, actuator: Actuator | None) -> str:
-    kind = "wider " if actuator and actuator.wide else ""
-    facts = [f"Identification of a {kind}Maxwell-slip model of hysteresis"]
+    facts = ["Identification of a Maxwell-slip model of hysteresis"]
     if actuator:
         facts.append(f"{counted(len(actuator.slip), 'slip element')}, {actuator.spring.voltage.size} spring knots")
     if actuator and actuator.limits:

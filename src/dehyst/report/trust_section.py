@@ -63,7 +63,7 @@ def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
     promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
-    expected = f"Expect {path} {promised} of the range." if promised else "The error to expect is not known."
+    expected = f"Expect {path} {promised} of the stroke." if promised else "The error to expect is not known."
     untested = found.judgement.untested
     expected = " ".join([expected, *untested])
     # Of a path that nobody has asked for it is said, and no more.
@@ -242,8 +242,7 @@ def _numbers(found: Insight) -> list[Part]:
 
 
 def _directions(found: Insight) -> list[Part]:
-    directions = found.identifiability
-    said = () if found.actuator.wide else directions.sentences()
+    directions, said = found.identifiability, found.identifiability.sentences()
     # k_12 is written as k₁₂.
     each = [
         [w.translate(_SUBSCRIPTS).replace("_", "") if w.startswith("k_") else w for w in s.split(" ")] for s in said
@@ -252,11 +251,10 @@ def _directions(found: Insight) -> list[Part]:
     if len(said) > _MOST_SENTENCES:
         items.append(f"and {len(said) - _MOST_SENTENCES} more")
     listed = "\n".join(f"<li>{item}</li>" for item in items)
-    of = "ten plain elements" if found.actuator.wide else "the stiffnesses"
     caption = (
         f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
-        f"{of}, with the spring and each record's constant free. A singular value is the RMS voltage that one "
-        "volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
+        f"{directions.subject}, with the spring and each record's constant free. A singular value is the RMS voltage "
+        "that one volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
     )
     body = (f"<div><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>",) if items else ()
     charts = Charts("", caption, [directions_chart(directions)], beside=body)
@@ -379,7 +377,8 @@ def _intervals(found: Insight) -> list[Part]:
 
 def stiffness_chart(found: Insight) -> Chart:
     """Return each stiffness with its interval by noise, and behind it its range among compatible models."""
-    slip, noise, free, alone = found.actuator.slip, found.intervals, found.feasible_set, found.identifiability.alone
+    slip, noise, free = found.actuator.slip.stiffest(), found.intervals, found.feasible_set
+    alone = found.identifiability.alone
     factor, unit = length_unit(float(slip.breakaway[-1]))
     rho = slip.breakaway * factor
     series: list[Series] = []

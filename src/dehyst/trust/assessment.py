@@ -91,10 +91,9 @@ def insight(
         if repeats:
             intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
             path = None if wanted is None else _WantedPath.followed(actuator, wanted, clock, start, allowed)
-            if not actuator.wide:
-                progress("looking for models that the records do not contradict")
-                moved = (None, None) if path is None else (path.command.displacement, path.first)
-                free = feasible_set(evidence, *moved)
+            progress("looking for models that the records do not contradict")
+            moved = (None, None) if path is None else (path.command.displacement, path.first)
+            free = feasible_set(evidence, *moved)
             if path is not None:
                 band = path.band(evidence, intervals, free)
             loop = None if allowed is None else MajorLoopWidth.from_intervals(evidence, intervals, allowed)

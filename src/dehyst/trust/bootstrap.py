@@ -5,9 +5,9 @@ random sign, makes a new set of records; it is identified again by least squares
 about the model's, and on which side, gives basic bootstrap intervals: ``2 theta - quantile``. Noise of the sensor runs
 through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
 drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
-out of the residuals lest it count twice. Directions that the records leave open keep the model's values: no resampling
-can show them (see `feasible_set`). A structured model is treated alike, the grids of its parts held; there nothing is
-kept, and what the records leave open scatters too.
+out of the residuals lest it count twice. Directions of Maxwell-slip elements that the records leave open keep the
+model's values: no resampling can show them (see `feasible_set`). The grids of all parts are held; of models with more
+parts than slip elements and a spring what the records leave open scatters too.
 """
 
 from __future__ import annotations
@@ -25,21 +25,17 @@ from dehyst._types import Array
 from dehyst.identification import Coefficients, Norm, RecordComparison
 from dehyst.model import Actuator, State
 from dehyst.records import Record, turning_points
-from dehyst.trust.evidence import Evidence
+from dehyst.trust.evidence import Evidence, rows_of
 
 # Fewer models have no tails.
 LEAST_REPEATS = 20
-_MOST_ROWS = 20_000
+# Entries of the table of rows by coefficients.
+_ENTRIES = 800_000
 # Sets of records that show what noise alone makes of the legs' mean residuals.
 _TRIALS = 10
-# Sets of records that are identified by both norms, and their rows, to see how much more one scatters.
-_PAIRS = 30
-_FEWER_ROWS = 3000
-# Of a structured model, which has a column for each of hundreds of coefficients.
-_WIDE_ROWS, _WIDE_PAIRS, _WIDE_FEWER = 4000, 10, 2000
+# Sets of records that are identified by both norms, and their entries, to see how much more one scatters.
+_PAIRS, _FEWER = 20, 400_000
 _NORMS: tuple[Norm, ...] = ("l2", "l1")
-# A coefficient whose variance is less than this part of the largest is held by a bound.
-_MOVED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +57,8 @@ class Intervals:
         By which deviations are widened because few cycles show their own scatter badly: Student's quantile over the
         normal one.
     own : tuple of Actuator
-        Of a wider model that was not identified by least squares, what its own norm makes of some resampled records:
-        they show the bias, which neighbours held alike by one norm or the other do not share.
+        Of a model that was not identified by least squares, what its own norm makes of some resampled records: they
+        show its bias, which norms do not share.
     """
 
     actuator: Actuator
@@ -181,8 +177,7 @@ def resample(
     again = _Again(evidence)
     found: list[Actuator] = []
     with one_thread():
-        # A structured model's path is freed of jitter before it drags anything: its legs' means come from nowhere else.
-        share = 1.0 if again.wide else _unexplained(again, worlds, random)
+        share = _unexplained(again, worlds, random)
         spread, own = _spread(again, worlds, share, random)
         for k in range(repeats):
             if k % 10 == 0:
@@ -203,9 +198,9 @@ class _Again:
     def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
         rows = evidence.regression.rows
-        self._most = _WIDE_ROWS if self.wide else _MOST_ROWS
+        self._most = rows_of(evidence.regression.grid, _ENTRIES)
         self._step = max(1, len(rows) // self._most)
-        self._held = None if self.wide else open_combinations(evidence)
+        self._held = open_combinations(evidence)
         cut = np.flatnonzero(np.diff(rows.epoch)) + 1
         self._starts = _legs(rows.voltage, cut)
 
@@ -216,25 +211,19 @@ class _Again:
         return known is not None and (known.method, known.norm) == ("record", "l1")
 
     @property
-    def wide(self) -> bool:
-        """Whether the model is a structured one."""
-        return self._evidence.actuator.wide
+    def few_rows(self) -> int:
+        """Rows by which two norms are compared."""
+        return rows_of(self._evidence.regression.grid, _FEWER)
 
-    def numbers(self, found: Coefficients) -> Array:
-        """Return what two norms are compared by: coefficients, or for a structured model errors of rows."""
-        if not self.wide:
-            return np.concatenate([found.stiffness[:, 0], found.slopes])
-        step = max(1, len(self._evidence.regression.rows) // _WIDE_FEWER)
-        few = self._evidence.regression.thinned(_WIDE_FEWER)
+    def errors(self, found: Coefficients) -> Array:
+        """Return errors of the voltages, without the epochs' constants, over the slopes [m]: where norms differ."""
+        rows = self._evidence.regression.rows
+        step = max(1, len(rows) // self.few_rows)
+        few = self._evidence.regression.thinned(self.few_rows)
         left = few.model(found)
         for epoch in np.unique(few.rows.epoch):
             left[few.rows.epoch == epoch] -= left[few.rows.epoch == epoch].mean()
         return left * self._evidence.weights[::step]
-
-    @property
-    def pairs(self) -> tuple[int, int]:
-        """Sets of records to identify by two norms, and their rows."""
-        return (_WIDE_PAIRS, _WIDE_FEWER) if self.wide else (_PAIRS, _FEWER_ROWS)
 
     def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
         """Return the actuator of records; None if the program was not solved or no voltage would have one answer."""
@@ -338,47 +327,37 @@ def _few(worlds: list[_World], level: float) -> float:
 
 
 def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
-    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V]."""
+    """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V].
+
+    None where they are not known for a model of this class, or nothing is open.
+    """
     directions = evidence.identifiability
     combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
-    return (
-        (combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable])
-        if len(combinations)
-        else None
-    )
+    if directions.probing or not len(combinations):
+        return None
+    return combinations, combinations @ evidence.actuator.slip.stiffness[directions.movable]
 
 
 def _spread(
     again: _Again, worlds: list[_World], share: float, random: np.random.Generator
 ) -> tuple[float, tuple[Actuator, ...]]:
-    """How much more the model's own norm scatters than least squares, of the same resampled records; at least 1.
+    """How much more the model's own norm scatters than least squares, and what that norm finds.
 
-    Of a structured model, also what its own norm finds.
+    Of the same resampled records, by errors of the voltages: coefficients that the records leave open scatter as either
+    norm pleases. At least 1; nothing is found by another norm where the model's is least squares.
     """
-    if not again.by_absolutes:
-        return 1.0, ()
     both, own = [], []
-    count, rows = again.pairs
-    for _ in range(count):
+    for _ in range(_PAIRS if again.by_absolutes else 0):
         pieces = [world.resampled(random, share) for world in worlds]
-        pair = [again.identified(pieces, norm, rows) for norm in _NORMS]
+        pair = [again.identified(pieces, norm, again.few_rows) for norm in _NORMS]
         if all(one.solved.optimal for one in pair):
-            both.append([again.numbers(one) for one in pair])
-            own.append(again.made(pair[1]) if again.wide else None)
+            both.append([again.errors(one) for one in pair])
+            own.append(again.made(pair[1]))
     kept = tuple(one for one in own if one is not None)
     if len(both) < 2:
         return 1.0, kept
-    squares, absolutes = np.var(both, axis=0)
-    return _more(squares, absolutes, again.wide), kept
-
-
-def _more(squares: Array, absolutes: Array, wide: bool) -> float:
-    """Return standard deviations by one norm over those by the other, from their variances; at least 1."""
-    if wide:
-        # Numbers that the records leave open scatter as either norm pleases; what they make of the voltages counts.
-        return float(np.sqrt(max(1.0, absolutes.mean() / squares.mean()))) if squares.any() else 1.0
-    moved = squares > _MOVED * squares.max()
-    return float(np.sqrt(max(1.0, np.mean(absolutes[moved] / squares[moved])))) if moved.any() else 1.0
+    squares, absolutes = np.var(both, axis=0).mean(axis=1)
+    return float(np.sqrt(max(1.0, absolutes / squares))) if squares else 1.0, kept
 
 
 def _gains(actuator: Actuator) -> Array:

@@ -11,7 +11,6 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification import (
-    MOST_ROWS,
     Coefficients,
     Grid,
     Identifiability,
@@ -19,18 +18,17 @@ from dehyst.identification import (
     Regression,
     Rows,
     RowSource,
-    Structure,
     compare_all,
+    driving_path,
     identifiability,
-    probes,
-    remove_dynamics,
-    remove_jitter,
+    left_of,
+    probed,
 )
-from dehyst.model import Actuator
+from dehyst.model import Actuator, Identification
 from dehyst.records import Record, largest, rms
 
-# Of a structured model: a row has a column for each coefficient, of which there may be hundreds.
-_FEWER_ROWS = 8000
+# Of the table of rows by coefficients.
+_ENTRIES = 4_000_000
 # A start that is not at rest must lower the RMS residual of its record to this part.
 _WORTH_OF_START = 0.9
 
@@ -76,16 +74,16 @@ class Evidence:
         """
         compared, stroke, floor = compare_all(actuator, records)
         grid = Grid.of_actuator(actuator)
-        if not actuator.wide:
-            grid = replace(grid, sliding=2 * actuator.slip.breakaway < stroke * (1 - 1e-9))
+        grid = replace(grid, sliding=2 * actuator.slip.breakaway < stroke * (1 - 1e-9))
+        known = actuator.identification or Identification()
         regression = Regression(
-            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared], wide=actuator.wide),
+            rows=_rows(actuator, grid, compared, stroke, [item.measured for item in compared]),
             grid=grid,
             floor=floor,
             datum=np.array([item.datum for item in compared]),
             drifting=tuple(q for q, item in enumerate(compared) if item.regression.drifting),
             strained=tuple(q for q, item in enumerate(compared) if actuator.creep is not None and _strained(item)),
-            smoothing=_smoothing(actuator) if actuator.wide else 0.0,
+            smoothing=known.smoothing or 0.0,
         )
         return cls(actuator, compared, regression, stroke)
 
@@ -120,7 +118,7 @@ class Evidence:
         if not self.actuator.wide:
             return identifiability(records, self.regression.grid)
         knots = self.regression.grid.knots
-        return identifiability(records, probes((float(knots[0]), float(knots[-1]))))
+        return probed(records, (float(knots[0]), float(knots[-1])))
 
     @cached_property
     def misfit(self) -> float:
@@ -138,18 +136,8 @@ class Evidence:
 
     def with_pieces(self, pieces: list[list[Record]]) -> Regression:
         """Return the same regression on other measured displacements, piece for piece."""
-        grid, wide = self.regression.grid, self.actuator.wide
-        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=wide)
+        rows = _rows(self.actuator, self.regression.grid, self.comparisons, self.stroke, pieces)
         return replace(self.regression, rows=rows)
-
-    def with_structure(self, structure: Structure) -> Regression:
-        """Return the regression of the same records for a structure that does not move in time."""
-        knots, volts = self.regression.grid.knots, self.regression.rows.voltage
-        # Times are those of creep branches only.
-        ends = (float(knots[0]), float(knots[-1])), (float(volts.min()), float(volts.max())), (1.0, 2.0)
-        grid, pieces = structure.grid(*ends), [item.measured for item in self.comparisons]
-        rows = _rows(self.actuator, grid, self.comparisons, self.stroke, pieces, wide=True)
-        return replace(self.regression, rows=rows, grid=grid, smoothing=structure.smoothing)
 
     def actuator_of(self, found: Coefficients) -> Actuator:
         """Return the actuator of other coefficients on the same axes; parts without stiffness stay."""
@@ -172,31 +160,22 @@ class Evidence:
 
 
 def _rows(
-    actuator: Actuator,
-    grid: Grid,
-    compared: Sequence[RecordComparison],
-    stroke: float,
-    pieces: list[list[Record]],
-    *,
-    wide: bool,
+    actuator: Actuator, grid: Grid, compared: Sequence[RecordComparison], stroke: float, pieces: list[list[Record]]
 ) -> Rows:
     """Rows of measured pieces, prepared as an identification prepares them."""
     stacked, noise = [], []
     for q, (item, measured) in enumerate(zip(compared, pieces, strict=True)):
         for (_, _, curve), piece in zip(item.pieces, measured, strict=True):
-            path = piece
-            if wide:
-                path = remove_jitter(remove_dynamics(piece, actuator.dynamics), item.record.noise, stroke)
-            stacked.append((q, path, curve))
-            noise.append(item.record.noise)
+            stacked.append((q, driving_path(actuator, piece, item.record.noise, stroke), curve))
+            noise.append(left_of(item.record.noise, stroke))
     source = RowSource.of(stacked, grid, noise, leads=[item.record.lead for item in compared])
-    return source.thinned(_FEWER_ROWS if wide else MOST_ROWS)
+    return source.thinned(rows_of(grid, _ENTRIES))
 
 
-def _smoothing(actuator: Actuator) -> float:
-    """Return the weight of the differences of neighbours with which the model was identified."""
-    known = actuator.identification
-    return Structure().smoothing if known is None or known.smoothing is None else known.smoothing
+def rows_of(grid: Grid, entries: int) -> int:
+    """Return how many rows have about so many entries: a row has one for each coefficient, of up to hundreds."""
+    columns: int = grid.places()["transformer"].stop
+    return max(1, entries // columns)
 
 
 def _strained(compared: RecordComparison) -> bool:

@@ -68,8 +68,12 @@ class FeasibleSet:
         return np.array([paths.min(axis=0), paths.max(axis=0)])
 
 
-def feasible_set(evidence: Evidence, displacement: Array | None = None, state: State | None = None) -> FeasibleSet:
+def feasible_set(
+    evidence: Evidence, displacement: Array | None = None, state: State | None = None
+) -> FeasibleSet | None:
     """Ask of each coefficient, and of some places of a path, how large and how small it could be.
+
+    None outside of the Maxwell-slip class: the columns of other parts are no functions of the path alone.
 
     Parameters
     ----------
@@ -84,6 +88,8 @@ def feasible_set(evidence: Evidence, displacement: Array | None = None, state: S
     IdentifyError
         If the linear programs have no solution.
     """
+    if evidence.identifiability.probing:
+        return None
     polytope = _Polytope.of(evidence)
     actuator, regression = evidence.actuator, evidence.regression
     numbers = _numbers(regression, polytope.rows.shape[1])

@@ -214,8 +214,8 @@ class Insight:
 
     @property
     def not_judged(self) -> str:
-        """What is left open of a model that has more than slip elements and a spring; empty otherwise."""
-        return _NOT_JUDGED if self.actuator.wide else ""
+        """What was not judged although intervals were asked for; empty if all was."""
+        return "" if self.intervals is None or self.feasible_set is not None else _NOT_JUDGED
 
     @property
     def stiffness(self) -> Array | None:
@@ -251,13 +251,11 @@ class Insight:
     def _open(self) -> str | None:
         if self.trustworthy:
             return None
-        total = self.identifiability.of
-        left, more = total - self.identifiability.determined, self.actuator.wide
+        found = self.identifiability
         next_ = f" Add {self.advice[0].words}." if self.advice else ""
         return (
-            f"{left} of {total} directions of {'plain elements' if more else 'the stiffnesses'} are open"
-            f"{', and with them those of this model' if more else ''}: motions that turn elsewhere than the records do "
-            f"may be predicted wrongly.{next_}"
+            f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
+            f"elsewhere than the records do may be predicted wrongly.{next_}"
         )
 
     def _imprecise(self) -> str | None:
@@ -275,7 +273,7 @@ class Insight:
         if self.trustworthy or parts.get("open", 0.0) <= known:
             return None
         return (
-            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the range; the "
+            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the stroke; the "
             f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound it."
         )
 
@@ -294,12 +292,11 @@ class Insight:
         stiffness = "model=actuator.slip.stiffness noise=intervals.stiffness open=feasible_set.stiffness both=stiffness"
         homing = "turns_V=turns travel_V=travel certified seconds=played.duration error_m=error width_m=width remarks"
         directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values open")
-        sentences = [] if self.actuator.wide else list(self.identifiability.sentences())
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
             **json_values(self, "not_judged misfit_m=misfit judgement"),
-            "directions": {**directions, "sentences": sentences},
+            "directions": {**directions, "sentences": list(self.identifiability.sentences())},
             "identifiable_parts": {"allowed_deviation_of_the_voltages": SHARP, **json_values(self, "parts")},
             "stiffness_V_per_m": json_values(self, stiffness),
             "spring_V": json_values(
@@ -342,7 +339,7 @@ def as_html(found: Insight) -> str:
     warnings, precision = found.warnings(), found.precision
     stroke = found.evidence.stroke
     rows = [
-        ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of their range"),
+        ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of the stroke"),
         ("directions determined", f"{found.identifiability.determined} of {found.identifiability.of}"),
     ]
     if precision is not None:
@@ -350,7 +347,7 @@ def as_html(found: Insight) -> str:
     if found.band is not None:
         errors = {name: error for name, error in found.band.errors().items() if error or name != "clamped"}
         rows += [
-            (f"path: {ERRORS[name]}", f"{100 * error / stroke:.3g} % of the range") for name, error in errors.items()
+            (f"path: {ERRORS[name]}", f"{100 * error / stroke:.3g} % of the stroke") for name, error in errors.items()
         ]
     title = f"Insight of '{found.actuator.name}'"
     text = html.preformatted("Summary", lines(found))
@@ -364,10 +361,10 @@ def _answer(found: Insight) -> Iterator[str]:
     if another is not None:
         yield f"WARNING: {another}"
     elif words := found.judgement.words(stroke):
-        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the range."
+        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the stroke."
         yield from found.judgement.untested
     misfit = 100 * found.misfit / stroke
-    yield f"The largest error of the model on these records is {misfit:.3g} % of their range."
+    yield f"The largest error of the model on these records is {misfit:.3g} % of the stroke."
     for warning in warnings[another is not None :]:
         yield ""
         yield f"WARNING: {warning}"
@@ -407,11 +404,10 @@ def lines(found: Insight) -> Iterator[str]:
 def _directions(found: Insight) -> Iterator[str]:
     identifiability = found.identifiability
     yield (
-        f"Directions of {'ten plain elements' if found.actuator.wide else 'the stiffnesses'} that the turning points "
-        f"determine, whatever the noise: {identifiability.determined} of {identifiability.of}"
+        f"Directions of {identifiability.subject} that the turning points determine, whatever the noise: "
+        f"{identifiability.determined} of {identifiability.of}"
     )
-    if not found.actuator.wide:
-        yield from _bullets(_first_few(identifiability.sentences()))
+    yield from _bullets(_first_few(identifiability.sentences()))
     values = " ".join(f"{value:.2g}" for value in identifiability.values)
     yield f"  singular values, V for each volt of breakaway voltage: {values}"
 
@@ -449,7 +445,7 @@ def _parts_known(found: Insight) -> Iterator[str]:
     if found.loop is not None:
         off = found.loop.off
         share = 100 * off / found.evidence.stroke
-        yield f"  - the displacement on the major loop{share:8.2g} % of the range, {off * 1e9:.3g} nm"
+        yield f"  - the displacement on the major loop{share:8.2g} % of the stroke, {off * 1e9:.3g} nm"
     for name, (model, noise) in found.numbers().items():
         if noise is not None and abs(model).max(initial=0.0) > 0:
             width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
@@ -517,7 +513,7 @@ def _band(found: Insight) -> Iterator[str]:
 
     stroke = found.evidence.stroke
     yield ""
-    yield "What a part of it comes from, in % of the range:"
+    yield "What a part of it comes from, in % of the stroke:"
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"

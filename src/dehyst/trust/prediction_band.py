@@ -16,7 +16,6 @@ from dehyst.records import largest
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.feasible_set import FeasibleSet
-from dehyst.waveforms import Excitation
 
 # What each of `PredictionBand.errors` comes from.
 ERRORS = {
@@ -149,38 +148,23 @@ class PredictionBand:
 
 
 def top_start(actuator: Actuator, limits: tuple[float, float] | None) -> Callable[[Actuator], State]:
-    """Return what gives the state of a model after the rise through the limits that suits the `actuator`."""
-    played = None if limits is None else rise_excitation(actuator, limits)
-    if limits is None or played is None:
-        return lambda model: state_at_top(model, limits)
-    return lambda model: state_after_rise(model, limits, played)
+    """Return what gives the state of a model at the top of the limits, after the rise that suits the `actuator`.
 
-
-def state_at_top(actuator: Actuator, limits: tuple[float, float] | None) -> State:
-    """Return the state at the top of the limits after a rise through them; without limits, at the spring's top.
-
-    Where time matters, after the homing that ends there (`dehyst.control.planning.homing.shortest_homing`).
+    Where time matters that is the homing that ends there (`dehyst.control.planning.homing.shortest_homing`), otherwise
+    a rise through the limits. Without limits the state is that at the top of the spring.
     """
-    ends = actuator.spring.displacement[[0, -1]]
     if limits is None:
-        return actuator.turned(float(ends[1]))
-    return state_after_rise(actuator, limits, rise_excitation(actuator, limits))
+        return lambda model: model.turned(float(model.spring.displacement[-1]))
+    played = shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played
+    voltage = np.array(limits) if played is None else played.voltage
 
+    def after_rise(model: Actuator) -> State:
+        start = model.turned(float(model.spring.displacement[0]), rising=False)
+        time = played.time if played is not None and model.needs_time else None
+        state: State = model.simulate(voltage, time=time, state=start, extrapolate=True).state
+        return state
 
-def rise_excitation(actuator: Actuator, limits: tuple[float, float]) -> Excitation | None:
-    """Return the voltage in time that homes to the top of the limits; None where time does not matter."""
-    return shortest_homing(actuator, limits=limits, present=limits[0], end=limits[1]).played if actuator.wide else None
-
-
-def state_after_rise(actuator: Actuator, limits: tuple[float, float], played: Excitation | None) -> State:
-    """Return the state after a rise through the limits, played as it is given, or at any pace."""
-    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
-    if played is None:
-        after: State = actuator.simulate(np.array(limits), state=start, extrapolate=True).state
-        return after
-    time = played.time if actuator.needs_time else None
-    homed_: State = actuator.simulate(played.voltage, time=time, state=start, extrapolate=True).state
-    return homed_
+    return after_rise
 
 
 _SAMPLES = 400

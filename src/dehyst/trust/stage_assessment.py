@@ -13,7 +13,7 @@ from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.identification import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
-from dehyst.model import Stage, apply, by_axis, matrix_lines
+from dehyst.model import Stage, by_axis, matrix_lines
 from dehyst.records import Record
 from dehyst.trust.assessment import insight
 from dehyst.trust.insight_result import Insight
@@ -88,7 +88,8 @@ def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9
     # The models follow the records closer than plays do: the interval is laid around their matrix.
     low, high = stage.coupling - half, stage.coupling + half
     insights = tuple(
-        insight(one, _decoupled(stage, records, j), level=level, **options) for j, one in enumerate(stage.actuators)
+        insight(one, [stage.alone(record, j) for record in records], level=level, **options)
+        for j, one in enumerate(stage.actuators)
     )
     remarks = [*_alone(records), *_repeating(records), *_unknown(stage, half, own)]
     return StageInsight(stage.axes, stage.coupling, low, high, level, own, insights, tuple(remarks))
@@ -139,7 +140,7 @@ def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> S
         As in `dehyst.check`.
     """
     _refuse_other_axes(stage, [record])
-    rechecks = tuple(check(one, _decoupled(stage, [record], j)[0], goal=goal) for j, one in enumerate(stage.actuators))
+    rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
     columns, changes = PlayColumns.of([record]), list[str]()
     if separate_motion(columns).min() < INSEPARABLE:
         return StageRecheck(stage.axes, rechecks, stage.coupling, np.full_like(stage.coupling, np.inf), ())
@@ -151,10 +152,6 @@ def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> S
             f"{stage.coupling[i, j]:+.4f} in the model; identify the stage again"
         )
     return StageRecheck(stage.axes, rechecks, found.matrix, found.uncertainty, tuple(changes))
-
-
-def _decoupled(stage: Stage, records: Sequence[Record], j: int) -> list[Any]:
-    return [one.axis(j, apply(stage.decoupling, one.displacement)[:, j]) for one in records]
 
 
 def _refuse_other_axes(stage: Stage, records: Sequence[Record]) -> None:

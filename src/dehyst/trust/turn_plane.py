@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.records import turning_points
+from dehyst.model import legs, speeds_of
 
 # Cells of the plane on each side, and how many cells around a passed one count as tested: 5 % of the range.
 _CELLS, _AROUND = 40, 2
-# Samples of a record that are looked at, how far a voltage goes back at a turn, as a part of the range, and turns that
-# are shown as one if they differ by less than that.
+# Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
+# and in which a voltage is held.
 _ENOUGH, _BAND = 100_000, 0.01
-# A sine stays near its ends for an eighth of a rise: a longer stay, as a part of the rise before it, is a hold. And by
-# how much speeds and holds of a path may exceed those of records without a word.
-_HOLD, _MORE = 0.2, 1.05
+# A sine stays near its ends for an eighth of a rise: a longer stay, as a part of the rise before it, is a hold.
+_HOLD = 0.2
 # Turns that are kept of all records.
 _MOST = 2000
 
@@ -32,7 +31,7 @@ _MOST = 2000
 class Turn(NamedTuple):
     """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and how often.
 
-    Without time the speed is NaN and the hold 0.
+    Time at rest does not count for the speed. Without time the speed is NaN and the hold 0.
     """
 
     record: str
@@ -90,7 +89,7 @@ class TurnPlane:
         """Return the rises and falls of a path with this voltage [V] and time [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
         step = _stride(voltage)
-        turns = _turns(name, clock[::step], voltage[::step], _BAND * float(np.ptp(self.edges)))
+        turns = _turns(name, clock[::step], voltage[::step], float(np.ptp(self.edges)))
         return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
 
     def tests(self, turn: Turn) -> bool:
@@ -102,20 +101,6 @@ class TurnPlane:
     def untested(self, path: Sequence[Turn]) -> int:
         """Count the branches of a path that no record tests."""
         return sum(turn.times for turn in path if not self.tests(turn))
-
-    def sentence(self, path: Sequence[Turn]) -> str:
-        """Return what of a path the records do not test: branches, speed and hold."""
-        number, outside = sum(turn.times for turn in path), self.untested(path)
-        sentences = ["This path turns where records turned."]
-        if outside:
-            sentences = [f"{outside} of {number} branches of this path begin where no record turned."]
-        fastest, longest = (max((getattr(turn, name) for turn in path), default=0.0) for name in ("speed", "held"))
-        if fastest > _MORE * self.speeds[1]:
-            sentences.append(f"It goes at up to {fastest:.3g} V/s, the records at {self.speeds[1]:.3g} V/s.")
-        if longest > _MORE * self.longest_hold:
-            before = f"the records for {self.longest_hold:.2g} s" if self.longest_hold else "the records do not"
-            sentences.append(f"It holds for up to {longest:.2g} s, {before}.")
-        return " ".join(sentences)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -152,44 +137,36 @@ def turn_plane(
     if not ends or max(ends) == min(ends):
         return None
     edges = np.linspace(min(ends), max(ends), _CELLS + 1)
-    band = _BAND * (max(ends) - min(ends))
-    found = [turn for name, time, voltage in kept if voltage.size for turn in _turns(name, time, voltage, band)]
+    span = max(ends) - min(ends)
+    found = [turn for name, time, voltage in kept if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
     if not found:
         return None
     rising, falling = (_tested([one for one in found if (one.end > one.begin) is up], edges) for up in (True, False))
     return TurnPlane(tuple(found[:_MOST]), edges, rising, falling)
 
 
-def _legs(voltage: Array, band: float) -> NDArray[np.intp]:
-    """Return the samples (k, 2) at which each rise or fall begins and ends.
-
-    The first begins at the first turning point: nobody knows from where the voltage came before. An end of the range at
-    the very beginning counts as one.
-    """
-    first = voltage[0] <= voltage.min() + band or voltage[0] >= voltage.max() - band
-    at = np.array([*([0] if first else []), *turning_points(voltage, band), len(voltage) - 1], dtype=np.intp)
-    pairs = np.column_stack([at[:-1], at[1:]])
-    return pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > band]
-
-
 def _stride(samples: Array) -> int:
     return 1 + samples.size // _ENOUGH
 
 
-def _turns(name: str, time: Array, voltage: Array, band: float) -> list[Turn]:
-    """Return the turns of a record, those that are alike as one."""
+def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
+    """Return the turns of a record, those that are alike as one; `span`: the range of all voltages [V].
+
+    The first rise or fall begins at the first turning point: nobody knows from where the voltage came before. An end of
+    the record's range at its very beginning counts as one.
+    """
+    at, band = legs(voltage, span), _BAND * span
+    if len(at) and at[0, 0] == 0 and voltage.min() + band < voltage[0] < voltage.max() - band:
+        at = at[1:]
     alike: dict[tuple[int, int], list[Turn]] = {}
-    for first, last in _legs(voltage, band).tolist():
+    for (first, last), speed in zip(at.tolist(), speeds_of(time, voltage, at).tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])
-        # The way is between the last sample near the begin and the first one near the end, where a hold begins.
-        left = first + int(np.argmax(np.abs(voltage[first : last + 1] - begin) > band)) - 1
+        # A hold begins with the first sample near the end, and may go on after the turning point.
         near = np.abs(voltage - end) <= band
         arrived = last - int(np.argmin(near[first : last + 1][::-1])) + 1
         after = last + int(np.argmin(near[last:])) if not near[last:].all() else len(near)
-        left, arrived = (left, arrived) if left < arrived else (first, last)
-        seconds, held = float(time[arrived] - time[left]), float(time[after - 1] - time[arrived])
-        speed = abs(float(voltage[arrived] - voltage[left])) / seconds
-        turn = Turn(name, begin, end, speed, held if held > _HOLD * seconds else 0.0, 1)
+        held = float(time[after - 1] - time[arrived])
+        turn = Turn(name, begin, end, speed, held if held > _HOLD * abs(end - begin) / speed else 0.0, 1)
         alike.setdefault((round(begin / band), round(end / band)), []).append(turn)
     return [
         max(turns, key=lambda turn: turn.speed)._replace(held=max(turn.held for turn in turns), times=len(turns))

@@ -6,7 +6,6 @@ import { branches } from "./path.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
 const SECONDS = { label: "Time (s)", unit: "s" };
-const TURN = 0.01; // how far a voltage goes back at a turning point, of the range
 export const MORE = 1.05; // by how much speeds and holds may exceed those of records without a word
 
 export class PathFigures {
@@ -94,7 +93,7 @@ export function turnsOf(plane, time, voltage) {
     const [lower, upper] = [Math.min(begin, end), Math.max(begin, end)].map(cell);
     return (Math.round(cells[upper * columns + lower]) & (end > begin ? 2 : 1)) > 0;
   };
-  const all = branches(time, voltage, TURN * (edges.at(-1) - edges[0]));
+  const all = branches(time, voltage, edges.at(-1) - edges[0]);
   const open = all.filter((one) => !isTested(one)).length;
   const longest = Math.max(0, ...all.map((one) => one.held));
   const said = [

@@ -17,7 +17,6 @@ from dehyst.identification.results import read_traces
 from dehyst.model import Actuator
 from dehyst.operations.registry import find
 from dehyst.records import read, read_table, write_columns
-from dehyst.trust.turn_plane import turn_plane
 from dehyst.waveforms.named import scan_of
 
 _MICRO = 1e6
@@ -129,9 +128,7 @@ def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
 
 
 def trace_heads(file: Path) -> dict[str, Any]:
-    """Return name, role, samples and gaps [s] of each record of a file of traces, and where they turned."""
-    traces = list(read_traces(file)) if file.exists() else []
-    plane = turn_plane((trace.record, trace.time, trace.voltage) for trace in traces)
+    """Return name, role, samples and gaps [s] of each record of a file of traces."""
     heads = [
         {
             "name": trace.record,
@@ -139,9 +136,9 @@ def trace_heads(file: Path) -> dict[str, Any]:
             "samples": int(trace.time.size),
             "shaded": list(_gaps(trace.time, trace.began)),
         }
-        for trace in traces
+        for trace in (read_traces(file) if file.exists() else ())
     ]
-    return {"records": heads, "turns": None if plane is None else plane.as_dict()}
+    return {"records": heads}
 
 
 def trace_columns(file: Path, number: int) -> tuple[Array, ...]:

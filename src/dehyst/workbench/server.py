@@ -125,7 +125,9 @@ class _Page:
 _PAGE = Path(__file__).with_name("page")
 _TYPES = {".css": "text/css", ".js": "text/javascript"}
 _SCRIPTS = '<script type="module"'
-EXAMPLE = "example.csv"
+# Records of a measured actuator to try, in the repository; an installed package makes the records of a virtual one.
+MEASURED = Path(__file__).resolve().parents[3] / "examples" / "measured" / "p885"
+_VIRTUAL = "virtual-loops.csv"
 # Not of the page: its worker, and what only reports have.
 _APART = ("keepalive.js", "path_trial.js", "report.css")
 
@@ -136,11 +138,13 @@ class PageFiles:
     A module names others, and these others: a browser would find them one round after another. The page lists all.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, measured: Path = MEASURED) -> None:
         texts = {name: files.text(name) for name in files.names()}
         texts |= {one.name: one.read_text(encoding="utf-8") for one in _PAGE.iterdir() if one.suffix in _TYPES}
         self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
-        self._files["scan_options.js"] = (_scan_options().encode(), _TYPES[".js"])
+        self._examples = {f"p885-{path.name}": path for path in sorted(measured.glob("*.csv"))}
+        examples = {"names": list(self._examples) or [_VIRTUAL], "measured": bool(self._examples)}
+        self._files["declared.js"] = (_declared(examples).encode(), _TYPES[".js"])
         scripts = sorted(name for name in self._files if name.endswith(".js") and name not in _APART)
         links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
         page = (_PAGE / "index.html").read_text(encoding="utf-8")
@@ -151,34 +155,37 @@ class PageFiles:
         return Response(self._index, media_type="text/html")
 
     async def file(self, request: Request) -> Response:
-        """Return a script, a style or the example."""
+        """Return a script, a style or a record to try."""
         name = request.path_params["name"]
-        if name == EXAMPLE and name not in self._files:
-            self._files[name] = (await asyncio.to_thread(_example), "text/csv")
+        if name in self._examples:
+            return FileResponse(self._examples[name], media_type="text/csv")
+        if name == _VIRTUAL and name not in self._files:
+            self._files[name] = (await asyncio.to_thread(_virtual_loops), "text/csv")
         body, kind = self._files.get(name, (None, None))
         if body is None:
             raise HTTPException(404)
         return Response(body, media_type=kind)
 
 
-def _scan_options() -> str:
-    """Return a module with the declaration of the named scans and their options."""
+def _declared(examples: Mapping[str, Any]) -> str:
+    """Return a module with the records to try, and the declaration of the named scans and their options."""
     options = {
         name: {**option._asdict(), "kind": option.kind.__name__ if isinstance(option.kind, type) else option.kind}
         for name, option in OPTIONS.items()
     }
     scans = {name: {"needs": scan.needs, "may": scan.may} for name, scan in SCANS.items()}
-    return f"export const DECLARED = {json.dumps({'options': options, 'scans': scans})};\n"
+    declared = {"options": options, "scans": scans, "examples": examples}
+    return f"export const DECLARED = {json.dumps(declared)};\n"
 
 
-def _example() -> bytes:
-    """Return loops of a virtual actuator as CSV, for those who have no record yet."""
+def _virtual_loops() -> bytes:
+    """Return loops of a virtual actuator as CSV."""
     from dehyst.records import write_record
     from dehyst.studies.demo import record_loops
     from dehyst.virtual import PlayActuator
 
     with TemporaryDirectory() as folder:
-        file = Path(folder) / EXAMPLE
+        file = Path(folder) / _VIRTUAL
         write_record(file, record_loops(PlayActuator())[0])
         return file.read_bytes()
 

@@ -43,8 +43,8 @@ class SessionError(DehystError, ValueError):
 class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
-    `columns` are the names of the file's, none if it is no table. `options` are those with which it was read; `hint`
-    those that may help to read it. `axes` are the names of several coupled ones.
+    `file_columns` are name, unit and range of the file's columns, none if it is no table. `options` are those with
+    which it was read; `hint` those that may help to read it. `axes` are the names of several coupled ones.
     """
 
     id: str
@@ -54,7 +54,7 @@ class RecordEntry:
     status: str = "reading"
     error: str | None = None
     hint: dict[str, Any] | None = None
-    columns: list[str] = field(default_factory=list)
+    file_columns: list[dict[str, Any]] = field(default_factory=list)
     options: dict[str, Any] = field(default_factory=dict)
     axes: list[str] = field(default_factory=list)
     samples: int = 0
@@ -299,10 +299,12 @@ class WorkbenchSession:
             # With names for all columns the result has these, not the file's.
             known = finished.error if finished.result is None else finished.result
             first = known if "file_columns" in known else next((o for o in known.values() if isinstance(o, dict)), {})
-            names = () if options.get("columns") else first.get("file_columns", ())
-            entry.columns = [one["name"] for one in names[:_MOST_COLUMNS]] or entry.columns
+            columns = [] if options.get("columns") else first.get("file_columns", [])
+            entry.file_columns = columns[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
-                entry.status, entry.error = "refused", finished.words.replace(entry.source, Path(entry.source).name)
+                # A suggestion is in the form already.
+                words = finished.error.get("reason", finished.words)
+                entry.status, entry.error = "refused", words.replace(entry.source, Path(entry.source).name)
                 hint = finished.error.get("suggestion")
                 entry.hint = {"options": hint} if hint else None
                 return

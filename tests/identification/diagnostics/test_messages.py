@@ -43,12 +43,12 @@ def set_aside(fit):
 
 
 STEADILY = (
-    r"made: drifts steadily by (\S+) % of the range over the samples that count: the sensor, the temperature, or creep "
-    r"that lasts longer than the record; set aside\."
+    r"made: drifts steadily by (\S+) % of the stroke over the samples that count: the sensor, the temperature, or "
+    r"creep that lasts longer than the record; set aside\."
 )
 TOO_SHORT = (
-    r"made: drifts by (\S+) % of the range over the samples that count, too short a time to determine a rate of creep; "
-    r"set aside\."
+    r"made: drifts by (\S+) % of the stroke over the samples that count, too short a time to determine a rate of "
+    r"creep; set aside\."
 )
 
 
@@ -61,7 +61,7 @@ TOO_SHORT = (
     ],
 )
 def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, shape, words):
-    """Told as a rate, it was 200 % of the range a decade."""
+    """Told as a rate, it was 200 % of the stroke a decade."""
     record = drifting(turns, 0.8, shape)
     fit = dehyst.identify(record, structure="maxwell_slip", elements=10, delay=0.0, throw=False)
     found = re.fullmatch(words, set_aside(fit))
@@ -73,10 +73,10 @@ def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, shape, words):
 @pytest.mark.parametrize(
     ("rate", "decades", "steady", "words"),
     [
-        (0.02, 2.0, False, "creeps by 2 % of the range a decade of time since its start"),
-        (0.3, 2.0, False, "drifts by 60 % of the range over the samples that count, which is more than creep"),
-        (0.3, 0.4, False, "drifts by 12 % of the range over the samples that count, too short a time to determine"),
-        (0.02, 2.0, True, "drifts steadily by 4 % of the range over the samples that count: the sensor"),
+        (0.02, 2.0, False, "creeps by 2 % of the stroke a decade of time since its start"),
+        (0.3, 2.0, False, "drifts by 60 % of the stroke over the samples that count, which is more than creep"),
+        (0.3, 0.4, False, "drifts by 12 % of the stroke over the samples that count, too short a time to determine"),
+        (0.02, 2.0, True, "drifts steadily by 4 % of the stroke over the samples that count: the sensor"),
     ],
 )
 def test_a_drift_is_named_by_its_course_and_size(rate, decades, steady, words):
@@ -97,7 +97,7 @@ def test_a_creep_is_told_as_a_rate():
         Record(made.time, made.voltage, crept, "made"), structure="maxwell_slip", elements=10, delay=0.0
     )
     said = set_aside(fit)
-    assert re.fullmatch(r"made: creeps by \S+ % of the range a decade of time since its start; set aside\.", said)
+    assert re.fullmatch(r"made: creeps by \S+ % of the stroke a decade of time since its start; set aside\.", said)
 
 
 def through(*corners):

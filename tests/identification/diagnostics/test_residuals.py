@@ -42,8 +42,8 @@ def test_noise_alone_is_not_a_pattern():
 @pytest.mark.parametrize(
     ("pattern", "name", "value", "words"),
     [
-        (lambda place, side, time: 0.6 * side, "Width", 0.6, "lie up to 1.2 % of the range apart"),
-        (lambda place, side, time: 0.8 * (place > 0.917), "Middle line", 0.65, "of the range off, most at 15"),
+        (lambda place, side, time: 0.6 * side, "Width", 0.6, "lie up to 1.2 % of the stroke apart"),
+        (lambda place, side, time: 0.8 * (place > 0.917), "Middle line", 0.65, "of the stroke off, most at 15"),
         (lambda place, side, time: 0.5 * np.log10(time.clip(0.01)), "No drift", 0.5, "drifts by 0."),
     ],
 )
@@ -94,4 +94,4 @@ def test_elements_that_never_slide_are_told():
     errors = RecordErrors("small", "training", 400, 0, 0, 0, 0, 0, STROKE, 0, 0, 0)
     (sliding,) = (one for one in model_checks(ACTUATOR, (), [trace], [errors]) if one.name == "Sliding elements")
     assert sliding.verdict is Verdict.FAILS
-    assert "record a wider loop" in sliding.sentence
+    assert "wider loop" in sliding.sentence

@@ -162,7 +162,7 @@ def test_no_branch_falls(norm, monkeypatch):
     held = found.to_actuator(plant.grid, 0.0)
     monkeypatch.setattr(program, "violated", lambda grid, x, floor: np.zeros((0, grid.outermost.shape[1])))
     free = regression.fit(norm)
-    with pytest.raises(ModelError, match="does not rise with the displacement on the rising outermost branch"):
+    with pytest.raises(ModelError, match="rising outermost"):
         free.to_actuator(plant.grid, 0.0)
     # The price, and the floor on every branch as long motions from the ends go over it.
     assert (
@@ -238,5 +238,5 @@ def test_without_a_movable_element_the_rest_is_found(structure):
 
 
 def test_too_few_rows_are_refused():
-    with pytest.raises(IdentifyError, match=r"got 0 rows for \d+ unknowns, need more samples that count"):
+    with pytest.raises(IdentifyError, match=r"got 0 rows for \d+ unknowns"):
         rows_of("all").chosen(np.zeros(len(rows_of("all").rows), dtype=bool)).fit("l2")

@@ -143,7 +143,7 @@ def test_hundreds_of_collinear_columns_on_a_hundred_thousand_rows(limits):
 
 def test_refusals():
     f, p, b, c, low = problem(0)
-    with pytest.raises(IdentifyError, match=r"constraints: got a matrix of shape \(6, 5\).*need \(m, 7\) and \(m,\)"):
+    with pytest.raises(IdentifyError, match=r"shape \(6, 5\)"):
         solve(f, p, b, constraints=(c[:, :5], low))
-    with pytest.raises(IdentifyError, match="constraints: got NaN or infinite numbers, need finite ones"):
+    with pytest.raises(IdentifyError, match="constraints: got NaN or infinite"):
         solve(f, p, b, constraints=(c, np.full(6, -np.inf)))

@@ -59,7 +59,7 @@ def least(a, b, free, matrix=None, lower=None):
     return -answer.objective * unit
 
 
-@examples(100, nightly=400)
+@examples(40, nightly=400)
 @given(st.sampled_from(KINDS), st.integers(0, 10**6), st.integers(20, 200), st.integers(1, 15))
 def test_agrees_with_highs(kind, seed, rows, columns):
     a, b, free = table(kind, seed, rows, columns)

@@ -162,10 +162,10 @@ def test_the_same_question_has_the_same_answer_to_the_bit():
 
 def test_refusals():
     f, p, b, _ = problem(0, 3, 2)
-    with pytest.raises(IdentifyError, match=r"norm: got 'l3', need one of l1, l2, linf"):
+    with pytest.raises(IdentifyError, match="one of l1, l2, linf"):
         solve(f, p, b, norm="l3")
     for norm in NORMS:
-        with pytest.raises(IdentifyError, match="got 2 rows for 5 unknowns, need more samples"):
+        with pytest.raises(IdentifyError, match="got 2 rows for 5 unknowns"):
             solve(f[:2], p[:2], b[:2], norm=norm)
 
 

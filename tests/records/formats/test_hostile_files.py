@@ -219,13 +219,13 @@ def test_the_limit_is_named_and_can_be_raised(tmp_path, suffix):
         ".parquet": lambda: pq.write_table(pa.table(NAMED), path),
     }
     writers[suffix]()
-    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*allow more bytes"):
+    with pytest.raises(FileFormatError, match="more bytes"):
         read(path, max_bytes=N)
-    with pytest.raises(FileFormatError, match=r"more than the \d+ bytes.*allow more bytes"):
+    with pytest.raises(FileFormatError, match="more bytes"):
         read_table(path, max_bytes=path.stat().st_size - 1)
     assert len(read(path, max_bytes=1e6)) == N
     for nonsense in (0, -1, float("nan"), float("inf"), "5", True, None):
-        with pytest.raises(FileFormatError, match=r"max_bytes: got .*need a number of bytes above 0"):
+        with pytest.raises(FileFormatError, match="bytes above 0"):
             read(path, max_bytes=nonsense)
 
 
@@ -433,7 +433,7 @@ def test_the_command_line_takes_pipes_and_limits(tmp_path):
         )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert "more than the 1000 bytes that are allowed" in done.stderr
+    assert "the 1000 bytes" in done.stderr
 
 
 # Numbers
@@ -458,7 +458,7 @@ def test_numbers_that_are_no_measurement(column, value):
 def test_times_that_no_clock_tells_apart():
     time = T.copy()
     time[1] = 5e-324
-    with pytest.raises(RecordError, match=r"time\[1\] is 4.94e-324 s after time\[0\], which no clock resolves"):
+    with pytest.raises(RecordError, match=r"4.94e-324 s after time\[0\]"):
         Record(time, V, Y)
 
 
@@ -467,7 +467,7 @@ def test_times_since_1970_in_nanoseconds(tmp_path):
         lines = (f"{1763780000000000000 + i * step},{v},{y}" for i, (v, y) in enumerate(zip(V, Y, strict=True)))
         return "time_ns,voltage_V,displacement_m\n" + "\n".join(lines)
 
-    with pytest.raises(RecordError, match=r"resolution of 2.4e-07 s only: count them from the record's first sample"):
+    with pytest.raises(RecordError, match=r"resolution of 2.4e-07 s only:"):
         read(text(tmp_path, rows(1)))
     coarse = read(text(tmp_path, rows(3000)))
     assert any("resolution of 2.4e-07 s only" in sentence for sentence in coarse.problems())
@@ -475,7 +475,7 @@ def test_times_since_1970_in_nanoseconds(tmp_path):
 
 
 def test_a_stroke_below_a_nucleus_is_constant():
-    with pytest.raises(RecordError, match="displacement is constant but for noise"):
+    with pytest.raises(RecordError, match="is constant"):
         Record(T, V, Y * 1e-200).check_usable()
 
 

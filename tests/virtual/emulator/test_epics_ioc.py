@@ -129,7 +129,7 @@ def test_no_number_is_refused_and_the_error_stays(at_rest):
 
 @pytest.mark.parametrize("name", ["VOLTAGE:RBV", "POSITION", "TIME", "LIMIT:HIGH", "REC:COUNT", "WAVE:BUSY"])
 def test_what_is_read_only_cannot_be_written(ioc, name):
-    with pytest.raises(aioca.CANothing, match="write request failed"):
+    with pytest.raises(aioca.CANothing, match="request failed"):
         put(ioc, name, 1)
 
 
@@ -180,7 +180,7 @@ def test_a_wave_beyond_the_limits_is_refused(at_rest, wave):
 @pytest.mark.parametrize("period", [0.0, -1.0, np.nan, np.inf])
 def test_no_period_is_refused(at_rest, period):
     put(at_rest, "WAVE:PERIOD", period)
-    assert "positive number of seconds" in text(at_rest, "ERROR")
+    assert "positive number" in text(at_rest, "ERROR")
     assert get(at_rest, "WAVE:PERIOD") > 0
 
 

@@ -97,8 +97,14 @@ def test_each_fault_is_looked_at():
     assert set(CASES) == set(SAID)
 
 
+# One of each kind on a push: the others are variants, or tested at the driver (`tests/instruments`) too.
+PUSHED = ("nobody", "drop", "refuse", "stall", "astray", "interrupt", "terminate", "kill", "full", "file")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(SAID))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in PUSHED else pytest.mark.nightly) for name in SAID]
+)
 def test_a_fault(rehearsed, name):
     found = rehearsed[name]
     status, *said = SAID[name]

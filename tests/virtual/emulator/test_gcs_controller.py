@@ -270,7 +270,7 @@ LINES = st.one_of(
 )
 
 
-@examples(60, nightly=300)
+@examples(30, nightly=300)
 @given(st.lists(LINES, max_size=20))
 def test_no_line_breaks_it_nor_leaves_the_limits(lines):
     hand = Hand()

@@ -79,7 +79,7 @@ def _unknown(name: str, sentence: str, unit: str = _OF_RANGE) -> Check:
 
 
 def _calm(value: float) -> str:
-    """Return why a value [% of the range] below its floor is no pattern."""
+    """Return why a value [% of the stroke] below its floor is no pattern."""
     return "which does not matter" if value <= RULES.smallest_pattern else "which scatter explains"
 
 
@@ -204,9 +204,9 @@ def _symmetry(loop: Mirrored | None) -> tuple[Check, Check]:
         names[0],
         value,
         100 * apart_floor / loop.range,
-        f"{named} equals its mirror image to {max(value, 0.01):.2g} % of the range. This does not prove that the "
+        f"{named} equals its mirror image to {max(value, 0.01):.2g} % of the stroke. This does not prove that the "
         f"spring is linear: a spring that is odd about the loop's centre gives the same.{single}",
-        f"{named} lies up to {value:.3g} % of the range from its mirror image, most at {at:.4g} um: a linear spring "
+        f"{named} lies up to {value:.3g} % of the stroke from its mirror image, most at {at:.4g} um: a linear spring "
         f"(Lemma 2) cannot follow it. The bend of the middle line makes {middle:.3g} % of it, which the nonlinear "
         f"spring follows; the width makes {half:.2g} %.{single}",
     )
@@ -214,10 +214,10 @@ def _symmetry(loop: Mirrored | None) -> tuple[Check, Check]:
         names[1],
         wider,
         100 * width_floor / loop.range,
-        f"{named} is as wide at each place as at its mirror image to {max(wider, 0.01):.2g} % of the range.{single}",
-        f"{named} is not as wide at {low:.4g} um as at {high:.4g} um: its width differs by {wider:.2g} % of the range. "
-        "No plain Maxwell-slip model can follow that, with any number of elements and any spring: expect largest "
-        f"errors on it of {wider / 4:.2g} % at least, of {wider / 2:.2g} % as a rule.{single}",
+        f"{named} is as wide at each place as at its mirror image to {max(wider, 0.01):.2g} % of the stroke.{single}",
+        f"{named} is not as wide at {low:.4g} um as at {high:.4g} um: its width differs by {wider:.2g} % of the "
+        "stroke. No plain Maxwell-slip model can follow that, with any number of elements and any spring: expect "
+        f"largest errors on it of {wider / 4:.2g} % at least, of {wider / 2:.2g} % as a rule.{single}",
     )
 
 
@@ -238,7 +238,7 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
         )
     _, value, floor, mean, cycles, record = max(openings)
     sentence = (
-        f"{record}: {counted(cycles, 'cycle')} back at the same voltage ended up to {value:.2g} % of the range "
+        f"{record}: {counted(cycles, 'cycle')} back at the same voltage ended up to {value:.2g} % of the stroke "
         f"away, {mean:.2g} % in the mean."
     )
     why = " A loop that stays open creeps or drifts; the model does neither: wait before recording, or record slower."
@@ -246,7 +246,7 @@ def _closure(training: Sequence[Prepared], delay: float, stroke: float) -> Check
 
 
 class _Drift(NamedTuple):
-    """Drift of a record and its floor by scatter [% of the range a decade], and the decades of time that show it."""
+    """Drift of a record and its floor by scatter [% of the stroke a decade], and the decades of time that show it."""
 
     value: float
     floor: float
@@ -262,11 +262,11 @@ class _Drift(NamedTuple):
         """Return the check of how `what` `moves`; `why`: what follows if it does."""
         value, floor, unit = self.value, self.floor, "% a decade"
         sentence = (
-            f"{self.record}: {what} {moves} by {value:.2g} % of the range a decade of time since the record's start"
+            f"{self.record}: {what} {moves} by {value:.2g} % of the stroke a decade of time since the record's start"
         )
         if not may_creep(value, self.decades):
             value, floor, unit = value * self.decades, floor * self.decades, _OF_RANGE
-            sentence = f"{self.record}: {what} drifts by {value:.3g} % of the range in all"
+            sentence = f"{self.record}: {what} drifts by {value:.3g} % of the stroke in all"
         verdict = Verdict.FAILS if self.ratio() > 1 else Verdict.HOLDS
         rest = f": {why}." if verdict is Verdict.FAILS else f", {_calm(value)}."
         return Check("No drift", verdict, value, floor, unit, sentence + rest)
@@ -346,7 +346,7 @@ def _patterns(traces: Sequence[Trace], stroke: float) -> tuple[Check, Check]:
     low = min(float(trace.simulated.min()) for trace in traces)
     high = max(float(trace.simulated.max()) for trace in traces)
     edges = np.linspace(low, high, _PLACES + 1)
-    # Mean residuals [% of the range] of rising and of falling legs at each place.
+    # Mean residuals [% of the stroke] of rising and of falling legs at each place.
     means: dict[tuple[int, bool], list[float]] = {}
     squares, count = 0.0, 0
     for trace in traces:
@@ -386,7 +386,7 @@ def _patterns(traces: Sequence[Trace], stroke: float) -> tuple[Check, Check]:
         return _unknown("Width", unpassed), _unknown("Middle line", unpassed)
     place, value, floor = largest(-1)
     sentence = (
-        f"Residuals of rising and of falling branches lie up to {2 * value:.2g} % of the range apart, most at "
+        f"Residuals of rising and of falling branches lie up to {2 * value:.2g} % of the stroke apart, most at "
         f"{place:.4g} um"
     )
     why = (
@@ -395,7 +395,7 @@ def _patterns(traces: Sequence[Trace], stroke: float) -> tuple[Check, Check]:
     width = _tested("Width", value, floor, f"{sentence}, {_calm(value)}.", f"{sentence}: {why}.")
     place, value, floor = largest(1)
     sentence = (
-        f"The middle between rising and falling residuals lies up to {value:.2g} % of the range off, most at "
+        f"The middle between rising and falling residuals lies up to {value:.2g} % of the stroke off, most at "
         f"{place:.4g} um"
     )
     why = "the spring or tau bends more sharply there than their knots allow"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -36,13 +36,20 @@ class Identifiability:
     `breakaway` (N,): rho [m]. `movable` (N,) bool: elements that slide in some record; the others act as part of the
     spring. `values` (m,): singular values of the movable elements' columns, all else projected out, largest first
     [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring. `vectors` (m, m):
-    unit vectors of those changes, one in each row.
+    unit vectors of those changes, one in each row. `probing`: whether they are those of ten plain elements in place of
+    a model with more parts, whose columns turning points do not make alone.
     """
 
     breakaway: Array
     movable: NDArray[np.bool_]
     values: Array
     vectors: Array
+    probing: bool = False
+
+    @property
+    def subject(self) -> str:
+        """What has these directions, in words."""
+        return "ten plain elements" if self.probing else "the stiffnesses"
 
     @property
     def of(self) -> int:
@@ -73,7 +80,12 @@ class Identifiability:
         return self.movable & ~touched
 
     def sentences(self) -> tuple[str, ...]:
-        """Return sentences about what is determined and what is not: ``k_3 + k_7 is determined, k_3 - k_7 is not``."""
+        """Return sentences about what is determined and what is not: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
+
+        None of plain elements in place of a model, which has other numbers.
+        """
+        if self.probing:
+            return ()
         if not self.of:
             return ("No element slides in these records: they determine no stiffness.",)
         if self.determined == self.of:
@@ -147,15 +159,16 @@ def projected(regression: Regression) -> Array:
     return triangle[others.shape[1] :, others.shape[1] :]
 
 
-def probes(span: tuple[float, float]) -> Grid:
-    """Return ten Maxwell-slip elements over a stroke [m], with which the turning points of records are probed.
+def probed(records: list[Record], span: tuple[float, float]) -> Identifiability:
+    """Return the directions of ten Maxwell-slip elements over a stroke [m] that the turning points determine.
 
     A structure with more parts has more coefficients than records determine; smoothing settles the rest. If ten slip
     elements stay open, smoothing cannot predict loops that turn elsewhere.
     """
     stroke = span[1] - span[0]
     rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
-    return Grid.maxwell_slip(rho, np.linspace(*span, _PROBES + 1), 2 * rho < stroke * (1 - 1e-9))
+    grid = Grid.maxwell_slip(rho, np.linspace(*span, _PROBES + 1), 2 * rho < stroke * (1 - 1e-9))
+    return replace(identifiability(records, grid), probing=True)
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

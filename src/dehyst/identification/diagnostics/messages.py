@@ -89,7 +89,7 @@ def of_dropped(part: str, without: float, within: float, stroke: float, drive: S
     }[part]
     return (
         f"{named} was found and left out: it does not predict parts of the records that were not trained on "
-        f"(RMS {100 * within / stroke:.2g} % of the range with it, {100 * without / stroke:.2g} % without). Drift, "
+        f"(RMS {100 * within / stroke:.2g} % of the stroke with it, {100 * without / stroke:.2g} % without). Drift, "
         f"vibration, the sensor's noise or its filter may look like it. {wanted}"
     )
 
@@ -232,11 +232,11 @@ def repaired(
             )
         if abs(error.drift) <= RULES.smallest_drift * error.stroke:
             continue
-        total = f"by {error.drifted_percent:.3g} % of the range over the samples that count"
+        total = f"by {error.drifted_percent:.3g} % of the stroke over the samples that count"
         if error.creeps:
             # Only creep has a rate.
             rate = 100 * error.drift / error.stroke
-            drift = f"creeps by {rate:.3g} % of the range a decade of time since its start"
+            drift = f"creeps by {rate:.3g} % of the stroke a decade of time since its start"
         elif error.steady:
             drift = f"drifts steadily {total}: the sensor, the temperature, or creep that lasts longer than the record"
         elif error.decades < RULES.fewest_decades:

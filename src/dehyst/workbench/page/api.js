@@ -35,7 +35,7 @@ export const rig = (what, body) => post(`/api/rig/${what}`, body);
 export const wasmAddress = (model, period) => `/api/models/${model.id}/wasm?period=${period}`;
 export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComponent).join("/")}`;
 export const textOfFile = async (path) => (await request(fileAddress(path))).text();
-export const example = async () => new File([await getBuffer("/page/example.csv")], "example.csv");
+export const example = async (name) => new File([await getBuffer(`/page/${name}`)], name);
 
 // News of the server; both ends of a WebSocket.
 export const events = (location) =>
@@ -78,8 +78,9 @@ function getColumns(path, count, version = "") {
   return remembered(columns, `${path} ${version}`, () => getBuffer(path).then(split));
 }
 
-export async function recordColumns(record, version) {
-  const [time, voltage, displacement] = await getColumns(`/api/records/${record.id}/data`, 3, version);
+export async function recordColumns(record, version, axis) {
+  const query = axis ? `?axis=${encodeURIComponent(axis)}` : "";
+  const [time, voltage, displacement] = await getColumns(`/api/records/${record.id}/data${query}`, 3, version);
   return { time, voltage, displacement };
 }
 

@@ -17,9 +17,11 @@ export const LABELS = {
 // An option as a command has it (--sensor-lag SECONDS) or as a function has it (sensor_lag=SECONDS).
 const FLAGS = Object.entries(LABELS).map(([name, label]) => [
   new RegExp(
-    `(--${name.replace("_", "-")}(?![-\\w])[ =]?|\\b${name}=)("NAME"|NAMES?\\b|HZ\\b|SCALE\\b|SECONDS\\b)?`,
+    `(--${name.replace("_", "-")}(?![-\\w])[ =]?|\\b${name}${name.includes("_") ? "\\b=?" : "="})` +
+      '("NAME"|NAMES?\\b|HZ\\b|SCALE\\b|SECONDS\\b)?(?=(.?))',
     "g",
   ),
-  (found, flag, value) => `\u201c${label}\u201d${value || !/[ =]$/.test(flag) ? "" : " "}`,
+  (found, flag, value, next) =>
+    `\u201c${label}\u201d${value || !/[ =]$/.test(flag) || "),".includes(next) ? "" : " "}`,
 ]);
 export const inPage = (sentence) => FLAGS.reduce((text, [flag, label]) => text.replace(flag, label), sentence);

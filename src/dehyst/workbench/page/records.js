@@ -1,6 +1,7 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
 import { announce, button, problem } from "./acts.js";
 import { example, readRecord, recordColumns, remove, upload } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
 import { facts, fold, list } from "./forms.js";
@@ -22,9 +23,14 @@ const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
 export const roleOf = (id) => roles.get(id) ?? "train";
-const colourOf = (id) => COLOURS[Math.max(0, session.state.records.findIndex((one) => one.id === id)) % COLOURS.length];
+const placeOf = (id) => Math.max(0, session.state.records.findIndex((one) => one.id === id));
+const colourOf = (id, axis = 0) => COLOURS[(placeOf(id) + axis) % COLOURS.length];
 
 const SAMPLE = "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02";
+const EXAMPLES = DECLARED.examples;
+const ORIGIN = EXAMPLES.measured
+  ? "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
+  : "a record of a virtual actuator";
 const JOURNEY = [
   ["Record", "Play loops of several heights and write down time, voltage and displacement."],
   ["Identify", "One click. A first model exists within seconds; it comes with the error to expect, in words."],
@@ -38,7 +44,7 @@ export const journey = (id, steps) =>
 export function recordsView({ records }) {
   // What is open comes first, the newest on top.
   const open = records.filter((one) => one.status !== "ready").reverse();
-  const first = open.find((one) => one.status === "refused" && one.columns?.length)?.id;
+  const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
   const cards = [...open, ...readyRecords()].map((one) => card(one, one.id === first));
   figure.draw(readyRecords().filter((one) => !unseen.has(one.id)));
   scrollToRefused(records);
@@ -85,10 +91,10 @@ function dropPlace(small) {
       { class: "row" },
       h("input", { type: "file", id: "file", multiple: true, class: "unseen", onchange: choose }),
       h("label", { for: "file", class: "button main" }, "Choose a file"),
-      button("Try with an example", "example", async () => send(await example()), { id: "example" }),
+      button("Try with an example", "example", tryExample, { id: "example" }),
     ),
     problem("example"),
-    h("p", { class: "muted" }, "Files stay on this computer. The example is a record of a virtual actuator."),
+    h("p", { class: "muted" }, `Files stay on this computer. The example: ${ORIGIN}.`),
   );
 }
 
@@ -99,6 +105,8 @@ export function sendAll(files) {
   openStep("records");
   for (const file of files) send(file);
 }
+
+const tryExample = async () => sendAll(await Promise.all(EXAMPLES.names.map(example)));
 
 async function send(file) {
   const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size, share: 0 };
@@ -170,13 +178,12 @@ const readingCard = ({ name }) => [
 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
-  const { error, columns, hint, id } = record;
-  const help = hint && h("p", {}, "The marked options may mend it.");
+  const { error, file_columns: columns, id } = record;
   const summary = h("summary", {}, "Say how to read it");
   return [
     h("p", { class: "error", role: "alert" }, inPage(error ?? "It could not be read.")),
     columns?.length
-      ? h("details", { open: first }, summary, help, readingForm(record))
+      ? h("details", { open: first }, summary, readingForm(record))
       : button("Read again", `reading ${id}`, () => readRecord(id, record.options), { class: "quiet" }),
     !columns?.length && problem(`reading ${id}`),
   ];
@@ -184,6 +191,7 @@ function refusedCard(record, first) {
 
 function readyCard(record) {
   const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement, words } = record;
+  const understood = words?.length > 0 || record.file_columns?.length > 0;
   const tick = (label, checked, change) => {
     const onchange = (event) => {
       change(event.target.checked);
@@ -198,8 +206,9 @@ function readyCard(record) {
       ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
       ["Voltage", range(voltage, "V")],
       ["Displacement", range(displacement, "\u00b5m")],
+      ...(record.axes?.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
-    words?.length > 0 && fold("How the file was understood", list(words), readingForm(record)),
+    understood && fold("How the file was understood", list(words), readingForm(record)),
     h(
       "div",
       { class: "row" },
@@ -216,6 +225,8 @@ const VIEWS = {
   time: { x: SECONDS_AXIS, y: MICROMETRES, columns: ["time", "displacement"] },
   voltage: { x: SECONDS_AXIS, y: VOLTS, columns: ["time", "voltage"] },
 };
+
+const axesOf = ({ axes }) => (axes?.length ? axes : [""]);
 
 class RecordFigure extends Figure {
   constructor() {
@@ -236,11 +247,13 @@ class RecordFigure extends Figure {
     this.stamp = stamp;
     const { x, y, columns } = VIEWS[this.view];
     try {
-      const data = await Promise.all(records.map((one) => recordColumns(one, version(one))));
+      const parts = records.flatMap((one) => axesOf(one).map((axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) })));
+      const data = await Promise.all(parts.map((one) => recordColumns(one, version(one), one.axis)));
       if (this.stamp !== stamp) return;
-      const series = records.map(({ id, name }, k) => {
-        const [across, up] = columns.map((column) => data[k][column]);
-        return { key: id, name, colour: colourOf(id), x: across, y: up, rising: columns[0] === "time" };
+      const series = parts.map(({ id, name, axis, colour }, k) => {
+        const [x, y] = columns.map((column) => data[k][column]);
+        const title = axis ? `${name}, ${axis}` : name;
+        return { key: `${id} ${axis}`, name: title, colour, x, y, rising: columns[0] === "time" };
       });
       const names = records.map((one) => `${one.name}, ${whole(one.samples)} samples`).join("; ");
       this.set({ x, y, series }, { spoken: `${y.label} over ${x.label.toLowerCase()} of ${names}.` });

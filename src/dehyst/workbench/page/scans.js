@@ -2,7 +2,7 @@
 import { h } from "./dom.js";
 import { Form } from "./forms.js";
 import { parsed, plain, roundDown } from "./numbers.js";
-import { DECLARED } from "./scan_options.js";
+import { DECLARED } from "./declared.js";
 
 const UNITS = { um: "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", share: "" };
 // The largest speed of the scan that is suggested, in its widths a cycle.

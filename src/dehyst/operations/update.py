@@ -1,0 +1,62 @@
+"""`update`: a model that is true again, from one new record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dehyst.adaptation import Update, update_stage
+from dehyst.adaptation import update as update_one
+from dehyst.operations.axes import AxesModel
+from dehyst.operations.declaration import Input, Output, operation
+from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.operations.run import Result, Run, files
+
+
+@operation(update_one)
+def update(
+    run: Run,
+    model: Input,
+    record: Input,
+    *,
+    output: Output,
+    goal: float | None = None,
+    columns: Columns = AS_FOUND,
+) -> Result:
+    """Update a MODEL from a new RECORD of its actuator, even of one loop; says what has changed.
+
+    If the record shows no model that predicts it better, the output is the old model. A record that is plainly of
+    another actuator is refused. The coupling of several axes stays, and is checked. The status is 0 if parts of the
+    record that were held out are missed by the goal at most, 1 if by more.
+
+    Parameters
+    ----------
+    output
+        Write the new model here (JSON).
+    goal
+        Largest error allowed [% of the stroke]; default: the model's, or 1.
+    """
+    known = AxesModel.read(run, model)
+    (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
+    (measured,) = columns.records((record,), axes=known.pairs(columns))
+    coupling: tuple[str, ...] = ()
+    if known.stage is None:
+        found = update_one(known.actuators[0], measured, goal=goal)
+        found.actuator.save(output)
+        fields, updates, good = found.as_dict(), [found], found.good
+    else:
+        stage = update_stage(known.stage, measured, goal=goal)
+        stage.stage.save(output)
+        fields, updates, good = stage.as_dict(), [*stage.updates], stage.good
+        coupling = stage.coupling_changes
+    lines = known.prefixed(_lines(one) for one in updates)
+    lines += files(Model=output)
+    return Result({**fields, "output": str(output)}, lines, warnings=coupling, good=good)
+
+
+def _lines(update: Update) -> Iterator[str]:
+    """Yield the result, the promise, and what has changed."""
+    yield update.sentence
+    if update.promise is not None:
+        yield update.promise.sentence(update.stroke)
+    yield from update.sentences()
+    yield from (f"  - {remark}" for remark in update.recheck.remarks)

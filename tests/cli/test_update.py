@@ -1,0 +1,61 @@
+"""`dehyst update`: the model that it writes, what it says, its exit status."""
+
+import json
+
+import checked_loops as loops
+import numpy as np
+import pytest
+from command_line import run
+
+import dehyst
+from dehyst.records import write_record
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("update")
+    loops.model().save(target / "model.json")
+    write_record(target / "same.csv", loops.later(1))
+    write_record(target / "gain.csv", loops.later(3, gain=loops.GAIN))
+    write_record(target / "again.csv", loops.later(5, gain=loops.GAIN))
+    return target
+
+
+def test_a_model_that_has_changed_is_true_again(folder):
+    assert run("check", "model.json", "again.csv", cwd=folder)[0] == 1
+    status, out, err = run("update", "model.json", "gain.csv", "-o", "new.json", cwd=folder)
+    assert (status, err) == (0, "")
+    assert out.startswith("Updated: ")
+    status, out, _ = run("check", "new.json", "again.csv", "--json", cwd=folder)
+    checked = json.loads(out)
+    assert status == 0
+    assert checked["without_noise_percent"] <= 100 * checked["promise"]["largest_m"] / checked["stroke_m"]
+    known = dehyst.Actuator.load(folder / "new.json").identification
+    assert known.expected_largest == known.validity.anywhere.largest
+    assert known.validity.rms > 0
+
+
+def test_json_holds_the_changes_and_the_promise(folder):
+    status, out, _ = run("update", "model.json", "gain.csv", "-o", "n.json", "--json", cwd=folder)
+    found = json.loads(out)
+    assert (status, found["used"], found["good"], found["output"]) == (0, True, True, "n.json")
+    (gain,) = [change for change in found["changes"] if change["name"] == "gain"]
+    assert gain["counts"]
+    assert found["promise"]["largest_m"] >= found["promise"]["rms_m"] > 0
+
+
+def test_a_model_that_is_still_true_is_written_as_it_was(folder):
+    status, out, _ = run("update", "model.json", "same.csv", "-o", "same.json", "--json", cwd=folder)
+    assert (status, json.loads(out)["used"]) == (0, False)
+    old, same = (dehyst.Actuator.load(folder / name) for name in ("model.json", "same.json"))
+    assert np.array_equal(same.slip.stiffness, old.slip.stiffness)
+    assert np.array_equal(same.spring.voltage, old.spring.voltage)
+
+
+def test_another_actuator_is_refused(folder):
+    record = dehyst.read(folder / "same.csv")
+    write_record(folder / "other.csv", dehyst.Record(record.time, record.voltage, 3.0 * record.displacement, "other"))
+    status, out, err = run("update", "model.json", "other.csv", "-o", "other.json", cwd=folder)
+    assert (status, out) == (2, "")
+    assert "not updated" in err
+    assert not (folder / "other.json").exists()
