@@ -21,7 +21,7 @@ from dehyst import Record, Structure
 from dehyst.identification import state_after
 from dehyst.waveforms import Sampling, descending_tops, staircase
 
-OUTPUT = Path("/tmp/creep_dev.json")
+OUTPUT = Path(__file__).with_suffix(".json")
 HIGHEST, STROKE, NOISE = 100.0, 20e-6, 2e-4
 PERIOD, RISE, HOLD, SHARE = 0.05, 2.0, 300.0, 0.6
 FORCE = Structure(elements=20, grades=4, transformer=10, smooth=True, creep=9)

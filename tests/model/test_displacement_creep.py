@@ -20,6 +20,7 @@ from dehyst import (
     State,
     Thermal,
 )
+from dehyst.control import shortest_homing
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -269,7 +270,6 @@ def test_a_cycle_repeats_from_its_steady_strains():
 
 
 def test_homing_waits_for_creep_in_displacement():
-    actuator = creeping()
-    homing = dehyst.shortest_homing(actuator, limits=actuator.voltage_range, tolerance=0.05 * np.ptp(actuator.knots))
+    homing = shortest_homing(CREEPING, limits=CREEPING.voltage_range, tolerance=0.01 * float(np.ptp(CREEPING.knots)))
     assert homing.certified
-    assert homing.excitation is not None and homing.excitation.duration > 1.0
+    assert np.ptp(homing.played.time) > PART.time_constants[-1]
