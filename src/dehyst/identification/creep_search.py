@@ -62,7 +62,7 @@ def holds(record: Record, span: float, least: float) -> list[slice]:
     return found
 
 
-class _Path(NamedTuple):
+class _PlayedPiece(NamedTuple):
     """A piece of a record.
 
     `number`: of the record. `rows`: the samples that count. `curves` (n, C): hats of plays, a constant of the piece,
@@ -81,7 +81,7 @@ class _Path(NamedTuple):
 class CreepSearch:
     """The search for creep in displacement: pieces of records, and time constants [s]."""
 
-    paths: tuple[_Path, ...]
+    paths: tuple[_PlayedPiece, ...]
     time_constants: Array
 
     @classmethod
@@ -109,7 +109,7 @@ class CreepSearch:
             starts[:, q] = _fading(item, piece.time, tau[1::2])
             curves = np.hstack([_curves(u), constants, starts.reshape(u.size, -1)])
             rows = np.arange(own[-1].start, own[-1].stop, step)
-            paths.append(_Path(q, item, piece, rows, curves, holds(piece, high - low, least)))
+            paths.append(_PlayedPiece(q, item, piece, rows, curves, holds(piece, high - low, least)))
         return cls(tuple(paths), tau) if any(path.holds for path in paths) else None
 
     def held(self, number: int) -> list[tuple[float, float]]:
@@ -183,7 +183,7 @@ def _fading(item: Prepared, time: Array, time_constants: Array) -> Array:
     return np.asarray(np.exp(-np.maximum(time - item.record.time[0], 0.0)[:, None] / time_constants))
 
 
-def _low_passes(path: _Path, part: DisplacementCreep) -> Array:
+def _low_passes(path: _PlayedPiece, part: DisplacementCreep) -> Array:
     """Return the low-passes (n, K) [m] of the displacement of a piece without creep."""
     item, time = path.item.without_creep(part), path.piece.time
     m = np.interp(time, item.record.time, item.record.displacement)

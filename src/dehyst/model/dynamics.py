@@ -127,9 +127,7 @@ class DisplacementCreep:
     def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
         """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
 
-        At its first sample they are `start`.
-
-        Raise `ModelError` if time and displacement do not fit.
+        At its first sample they are `start`. `time` (n,): [s]. Raise `ModelError` if time and displacement do not fit.
         """
         m = vector(displacement, "displacement")
         return output_creep(m, self._pace(time, m.size), self.gains, float(m[0]), start)
@@ -137,7 +135,8 @@ class DisplacementCreep:
     def steady(self, time: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
         """Return m (n,) [m] of a cycle (n,) [m] after infinitely many ones, and the strains (K,) [m] it begins with.
 
-        Its last sample is its first one again. The strains at the end are linear in those at the beginning.
+        `time` (n,): [s]. The last sample of `displacement` is its first one again. The strains at the end are linear in
+        those at the beginning.
         """
         y, size = vector(displacement, "displacement"), len(self)
         pace = self._pace(time, y.size)
@@ -151,7 +150,10 @@ class DisplacementCreep:
         return played(y, begun)[0], begun
 
     def strains(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
-        """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, `start` or 0 at the first one."""
+        """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, with `time` (n,) [s].
+
+        They begin with `start` (K,), or 0.
+        """
         m = vector(displacement, "displacement")
         bounds, durations = clock(time, m.size)
         return strains(m, bounds, *self.tables(durations), np.zeros(len(self)) if start is None else start)
