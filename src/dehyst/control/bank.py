@@ -382,7 +382,7 @@ class Bank:
 
     @cached_property
     def _plausible(self) -> tuple[Array, Array]:
-        """Return the range of plausible displacements (M,) [m] of each model."""
+        """Lowest and highest accepted displacement (M,) [m]: each plausible range, extended by its width."""
         low, high = np.array([(one.plausible.low, one.plausible.high) for one in self.actuators]).T
         return low - (high - low), high + (high - low)
 

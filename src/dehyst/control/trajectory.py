@@ -203,7 +203,7 @@ def follow(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A wanted path, followed in pieces. If time matters, a piece begins with the last sample of the one before."""
+    """A wanted path, followed in pieces. If time matters, pieces overlap by one sample."""
 
     actuator: Actuator
     wanted: Array

@@ -92,7 +92,7 @@ class MajorLoop:
         return np.asarray(y[np.diff(y, prepend=-np.inf) > _ROUNDING * np.ptp(y)])
 
     def _tabulated(self, side: int) -> tuple[Array, Array]:
-        """Return the bends of a branch of graded elements, with a point beyond either end, and tau(v) [V] there."""
+        """Return the bends [m] of a branch of graded elements and a point beyond either end, with their tau(v) [V]."""
         slip, y = self._actuator.slip, self._element_bends(side)
         y = np.concatenate([[y[0] - np.ptp(y)], y, [y[-1] + np.ptp(y)]])
         held = self._actuator.spring(y) + side * self._friction
