@@ -129,6 +129,7 @@ def test_creep_is_seen_and_followed(creeping):
     assert found.compensated.largest_percent < 0.4
 
 
+@pytest.mark.nightly
 def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(creeping, tmp_path):
     """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
     # The only test that drives this rig on.
