@@ -125,7 +125,7 @@ def test_creep_is_seen_and_followed(creeping):
     found, _, _ = creeping
     assert found.creep.seen
     assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
-    assert found.fit.actuator.creep is not None
+    assert found.fit.actuator.displacement_creep is not None
     assert found.compensated.largest_percent < 0.4
 
 

@@ -184,9 +184,22 @@ class Actuator(JsonFile, AbstractModel):
         return self.at_rest * first, self.at_rest * last
 
     @property
+    def creep_times(self) -> Array:
+        """Time constants [s] of creep as a force and in displacement; empty without creep."""
+        parts = (part for part in (self.creep, self.displacement_creep) if part is not None)
+        return np.concatenate([EMPTY, *(part.time_constants for part in parts)])
+
+    @property
     def at_rest(self) -> float:
         """Ratio of the displacement after creep in displacement has come to rest to the displacement without it."""
         return 1.0 if self.displacement_creep is None else self.displacement_creep.at_rest
+
+    @cached_property
+    def before_creep(self) -> Actuator:
+        """The actuator without creep in displacement: its displacement is the one before that creep."""
+        if self.displacement_creep is None:
+            return self
+        return replace(self, displacement_creep=None, state=replace(self.state, displacement_creep=EMPTY))
 
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
         """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""

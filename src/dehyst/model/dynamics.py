@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import steps, strains
+from dehyst._native import StepCoefficients, output_creep, steps, strains
 from dehyst._types import Array
 from dehyst._validation import demand_divisors, demand_magnitudes, demand_result, keep, number, untimely, vector
 from dehyst._views.lines import brief
@@ -114,6 +114,53 @@ class DisplacementCreep:
     def tables(self, durations: Array) -> tuple[Array, Array]:
         """Return decays and rises (R, K) of steps of `durations` (R,) [s], as `Creep.tables`."""
         return low_pass_tables(self.time_constants, durations)
+
+    def removed(self, time: ArrayLike, displacement: ArrayLike) -> Array:
+        """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s]; all has crept at the first sample.
+
+        Raise `ModelError` if time and displacement do not fit.
+        """
+        y = vector(displacement, "displacement")
+        pace = self._pace(time, y.size)
+        return output_creep(y, pace, self.gains, y[0] / self.at_rest, np.zeros(len(self)), inverse=True)[0]
+
+    def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
+        """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
+
+        At its first sample they are `start`. `time` (n,): [s]. Raise `ModelError` if time and displacement do not fit.
+        """
+        m = vector(displacement, "displacement")
+        return output_creep(m, self._pace(time, m.size), self.gains, float(m[0]), start)
+
+    def steady(self, time: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
+        """Return m (n,) [m] of a cycle (n,) [m] after infinitely many ones, and the strains (K,) [m] it begins with.
+
+        `time` (n,): [s]. The last sample of `displacement` is its first one again. The strains at the end are linear in
+        those at the beginning.
+        """
+        y, size = vector(displacement, "displacement"), len(self)
+        pace = self._pace(time, y.size)
+
+        def played(path: Array, start: Array) -> tuple[Array, Array]:
+            first = (path[0] + float(self.gains @ start)) / self.at_rest
+            return output_creep(path, pace, self.gains, first, start, inverse=True)
+
+        kept = np.column_stack([played(np.zeros(y.size), one)[1] for one in np.eye(size)])
+        begun = np.asarray(np.linalg.solve(np.eye(size) - kept, played(y, np.zeros(size))[1]), dtype=np.float64)
+        return played(y, begun)[0], begun
+
+    def strains(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
+        """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, with `time` (n,) [s].
+
+        They begin with `start` (K,), or 0.
+        """
+        m = vector(displacement, "displacement")
+        bounds, durations = clock(time, m.size)
+        return strains(m, bounds, *self.tables(durations), np.zeros(len(self)) if start is None else start)
+
+    def _pace(self, time: ArrayLike, samples: int) -> StepCoefficients:
+        bounds, durations = clock(time, samples)
+        return StepCoefficients(bounds, *self.tables(durations), np.empty((durations.size, 0)))
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
     """
     if not isinstance(model, Actuator) or not voltage.size:
         return None
-    if model.creep is not None:
+    if model.creep_times.size:
         return model.relaxed(float(voltage[0]), extrapolate=True)
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
     ends = [model.turned(high), model.turned(low, rising=False)]

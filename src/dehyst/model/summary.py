@@ -104,13 +104,13 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     time, displacement : (n,) array
         Time since the end of the rise [s], and further displacement as a part of the displacement of the rise.
     """
-    creep = actuator.creep
-    if creep is None or not len(creep):
+    times = actuator.creep_times
+    if not times.size:
         return np.zeros(1), np.zeros(1)
     low, high = actuator.voltage_range
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     slow = replace(actuator, dynamics=None, lag=0.0, state=begin)
-    shortest, longest = float(creep.time_constants.min()), float(creep.time_constants.max())
+    shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
     # Rest at the lower limit takes as long as creep lasts.
     rest = np.array([0.0, 20 * longest])

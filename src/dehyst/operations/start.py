@@ -217,8 +217,8 @@ def file_warnings(
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
             f"{present:.6g} V: ramp there {within} before you play the file"
         )
-    if actuator.creep is not None and start.name in ("top", "bottom", "relaxed"):
-        longest = float(actuator.creep.time_constants[-1])
+    if actuator.creep_times.size and start.name in ("top", "bottom", "relaxed"):
+        longest = float(actuator.creep_times.max())
         warnings.append(
             f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
             f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "

@@ -342,9 +342,8 @@ class _TimedHoming:
         self.actuator, self.limits, self.ends, self.sampling = actuator, limits, ends, sampling
         self.tolerance = tolerance
         self.states = possible_states(actuator, ends[0], limits, sampling.half)
-        creep = actuator.creep
         # The longest time constant of creep [s].
-        self.longest = 0.0 if creep is None else float(creep.time_constants.max(initial=0.0))
+        self.longest = float(actuator.creep_times.max(initial=0.0))
         self._cycle = self._few(self.sampling.legs(_way_through(limits, ends[1], ends[1], 2)))
 
     def best(self, hold: float) -> tuple[int, float]:
@@ -441,8 +440,8 @@ def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequenc
 
     It is long enough for an amplifier's lag and a resonance to follow.
     """
-    creep = actuator.creep
-    seconds = otherwise if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
+    times = actuator.creep_times
+    seconds = _LEG * float(times.max()) if times.size else otherwise
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS * 2 * math.pi / actuator.dynamics.frequency)
     return max(seconds, _RESTS * actuator.lag)

@@ -488,7 +488,7 @@ class _Plan:
         The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
         """
         low, high = drive.limits or (-np.inf, np.inf)
-        still = replace(actuator, creep=None, state=None)  # type: ignore[arg-type]
+        still = replace(actuator, creep=None, displacement_creep=None, state=None)  # type: ignore[arg-type]
         begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
         for _ in range(_ROUNDS if actuator.needs_time else 1):
             end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))

@@ -15,7 +15,7 @@ histories.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -140,7 +140,7 @@ class StateBounds:
     @classmethod
     def of(cls, states: Sequence[State]) -> StateBounds:
         """Return the tightest bounds of `states` of one actuator."""
-        names, ends = ("carts", "creep", "motion", "smooth"), []
+        names, ends = ("carts", "creep", "motion", "smooth", "displacement_creep"), []
         for order in (np.min, np.max):
             arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
             ends.append(State(float(order([state.displacement for state in states])), *arrays))
@@ -192,7 +192,7 @@ class StateBounds:
     @property
     def middle(self) -> State:
         """The state in the middle of the bounds, with an error of at most half the width."""
-        names = ("displacement", "carts", "creep", "motion", "smooth")
+        names = [one.name for one in fields(State)]
         return State(*(0.5 * (getattr(self.lower, name) + getattr(self.upper, name)) for name in names))
 
 
@@ -230,7 +230,7 @@ def first_known_by_displacement(breakaway: Array, displacement: ArrayLike) -> in
 def time_dependence(actuator: Actuator) -> str:
     """Return as text why the order of voltages does not determine the state; empty if it does."""
     parts = {
-        "creeps": actuator.creep is not None,
+        "creeps": actuator.creep_times.size > 0,
         "has inertia": actuator.dynamics is not None,
         "lags": actuator.lag > 0,
         "has smooth elements": actuator.smooth is not None,

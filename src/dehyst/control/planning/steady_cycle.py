@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._native import EMPTY
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.trajectory import Command
-from dehyst.model import Actuator, PathData, State
+from dehyst.model import Actuator, DisplacementCreep, PathData, State
 from dehyst.waveforms import ScanPath
 
 # Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.
@@ -45,11 +46,29 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     the carts.
     """
     cycle = path.repeated(1)
+    if actuator.displacement_creep is not None:
+        return _steady_behind(actuator, actuator.displacement_creep, cycle, state)
     if actuator.creep is not None:
         w = cycle.displacement + actuator.model.lead(cycle.displacement, PathData(**timed(cycle)))
         gained = actuator.creep.strains(cycle.time, w)[-1]
         state = replace(state, creep=gained / -np.expm1(-float(cycle.time[-1]) / actuator.creep.time_constants))
     return state if actuator.smooth is None else replace(state, smooth=_elongations(actuator, cycle, state))
+
+
+def _steady_behind(actuator: Actuator, creep: DisplacementCreep, cycle: ScanPath, state: State) -> State:
+    """Return the state at the first sample of a periodic path, with creep in displacement: that of its steady cycle."""
+    before, begun = creep.steady(cycle.time, cycle.displacement)
+    strains = creep.strains(cycle.time, before, begun)
+    slow = strains / creep.time_constants
+    velocity = cycle.velocity - slow @ creep.gains
+    acceleration = cycle.acceleration - (velocity[:, None] - slow) @ (creep.gains / creep.time_constants)
+    closed = ScanPath(before, velocity, acceleration, cycle.sample_rate)
+    plain, shift = actuator.before_creep, float(before[0]) - state.displacement
+    inner = replace(state, displacement_creep=EMPTY).shifted(shift)
+    for _ in range(2):
+        inner = plain.compensate(before, **timed(closed), state=inner, extrapolate=True).state
+    once = ScanPath(before[:-1], velocity[:-1], acceleration[:-1], cycle.sample_rate)
+    return replace(steady_state(plain, once, inner), displacement_creep=begun)
 
 
 def _elongations(actuator: Actuator, cycle: ScanPath, state: State) -> Array:
@@ -259,11 +278,11 @@ class SteadyCycle:
         """Return the warning if the steady cycle begins too early."""
         if error <= self.tolerance:
             return ()
-        warning, creep = self._deviation(count, error), self.compensator.actuator.creep
-        if creep is None or not len(creep):
+        warning, times = self._deviation(count, error), self.compensator.actuator.creep_times
+        if not times.size:
             return (f"{warning}; give a start-up of more cycles",)
         period = len(self.path) / self.path.sample_rate
-        more = ceil(float(creep.time_constants.max()) / period * log(error / self.tolerance))
+        more = ceil(float(times.max()) / period * log(error / self.tolerance))
         warning += f": creep takes {counted(more, 'cycle')} more, {more * period:.3g} s"
         most = MOST_SAMPLES // len(self.path)
         if count + more <= most:
