@@ -1,4 +1,4 @@
-"""Parts that move in time: creep, and the inertia and damping of a mass."""
+"""Parts that depend on time or temperature: creep, the inertia and damping of a mass, and thermal effects."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _LONGEST = 2.0**40
 class Creep:
     """J viscous branches in parallel: springs in series with dashpots (theory section 8).
 
-    Branch j holds ``c_j d_j``; d_j is the displacement less its low-pass of time constant tau_j, for a displacement
-    linear in time ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
+    Branch j holds ``c_j d_j``; d_j is the displacement minus its low-pass of time constant tau_j. For a displacement
+    linear in time, ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
 
     `time_constants` (J,): tau_j [s], positive. `stiffness` (J,): c_j [V/m], not negative. Raise `ModelError` if lengths
     differ, or a value is impossible or too large to compute with (magnitude over 1e30).
@@ -74,10 +74,10 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class DisplacementCreep:
-    """K branches of creep in displacement, behind the elements and the mass (Kuhnen and Krejci; theory section 19).
+    """K branches of creep in displacement, applied after elements and mass (Kuhnen and Krejci; theory section 19).
 
-    ``y = m + sum_k g_k lowpass_k(m)``, m the displacement without creep and tau_k the time constant of low-pass k. At
-    rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are those of `Creep`.
+    ``y = m + sum_k g_k lowpass_k(m)``, with m the displacement without creep and tau_k the time constant of low-pass k.
+    At rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are defined as in `Creep`.
 
     `time_constants` (K,): tau_k [s], positive. `gains` (K,): g_k, 0 or more. Raise `ModelError` if lengths differ, or
     a value is impossible or too large to compute with (magnitude over 1e30).
@@ -108,7 +108,7 @@ class DisplacementCreep:
 
     @property
     def at_rest(self) -> float:
-        """Displacement at rest over that without creep, 1 + sum_k g_k."""
+        """Ratio of the displacement at rest to the displacement without creep, 1 + sum_k g_k."""
         return sum(self.gains.tolist(), 1.0)
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
@@ -167,7 +167,8 @@ class DisplacementCreep:
 class Thermal:
     """Gain and offset of the displacement that depend on temperature (theory section 22).
 
-    ``y = offset dT + (1 + gain dT) y_r``, dT the temperature less `reference`, y_r the displacement at the reference.
+    ``y = offset dT + (1 + gain dT) y_r``, with dT the temperature minus `reference`, and y_r the displacement at the
+    reference.
 
     Parameters
     ----------
@@ -195,9 +196,9 @@ class Thermal:
             keep(self, **{name: value})
 
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
-        """Return gains and offsets [m] at a `temperature` [degrees Celsius], one for all or one for each of `samples`.
+        """Return gains and offsets [m] at one `temperature` [degrees Celsius], or at one for each of `samples`.
 
-        Raise `ModelError` if their number differs, or a gain is not positive.
+        Raise `ModelError` if there is another number of temperatures, or a gain is not positive.
         """
         each = np.ndim(temperature) > 0
         given = vector(temperature, "temperature") if each else np.array([number(temperature, "temperature")])
@@ -288,18 +289,19 @@ class Dynamics:
         return self.series / (mean + self.series)
 
     def lead(self, velocity: Array, acceleration: Array) -> Array:
-        """Return w - y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2.
+        """Return the lead w - y (n,) [m] that moves the free mass along y: 2 zeta/omega y' + y''/omega^2.
 
         `velocity` [m/s] is y'. `acceleration` [m/s^2] is y''.
         """
         return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
 
     def transitions(self, durations: Array, share: float) -> Array:
-        """Return steps (R, 8) of `durations` (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
+        """Return transitions (R, 8) of (y, y'/omega) over `durations` (R,) [s]: phi by rows, two gains of q.
 
-        ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
-        the exponential of the matrix whose states include q and its slope. `share` is theta. Raise `ModelError` if a
-        step is so many periods of the resonance long that its exponential has no digits.
+        ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time.
+        The gains refer to q before and after the step. All come from the exponential of the matrix whose states include
+        q and its slope. `share` is theta. Raise `ModelError` if a step has so many periods of the resonance that the
+        exponential loses all digits.
         """
         radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
         if radians > _LONGEST:
@@ -323,9 +325,9 @@ class Dynamics:
 
 
 def exponential(matrices: Array) -> Array:
-    """Return the exponentials of many small matrices (R, n, n): Taylor's series of a halved matrix, squared again.
+    """Return the exponentials of small matrices (R, n, n) by scaling and squaring with Taylor's series.
 
-    Each matrix is halved as often as it needs: a halving too many costs one bit.
+    Each matrix is halved only as often as necessary, because an unnecessary halving costs one bit.
     """
     size = np.abs(matrices).sum(axis=2).max(axis=1, initial=0.0)
     halvings = np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)

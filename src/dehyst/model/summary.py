@@ -1,4 +1,4 @@
-"""An actuator part by part, in numbers and sentences: its line, its summary, its HTML."""
+"""The parts of an actuator in numbers and sentences: one line, the summary, and HTML."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Slopes of slow motion at each place: voltage (that of tau) over displacement.
+    """Slopes of slow motion at each displacement: of tau(v) over displacement.
 
     `displacement` (n,) [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
     no element slides; on the outermost rising and falling branch, when all slide [V/m].
@@ -102,7 +102,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     Returns
     -------
     time, displacement : (n,) array
-        Since the end of the rise [s]; and further displacement over that of the rise (parts of 1).
+        Time since the end of the rise [s], and further displacement as a part of the displacement of the rise.
     """
     times = actuator.creep_times
     if not times.size:
@@ -213,7 +213,7 @@ def _ranges(actuator: Actuator, unit: str = "um") -> tuple[str, str, str]:
 
 
 def one_line(actuator: Actuator) -> str:
-    """Return name, parts, voltages and displacements; nothing is computed that could fail."""
+    """Return name, parts, voltages and displacements in one line, without computations that could fail."""
     graded = "graded " if isinstance(actuator.slip, GradedSlip) else ""
     further = [words for name, words in _FURTHER.items() if getattr(actuator, name) is not None]
     parts = ", ".join([f"{graded}{counted(len(actuator.slip), 'slip element')}", *further])
