@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dehyst
+from dehyst.identification.coupling.cross_talk import CrossTalk
 from dehyst.identification.coupling.matrix import PlayColumns, coupling_by_plays
 
 OFF = ~np.eye(2, dtype=bool)
@@ -98,6 +99,13 @@ def test_coupling_with_hysteresis_is_found_out():
     assert not fit.cross_talk.beyond[0, 1]
     assert "more than a matrix" in fit.verdict
     assert any("coupling of x into y is more than a number" in remark for remark in fit.remarks)
+
+
+def test_a_coupling_of_little_certainty_is_a_remark_and_no_verdict():
+    size, floor = np.array([[0, 1e-3], [1e-3, 0]]), np.full((2, 2), 4e-4) * OFF
+    certainty = np.array([[0, 2.0], [0.5, 0]])
+    [remark] = CrossTalk(size, floor, certainty, np.zeros((2, 2), dtype=bool)).sentences(["x", "y"])
+    assert "of y into x may be" in remark and "0.1 %" in remark
 
 
 def test_axes_that_always_move_together_are_refused():

@@ -371,8 +371,8 @@ class HeldOutHolds:
 
     @property
     def in_displacement(self) -> bool:
-        """Whether creep in displacement predicts held-out holds, and better than creep as a force does."""
-        return self.displacement < self.force and self.displacement < RULES.hold_gain * self.without
+        """Whether creep in displacement predicts held-out holds better than no creep and than creep as a force."""
+        return self.displacement < RULES.hold_gain * min(self.without, self.force)
 
     def as_dict(self) -> dict[str, float]:
         """Return JSON values [m]."""

@@ -18,6 +18,8 @@ _FOLDS, _SPANS = 6, 24
 # What counts as coupling beyond a matrix: more than this share of the stroke (RMS) on time that was held out, by an
 # improvement of so many times its scatter.
 _LEAST, _CERTAIN = 4e-4, 3.0
+# By less than so many times its scatter it is nothing; in between it is doubtful.
+_DOUBTFUL = 1.0
 # Least power of a span, of the mean, and of the motion of a column, in its range.
 _LEAST_POWER, _STILL = 1e-3, 1e-2
 # Of the energy of the columns.
@@ -47,6 +49,24 @@ class CrossTalk:
     floor: Array
     certainty: Array
     beyond: Any
+
+    def sentences(self, names: Sequence[str]) -> list[str]:
+        """Return what is more than a number of the coupling of axes of these `names`, and what may be."""
+        doubtful = (self.size > self.floor) & (self.certainty > _DOUBTFUL) & ~self.beyond
+        found = []
+        for i, j in np.argwhere(self.beyond | doubtful).tolist():
+            moved = (
+                f"beside it the voltage of {names[j]} moves axis {names[i]} by {100 * self.size[i, j]:.2g} % of its "
+                f"stroke (RMS), {self.certainty[i, j]:.2g} times the scatter"
+            )
+            found.append(
+                f"coupling of {names[j]} into {names[i]} is more than a number: {moved}; it has hysteresis or a curve "
+                "of its own, which no matrix describes"
+                if self.beyond[i, j]
+                else f"coupling of {names[j]} into {names[i]} may be more than a number: {moved}, of which "
+                f"{_CERTAIN:g} would show it. More cycles of axis {names[j]} alone decide: dehyst excite stage"
+            )
+        return found
 
 
 def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:

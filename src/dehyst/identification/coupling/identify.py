@@ -309,12 +309,7 @@ def identify_stage(
         is_matrix=not bool(talk.beyond.any()),
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
-    remarks += [
-        f"coupling of {names[j]} into {names[i]} is more than a number: beside it the voltage of {names[j]} moves axis "
-        f"{names[i]} by {100 * talk.size[i, j]:.2g} % of its stroke (RMS), {talk.certainty[i, j]:.2g} times the "
-        "scatter; it has hysteresis or a curve of its own, which no matrix describes"
-        for i, j in np.argwhere(talk.beyond).tolist()
-    ]
+    remarks += talk.sentences(names)
     parts = final, coupling.uncertainty, coupling.share, talk, tuple(errors), own, passes
     return StageFit(stage, fits, *parts, tuple(remarks), names)
 
