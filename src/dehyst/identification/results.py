@@ -371,8 +371,9 @@ class HeldOutHolds:
 
     @property
     def in_displacement(self) -> bool:
-        """Whether creep in displacement predicts held-out holds better than no creep and than creep as a force."""
-        return self.displacement < RULES.hold_gain * min(self.without, self.force)
+        """Whether creep in displacement predicts held-out holds, and creep as a force not much better."""
+        predicts = self.displacement < RULES.hold_gain * self.without
+        return predicts and RULES.force_gain * self.displacement < self.force
 
     def as_dict(self) -> dict[str, float]:
         """Return JSON values [m]."""

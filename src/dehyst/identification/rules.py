@@ -64,9 +64,12 @@ class DecisionRules:
     legs_alike: float = _rule(1.5, "ratio of heights", "Legs are alike up to this ratio of their heights.")
     hold_span: float = _rule(0.005, "part of the voltage's range", "A voltage that stays within it holds.")
     hold_gain: float = _rule(
-        0.9,
+        0.9, "ratio of errors", "Creep in displacement must lower the drift that is left in held-out holds so far."
+    )
+    force_gain: float = _rule(
+        0.8,
         "ratio of errors",
-        "Of what no creep, and creep as a force, leave of the drift in held-out holds: so much in displacement.",
+        "Creep as a force must leave less: taken wrongly it leaves half of a hold's creep, the other form a quarter.",
     )
     slowest_lag: float = _rule(0.05, "cycles", "What follows sooner than this is a lag, not creep.")
     coarse_voltage: float = _rule(
