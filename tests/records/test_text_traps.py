@@ -69,7 +69,6 @@ def test_another_decimal_sign_is_refused(decimal, tmp_path):
     assert caught.value.argument == "decimal"
 
 
-
 @pytest.mark.parametrize(
     ("name", "decimal"),
     [
