@@ -115,7 +115,7 @@ class Session:
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def _begin(self, excitation: Excitation) -> None:
-        """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
+        """Bring the voltage to a safe value once, at first, because the wave of a killed process may still play."""
         demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
         if self.played or self.agreement is not None:
             return
