@@ -1,4 +1,4 @@
-"""The task of a worker: read one record, identify it, write one row; whatever one record does, it is a row."""
+"""The task of a worker: read one record, identify it, and write one row, even if the record fails."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FleetOptions:
     number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`.
 
     `time`, `voltage`, `displacement`, `voltage_scale`, `displacement_scale`, `sample_rate` [Hz] and `decimal`: as in
-    `dehyst.read`. `prior`: a shape of an identified fleet, see `dehyst.fleet.prior`.
+    `dehyst.read`. `prior`: the shape of an identified fleet, see `dehyst.fleet.prior`.
     """
 
     structure: Literal["maxwell_slip", "auto"] = "maxwell_slip"
@@ -79,7 +79,7 @@ class FleetOptions:
 class TaskRunner:
     """The tasks of one run in one thread, with one BLAS thread.
 
-    `head`: dataset, options and folder of the shards with its digest, and the most seconds of a task.
+    `head`: dataset, options, folder of the shards with its digest, and the time limit of a task [s].
     """
 
     def __init__(self, head: Mapping[str, Any]) -> None:
@@ -90,8 +90,8 @@ class TaskRunner:
     def run(self, task: Task) -> dict[str, Any]:
         """Write the shard of a task, unless there is one; return its outcome.
 
-        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: the record did not cause
-        it, and it ends the run.
+        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk. It is not due to the
+        record, and ends the run.
         """
         try:
             for path in (Path(self.head["dataset"]), self._shards.marker):
@@ -148,7 +148,7 @@ def bare_row(task: Task, outcome: str = "", detail: str = "", reason: str = "") 
 
 
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
-    """Return the row of a record, as JSON values; only a missing library or too little memory for anything raises."""
+    """Return the row of a record, as JSON values; only a missing library or a general lack of memory is an error."""
     began, wall = time.process_time(), time.perf_counter()
     row = bare_row(task)
     try:
@@ -175,7 +175,7 @@ def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[s
 
 
 def _identified(record: Record, options: FleetOptions, row: dict[str, Any]) -> dict[str, Any]:
-    """Identify a record; what is known before it is refused is put into the row."""
+    """Identify a record; values known before a refusal are put into the row."""
     row |= {"sha256": sha256_of(record), "samples": len(record), "stroke_um": 1e6 * record.stroke}
     row |= {"noise_nm": 1e9 * record.noise}
     if options.prior is None:
