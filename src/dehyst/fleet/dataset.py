@@ -243,7 +243,7 @@ def _files(folder: Path, by: tuple[str, ...]) -> _Found:
 
 
 def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a record by its attributes, else by the parts of its path, else by those of its name."""
+    """Return the keys of a record from its attributes, else from the parts of its path, else of its name."""
     if not by:
         return {RECORD: whole}
     pairs = dict(part.split("=", 1) for part in parts if "=" in part) | dict(attributes)
@@ -287,7 +287,7 @@ class Reader:
             return record_of(Table(f"{path.name}[{place.part}]", "", tuple(columns)), Choice(**names), task.name)
 
     def is_current(self, row: Mapping[str, Any], task: Task) -> bool:
-        """Return whether a row is that of the record as it is now; reads the record only if its files have changed."""
+        """Return whether a row is up to date with its record, which is read only if its files have changed."""
         if row.get("keys") != dict(task.keys):
             return False
         stamp = stamp_of(task.place)
@@ -331,7 +331,7 @@ def sha256_of(record: Record) -> str:
 
 
 def stamp_of(place: Place) -> str | None:
-    """Return what shows without reading them that the files of a place are other or changed ones; None if not visible.
+    """Return a stamp of the files of a place, which differs if they have changed; None if not available.
 
     Size and modification time are not enough, because a program can set the time, as `cp -p` does. The stamp also has
     the number of the file and the time of its last change of status, which programs cannot set. If stamps differ, the

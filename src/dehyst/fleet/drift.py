@@ -55,14 +55,14 @@ class Ageing:
 
     @property
     def alarms(self) -> Mask:
-        """Whether average or sum of the costs is above its limit, at each later session (n - 1,); low costs are not."""
+        """Whether average or sum of the costs is above its limit, at each later session (n - 1,), except low costs."""
         return np.asarray((self.chart.average > self.chart.limits) | (self.chart.above > DECISION))
 
     @property
     def outside(self) -> bool:
-        """Whether that is so at the last session, and its cost is neither usual nor what the models themselves miss.
+        """Whether the last session has an alarm, and its cost exceeds the usual one and the models' own errors.
 
-        One bad record in the past is no ageing.
+        A single bad record in the past is not ageing.
         """
         return bool(self.alarms[-1]) and float(self.costs[-1]) > max(self.usual, self.own)
 
@@ -182,9 +182,9 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
 
 
 def natural_order(values: Iterable[Any]) -> tuple[str, Callable[[Any], Any]]:
-    """Return the name of an order of the values of a key, and its sort key.
+    """Return the name of the order of a key's values, and its sort key.
 
-    That of numbers if all values are, else that of text: 2 is before 10, 2026-02 before 2026-10.
+    The order is numeric if all values are numbers, else natural: 2 is before 10, 2026-02 before 2026-10.
     """
     if all(_NUMBER.fullmatch(str(value)) for value in values):
         return "numbers by value", lambda value: Decimal(str(value))
@@ -212,9 +212,9 @@ def _repeated(by: str, over: str, pairs: Counter[tuple[Any, Any]]) -> tuple[str,
 
 
 class _Model(NamedTuple):
-    """A model of one session: seconds of a cycle of its record, and its largest error [% of the stroke].
+    """A model of one session: duration of a cycle of its record [s], and its largest error [% of the stroke].
 
-    The error is that of its record, or the one that is expected along other paths where that is larger.
+    The error is the larger one of the error on its record and the expected error on other paths.
     """
 
     actuator: Actuator

@@ -163,7 +163,7 @@ def _local(distributed: Any, jobs: int | None) -> Any:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Prepare a local worker, which preloads this module: the client decides on Ctrl-C, and the output is its own."""
+    """Prepare a local worker, which preloads this module: only the client handles Ctrl-C and prints."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)
 
@@ -178,7 +178,7 @@ def run_one(head: Mapping[str, Any], task: Task) -> dict[str, Any]:
 
 @contextmanager
 def _without_script() -> Iterator[None]:
-    """Keep workers from importing the script that runs: it may begin the run without asking for its `__name__`."""
+    """Keep workers from importing the running script, which may begin the run without a check of `__name__`."""
     script = vars(sys.modules["__main__"])
     kept = {name: script.get(name) for name in ("__file__", "__spec__")}
     try:

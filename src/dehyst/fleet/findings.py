@@ -55,7 +55,7 @@ class ScoredQuantity(NamedTuple):
         return 100 * values / np.array([float(row["stroke_um"]) for row in rows]) if self.relative else values
 
     def scores(self, values: Array) -> tuple[Array, float]:
-        """Return scores (n,) of values (n,), and the median: distances in robust standard deviations of its own side.
+        """Return scores (n,) of values (n,) and the median: distances in robust standard deviations of each side.
 
         Each side has its own deviation, because distributions of errors and widths are skewed. Unknown values score 0;
         with fewer than 8 values, all score 0.
@@ -107,7 +107,7 @@ class Outlier:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What the table of a `fleet` shows.
+    """Findings in the table of a `fleet`.
 
     `outliers`: the farthest first; a record may be there several times. `refused`: reasons and names of records without
     a model, the most frequent reason first. `inaccurate`: records whose model misses them. `duplicates`: names of
@@ -180,7 +180,7 @@ def _some(title: str, texts: list[str]) -> list[str]:
 
 
 def findings_of(fleet: Fleet, *, threshold: float = THRESHOLD) -> Findings:
-    """Return what the table of a `fleet` shows.
+    """Return the findings in the table of a `fleet`.
 
     `threshold`: robust standard deviations beyond which a record is listed. Raise `IdentifyError` if it is no finite
     number above 0, `FileFormatError` if the table is empty.

@@ -94,7 +94,7 @@ class Fleet:
 
 
 def load(path: PathLike) -> Fleet:
-    """Read the table that `dehyst fleet identify` wrote to `path`; models are read when they are asked for.
+    """Read the table that `dehyst fleet identify` wrote to `path`; models are read on request.
 
     Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
     """

@@ -120,7 +120,7 @@ class TaskRunner:
 
     @contextmanager
     def _limited(self, task: Task) -> Iterator[None]:
-        """End this process, the record being lost, after the most seconds: nothing else ends a computation."""
+        """Mark the record as lost and end this process after the time limit."""
         limit = self.head["time_limit"]
         if limit is None:
             yield
@@ -166,7 +166,7 @@ def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any
 
 
 def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[str, Any]:
-    """Return what a row shows of a refusal; its cause, module and line, is the same for all records of one reason."""
+    """Return the fields of a row for a refusal; records with the same reason have the same cause (module and line)."""
     row = {"outcome": "refused", "detail": detail, "reason": reason}
     if error is not None:
         *_, (frame, line) = walk_tb(error.__traceback__)

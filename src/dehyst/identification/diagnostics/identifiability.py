@@ -80,9 +80,9 @@ class Identifiability:
         return self.movable & ~touched
 
     def sentences(self) -> tuple[str, ...]:
-        """Return sentences about what is determined and what is not: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
+        """Return sentences on determined and open combinations: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
 
-        None of plain elements in place of a model, which has other numbers.
+        There are none if `probing`, because the model has other numbers.
         """
         if self.probing:
             return ()
