@@ -1,5 +1,6 @@
-"""The figures of README and documentation: `docs/demo.svg` and, drawn by `loop.py`, `docs/how_to/loop.svg`."""
+"""The figures of README and documentation; `loop.py` draws `docs/how_to/loop.svg` by the same functions."""
 
+import json
 from pathlib import Path
 
 import matplotlib
@@ -29,7 +30,7 @@ def saved(target: Path, size: tuple[float, float], draw, columns: int, **options
     """Draw on axes side by side, and write an SVG file."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained", **options)
-        draw(*figure.subplots(1, columns))
+        draw(*np.atleast_1d(figure.subplots(1, columns)))
         figure.savefig(target, metadata={"Date": None})
     print(target.name)
 
@@ -57,6 +58,22 @@ def draw_demo(left: Axes, right: Axes) -> None:
     right.set(xlabel="time (s)", ylabel="error (% of stroke)", title="Its error")
     room_above(right, 0.3)
     right.legend(loc="upper right")
+
+
+def draw_reliability(axes: Axes) -> None:
+    """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and of others."""
+    parts = json.loads((DOCS.parent / "benchmarks" / "promise.json").read_text())
+    for part, label, colour in (
+        ("calibrate", "ten mechanisms", BEFORE),
+        ("unseen", "three others", AFTER),
+    ):
+        factor, kept = np.array(parts[part]["reliability"]).T
+        axes.semilogx(factor, 100 * kept, color=colour, marker="o", ms=3, lw=1.2, label=label)
+    axes.plot(1.0, 90.0, "k+", ms=12, label="promised: 90 % within the promise itself")
+    axes.set(xlabel="multiple of the promise", ylabel="paths that stay within it (%)", ylim=(0, 102))
+    axes.set_xticks([0.25, 0.5, 1, 2, 3], ["0.25", "0.5", "1", "2", "3"], minor=False)
+    axes.minorticks_off()
+    axes.legend(loc="lower right")
 
 
 def room_above(axes: Axes, share: float) -> None:
@@ -116,4 +133,5 @@ def responses(axes: Axes, found: dict) -> None:
 
 
 if __name__ == "__main__":
+    saved(DOCS / "explanation" / "reliability.svg", (4.8, 3.4), draw_reliability, 1, facecolor="white")
     saved(DOCS / "demo.svg", (9, 3.6), draw_demo, 2, facecolor="white")

@@ -46,7 +46,19 @@ def test_what_made_the_records_misses_nothing_and_ours_finds_it(records):
         assert row.failure == ""
         assert min(row.seconds, row.simulate, row.compensate) > 0
     assert found.rows[0].worst("validation").largest_without < 1e-9
-    assert found.rows[1].worst("validation").largest < 0.5
+    score, promised = found.rows[1].worst("validation"), found.rows[1].promised
+    assert score.largest < 0.5
+    assert (score.largest < promised[0], score.rms < promised[1]) == (True, True)
+
+
+def test_one_rule_promises_for_a_model_that_promises_nothing(records):
+    line = Linear(plain_records.STROKE / plain_records.VOLTS)
+    (row,) = compare(records[0], validate=records[1], models={"line": lambda _: line}).rows
+    trained = row.worst("training")
+    assert row.promised[0] >= trained.largest
+    assert row.promised[1] > trained.rms
+    assert row.as_dict()["promised_percent"] == list(row.promised)
+    assert compare(records[0], models={"line": lambda _: line}).rows[0].promised is None
 
 
 def test_a_constant_is_free_in_one_pair_of_figures_and_not_in_the_other(records):

@@ -30,7 +30,7 @@ from dehyst.baselines.play_models import (
 from dehyst.baselines.preisach import Preisach
 from dehyst.baselines.tracking_trials import TRIALS, TrackingErrors, TrackingTrial
 from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
-from dehyst.model import AbstractModel, Actuator, Motion, simulated, timed
+from dehyst.model import AbstractModel, Actuator, Motion, Validity, promise, simulated, timed
 from dehyst.records import Record, largest, percent, rms
 
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
@@ -87,7 +87,7 @@ class ModelScore:
     `failure`: why there is no model or no figure, as a sentence; empty if there is none to report. `parameters`: number
     of coefficients. `seconds`: time that the fit took. `scores`: one for each record, training first. `tracking`:
     errors by virtual actuator; the model was fitted to that actuator's own records. `simulate`, `compensate`:
-    nanoseconds a sample.
+    nanoseconds a sample. `promised`: largest and RMS error that was to be expected of the held-out records [%].
     """
 
     name: str
@@ -98,6 +98,7 @@ class ModelScore:
     tracking: Mapping[str, TrackingErrors] = field(default_factory=dict)
     simulate: float | None = None
     compensate: float | None = None
+    promised: tuple[float, float] | None = None
 
     def worst(self, role: str) -> RecordScore | None:
         """Return the score with the largest error among the records of that role."""
@@ -105,7 +106,8 @@ class ModelScore:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        keys = "parameters fit_s=seconds errors=scores tracking simulate_ns=simulate compensate_ns=compensate"
+        keys = "parameters fit_s=seconds errors=scores promised_percent=promised tracking simulate_ns=simulate"
+        keys += " compensate_ns=compensate"
         return {"model": self.name, "said": self.failure or None, **json_values(self, keys)}
 
 
@@ -302,6 +304,7 @@ def _row(
         simulate, compensate = speeds(model, played[0].item.record)
         scores = tuple(one.score(model, stroke) for one in played)
         row = replace(row, scores=scores, simulate=simulate, compensate=compensate)
+        row = replace(row, promised=_promised(model, row.worst("training"), training, played, stroke))
     except _FAILURES as error:
         failures.append(str(error) or type(error).__name__)
     for item, records in trials:
@@ -313,6 +316,30 @@ def _row(
         except _FAILURES as error:
             failures.append(f"{item.name}: {str(error) or type(error).__name__}")
     return replace(row, tracking=tracking, failure=" ".join(failures))
+
+
+def _promised(
+    model: AbstractModel, trained: RecordScore | None, training: list[Record], played: list[_Played], stroke: float
+) -> tuple[float, float] | None:
+    """Return the largest and RMS error [% of the stroke] that one rule promises of the held-out records.
+
+    From what is known of an actuator of this package; of any other model, from its errors on the training records.
+    """
+    held_out = [one.item.record for one in played if one.role == "validation"]
+    if not held_out or trained is None:
+        return None
+    known = getattr(getattr(model, "actuator", model), "identification", None)
+    validity = None if known is None else known.validity
+    if validity is None:
+        validity = Validity.by_records(
+            [(record.time, record.voltage) for record in training],
+            rms=trained.rms / 100 * stroke,
+            largest=trained.largest / 100 * stroke,
+            disagreement=0.0,
+            stroke=stroke,
+        )
+    found = [promise(validity, record.voltage, record.time) for record in held_out]
+    return percent(max(one.largest for one in found), stroke), percent(max(one.rms for one in found), stroke)
 
 
 def parameters_of(model: AbstractModel) -> int | None:

@@ -34,6 +34,8 @@ _NEW = 0.15
 _ALIKE, _BEYOND = 1.5, 0.02
 # A lag is known to this factor, and a curved loop moves faster in places than its voltage does.
 _LAG_KNOWN = 1.15
+# Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
+_CLOSING, _OPEN = 0.2, 1.5
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Turning points of a path of which nothing is known but its range.
@@ -111,6 +113,8 @@ class Validity:
         Voltages between which the records went [V].
     new : (float, float)
         How far held-out rises, and falls, were from all others, as a part of the range: root mean square.
+    closing : float
+        Share of legs that reach where the leg before began, and so close a loop; 1 if it is not known.
     speeds : (float, float)
         Lowest and highest mean speed of a leg [V/s].
     hold : float
@@ -129,11 +133,12 @@ class Validity:
     speeds: tuple[float, float] = (0.0, 0.0)
     hold: float = 0.0
     lag: float = 0.0
+    closing: float = 1.0
 
     def __post_init__(self) -> None:
         kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
         numbers = {name: number(getattr(self, name), name) for name in ("rms", "largest", "disagreement", "stroke")}
-        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag")}
+        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag", "closing")}
         pairs = {name: tuple(number(one, name) for one in getattr(self, name)) for name in ("limits", "new", "speeds")}
         wrong = [name for name, value in numbers.items() if not 0 <= value < np.inf]
         if wrong or not np.isfinite(kept).all() or not self.stroke or any(len(pair) != 2 for pair in pairs.values()):
@@ -149,17 +154,19 @@ class Validity:
         given = list(records)
         ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
         limits = min(ends), max(ends)
-        span, pairs, speeds, hold = limits[1] - limits[0], [], [], 0.0
+        span, pairs, speeds, closed, hold = limits[1] - limits[0], [], [], [], 0.0
         for time, voltage in given:
             at = legs(voltage, span)
             pairs.append(voltage[at])
             speeds.append(speeds_of(time, voltage, at))
+            closed.append(_closed(voltage[at], span))
             hold = max(hold, longest_hold(time, voltage, span))
         speed = np.concatenate(speeds)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * _BAND * span)), axis=0) * (0.25 * _BAND * span)
         kept = kept[:: 1 + len(kept) // _MOST]
         fastest = (float(speed.min()), float(speed.max())) if speed.size else (0.0, 0.0)
-        return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, **numbers)
+        closing = float(np.concatenate(closed).mean()) if any(one.size for one in closed) else 1.0
+        return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, closing=closing, **numbers)
 
     def with_record(self, time: Array, voltage: Array, *, rms: float, largest: float) -> Validity:
         """Return what is tested after an update by one more record: its errors count where they are larger.
@@ -176,6 +183,7 @@ class Validity:
             legs=np.concatenate([self.legs, by_it.legs]),
             speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
             hold=max(self.hold, by_it.hold),
+            closing=max(self.closing, by_it.closing),
         )
 
     @property
@@ -203,6 +211,7 @@ class Validity:
             **{name: list(pair) for name, pair in pairs.items()},
             "hold_s": self.hold,
             "lag_s": self.lag,
+            "closing": self.closing,
             "legs_V": self.legs.tolist(),
         }
 
@@ -210,7 +219,10 @@ class Validity:
     def from_dict(cls, data: object) -> Validity:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
         names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
-        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")} | {"new": "new"}
+        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")} | {
+            "new": "new",
+            "closing": "closing",
+        }
         if not isinstance(data, Mapping) or set(data) != set(names):
             raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
         try:
@@ -266,15 +278,20 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
     at, beyond, whole = newness(validity, v)
-    rms, largest = (float(_bound(factors, validity, np.array([whole]))[0]) for factors in (RMS, LARGEST))
+    opens = validity.closing < _CLOSING <= float(np.mean([0.0, *_closed(v[at], validity.span)]))
+    wider = _OPEN if opens else 1.0
+    rms, largest = (wider * float(_bound(factors, validity, np.array([whole]))[0]) for factors in (RMS, LARGEST))
     largest, lagging = max(largest, validity.largest), None
-    each = _bound(LARGEST, validity, beyond) if len(at) else np.array([largest])
+    each = wider * _bound(LARGEST, validity, beyond) if len(at) else np.array([largest])
     half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
     if validity.lag:
         lagging = rms, largest
         moved, fastest = _moved_in_lag(validity, v, clock)
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
-    return Promise(rms, largest, half, tuple(_untested(validity, v, clock, at, beyond)), lagging)
+    untested = [*_untested(validity, v, clock, at, beyond)]
+    if opens:
+        untested.append("Its loops close, those of the records do not: what follows a closed loop was not tested.")
+    return Promise(rms, largest, half, tuple(untested), lagging)
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
@@ -308,6 +325,12 @@ def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     moving = np.abs(np.diff(voltage)) > _AT_REST * mean[own] * step
     moved = np.append(0.0, np.cumsum(step * moving))
     return np.asarray(height / np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300))
+
+
+def _closed(legs_: Array, span: float) -> NDArray[np.bool_]:
+    """Return of all legs (k, 2) [V] but the first whether they reach where the one before began."""
+    heights = np.abs(np.diff(legs_, axis=1)[:, 0])
+    return np.asarray(heights[1:] >= heights[:-1] - _BAND * span)
 
 
 def _bound(factors: tuple[Factors, Factors], validity: Validity, beyond: Array) -> Array:

@@ -76,7 +76,7 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
 def _lines(found: ModelComparison) -> Iterator[str]:
     """Yield a row for each model, then what failed."""
     width = max(len("model"), *(len(row.name) for row in found.rows))
-    groups = ["training", "held out", "no constant", *(f"track {name}" for name in found.truths)]
+    groups = ["training", "held out", "promised", "no constant", *(f"track {name}" for name in found.truths)]
     yield f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}"
     heads = len(groups) * f"  {'largest':>8}{'RMS':>7}"
     yield f"{'model':<{width}}{heads}{'fit, s':>9}{'simulate':>10}{'invert':>8}{'numbers':>9}"
@@ -84,7 +84,8 @@ def _lines(found: ModelComparison) -> Iterator[str]:
     yield ""
     yield (
         f"Errors in % of the stroke, {found.stroke * 1e6:.4g} um, of the record with the largest error. Training and "
-        "held out: with one free constant for each record."
+        "held out: with one free constant for each record. Promised: what is to be expected of the held-out records, "
+        "of dehyst by its identification, of others by the same rule from their training errors."
     )
     if found.note:
         yield found.note
@@ -96,6 +97,7 @@ def _line(row: ModelScore, truths: tuple[str, ...], width: int) -> str:
     pairs: list[tuple[float, float] | None] = [
         None if training is None else (training.largest, training.rms),
         None if held_out is None else (held_out.largest, held_out.rms),
+        row.promised,
         None if held_out is None else (held_out.largest_without, held_out.rms_without),
         *(None if (track := row.tracking.get(name)) is None else (track.largest, track.rms) for name in truths),
     ]

@@ -71,6 +71,7 @@ def _table(found: ModelComparison) -> str:
     columns: dict[str, list[tuple[float, float] | None]] = {
         "Training": [_errors(row.worst("training")) for row in found.rows],
         "Held out": [_errors(row.worst("validation")) for row in found.rows],
+        "Promised": [row.promised for row in found.rows],
         "Held out, no constant": [
             None if (score := row.worst("validation")) is None else (score.largest_without, score.rms_without)
             for row in found.rows
@@ -78,7 +79,9 @@ def _table(found: ModelComparison) -> str:
         **{f"Tracking, {name}": [_errors(row.tracking.get(name)) for row in found.rows] for name in found.truths},
     }
     best = set()
-    for number_, errors in enumerate(columns.values(), 1):
+    for number_, (name, errors) in enumerate(columns.items(), 1):
+        if name == "Promised":
+            continue
         known = [(error[0], i) for i, error in enumerate(errors) if error is not None]
         if len(known) > 1:
             best.add((min(known)[1], number_))
@@ -90,8 +93,10 @@ def _table(found: ModelComparison) -> str:
         "<h2>Models compared</h2>\n"
         '<p class="muted">Every model fitted to the same records. Measured minus simulated displacement of the record '
         f"with the largest error, in % of the stroke ({escape(length(found.stroke))}): largest and, in small print, "
-        "RMS, with one free constant for each record or with none. Tracking: wanted minus reached displacement of a "
-        "virtual actuator along a random path of 40 reversals; the model was fitted to that actuator's own records."
+        "RMS, with one free constant for each record or with none. Promised: the errors to expect of the held-out "
+        "records; of other models by the rule of dehyst, from their training errors. Tracking: wanted minus reached "
+        "displacement of a virtual actuator along a random path of 40 reversals; the model was fitted to that "
+        "actuator's own records."
         f"{' ' + escape(found.note) if found.note else ''}</p>\n"
         f"{table(('Model', *columns), rows, texts=1, best=best)}"
     )

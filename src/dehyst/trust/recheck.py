@@ -16,7 +16,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import DESCRIPTION, Actuator, Identification
+from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, promise
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
 from dehyst.trust.changes import Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
@@ -68,6 +68,8 @@ class Recheck:
         Sentences: what limits the result, and what was repaired.
     trace : Trace
         Measured and simulated displacement.
+    promise : Promise or None
+        What the identification promised of this record's path; None if the model file lacks it.
     """
 
     record: str
@@ -86,6 +88,7 @@ class Recheck:
     changes: tuple[Change, ...]
     remarks: tuple[str, ...]
     trace: Trace
+    promise: Promise | None = None
 
     @property
     def without_noise(self) -> float:
@@ -145,6 +148,9 @@ class Recheck:
         )
         if self.ratio is not None and self.before is not None:
             text += f"; with it {self._percent(self.largest)}, then {self._percent(self.before)}"
+        if self.promise is not None:
+            kept = "kept" if self.without_noise <= self.promise.largest else "not kept"
+            text += f". The model promised {self._percent(self.promise.largest)} on this path: {kept}"
         return f"{text}. {self._advice()}"
 
     def _advice(self) -> str:
@@ -185,6 +191,7 @@ class Recheck:
             "largest_percent": percent(self.largest, self.stroke),
             "rms_percent": percent(self.rms, self.stroke),
             "without_noise_percent": percent(self.without_noise, self.stroke),
+            "promise": None if self.promise is None else self.promise.as_dict(),
             "before_percent": None if self.before is None else percent(self.before, self.stroke),
             "ratio": None if ratio is None or not np.isfinite(ratio) else ratio,
             "goal_percent": self.goal,
@@ -274,6 +281,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
         remarks=(*_remarks(actuator, record), *prepared.sentences),
         trace=trace,
+        promise=None if origin.validity is None else promise(origin.validity, record.voltage, record.time),
     )
 
 
