@@ -119,9 +119,10 @@ def _check(dataset: PathLike, output: Path, jobs: int | None, dask: str | None, 
 
 
 def _check_dataset(dataset: Dataset, options: FleetOptions) -> None:
-    if options.decimal is not None and all(task.place.kind != "file" for task in dataset.tasks):
+    decimal = options.columns.get("decimal")
+    if decimal is not None and all(task.place.kind != "file" for task in dataset.tasks):
         raise FileFormatError(
-            f"got '{options.decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
+            f"got '{decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
         )
     if reserved := [name for name in dataset.by if name in (*COLUMNS, "keys")]:
         raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")

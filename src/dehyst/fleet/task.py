@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Literal
@@ -27,6 +27,8 @@ from dehyst.fleet.table import CAUSE, MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
 from dehyst.records import Choice, Record
 
+# Arguments of `dehyst.read` that a fleet takes.
+COLUMNS = (*Choice._fields, "decimal")
 # A task is tried so many times; status of a worker that ends itself at the time limit.
 _TRIALS, _LATE = 3, 75
 # A model that misses a record by this part of its standard deviation explains nothing.
@@ -38,10 +40,8 @@ class FleetOptions:
     """How every record is identified; raise `IdentifyError` if an option is impossible.
 
     `structure`: "maxwell_slip", slip elements and a spring, or "auto", parts selected by cross-validation. `elements`:
-    number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`.
-
-    `time`, `voltage`, `displacement`, `voltage_scale`, `displacement_scale`, `sample_rate` [Hz] and `decimal`: as in
-    `dehyst.read`. `prior`: the shape of an identified fleet, see `dehyst.fleet.prior`.
+    number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`. `columns`:
+    arguments of `dehyst.read`, by names in `COLUMNS`. `prior`: the shape of an identified fleet.
     """
 
     structure: Literal["maxwell_slip", "auto"] = "maxwell_slip"
@@ -49,25 +49,15 @@ class FleetOptions:
     norm: str = "l1"
     drift: bool = True
     delay: float | None = None
-    time: str | None = None
-    voltage: str | None = None
-    displacement: str | None = None
-    voltage_scale: str | None = None
-    displacement_scale: str | None = None
-    sample_rate: float | None = None
-    decimal: str | None = None
+    columns: Mapping[str, Any] = field(default_factory=dict)
     prior: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         choice(self.structure, "structure", ("maxwell_slip", "auto"))
         if self.structure == "auto" and (self.elements is not None or self.prior is not None):
             raise IdentifyError("structure: 'auto' takes neither elements nor a prior; leave them out")
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """The arguments of `dehyst.read`."""
-        given = {name: getattr(self, name) for name in (*Choice._fields, "decimal")}
-        return {name: value for name, value in given.items() if value is not None}
+        for name in self.columns:
+            choice(name, "columns", COLUMNS)
 
     @property
     def identification(self) -> dict[str, Any]:
