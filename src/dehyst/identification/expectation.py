@@ -55,9 +55,9 @@ class Expectation:
     if_actuator_lags : (float, float), optional
         The same errors (rms, largest) [m] if the actuator, and not the sensor, lags: where the records leave that open.
     tested : bool
-        Whether the errors are those of validation records.
+        Whether the errors come from validation records.
     untested : tuple of str
-        What the records do not test of such a path, each a sentence.
+        Sentences on properties of such a path that the records do not test.
     """
 
     rms: float
@@ -126,7 +126,7 @@ class Expectation:
 
     @property
     def origin(self) -> str:
-        """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
+        """Origin of the expected errors, and their values if the sensor lags instead of the actuator."""
         text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
         if self.if_actuator_lags is None:
             return text
@@ -187,7 +187,7 @@ def validity_of(
     *,
     validated: bool = True,
 ) -> Validity:
-    """Return what records tested of a model.
+    """Return the domain of validity of a model from its records.
 
     `records`, `errors`, `remaining`: one each, training first. `noise`: standard deviation of the sensor [m]. `lag` [s]
     that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out parts.
@@ -246,7 +246,7 @@ def expectation(
     goal: float,
     caveats: Sequence[str] = (),
 ) -> Expectation:
-    """Return what to expect of a path that turns anywhere within the recorded voltages, at recorded speeds.
+    """Return the errors to expect on a path that turns anywhere within the recorded voltages, at recorded speeds.
 
     `errors`, `checks`: those of a `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
     `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.

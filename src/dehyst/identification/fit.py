@@ -87,12 +87,12 @@ class Fit:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
 
-        `full` returns what `--all` prints: errors, structures, parts, repairs and all remarks beside.
+        `full` returns what `--all` prints: also errors, structures, parts, repairs and all remarks.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 
     def to_dataframe(self) -> DataFrame:
-        """Return the errors as a pandas DataFrame, a row a record: in % of the stroke and in nm.
+        """Return the errors as a pandas DataFrame, one row for each record: in % of the stroke and in nm.
 
         Raise `MissingExtraError` if pandas is not installed.
         """
@@ -133,7 +133,7 @@ class Fit:
 
     @property
     def good(self) -> bool:
-        """Whether the model may be used: neither its outcome nor what is expected of it forbids that."""
+        """Whether the model may be used: neither its outcome nor its expected error forbids this."""
         usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
         return self.outcome.good and usable
 

@@ -177,17 +177,18 @@ _NEIGHBOURS, _APART = 20, 0.15
 
 @dataclass(frozen=True)
 class RemainingError:
-    """Where the error of a record comes from: shares of the power of its residual.
+    """Sources of a record's error, as shares of the power of its residual.
 
     Attributes
     ----------
     record, role : str
     rms : float
-        RMS of the residual less its mean [m].
+        RMS of the residual without its mean [m].
     noise, slow, vibration, model : float
-        Shares of white noise, of drift and the like, of a line that the voltage does not have, and of the model.
+        Shares of white noise, of drift and other slow causes, of vibration (a line not in the voltage), and of the
+        model.
     frequency : float
-        That of the line [Hz]; 0 without one.
+        Frequency of the vibration [Hz]; 0 without one.
     means : tuple of float
         Mean residual, its slow part aside [m]: where the voltage rises, in the lowest, middle and highest third of the
         displacements, then where it falls. Empty without an error.
@@ -210,7 +211,7 @@ class RemainingError:
 
     @property
     def sensed(self) -> float:
-        """RMS of what is the sensor's: white noise and vibration [m]."""
+        """RMS of the sensor's part: white noise and vibration [m]."""
         return self.rms * float(np.sqrt(self.noise + self.vibration))
 
     def sentence(self, stroke: float) -> str:
@@ -218,7 +219,7 @@ class RemainingError:
         return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
 
     def causes(self, stroke: float) -> str:
-        """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
+        """Return the shares as text, with lengths as parts of `stroke` [m], and a remedy for the largest share."""
         parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
         if self.vibration:
             size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"
@@ -243,9 +244,9 @@ class RemainingError:
 def remaining_error(trace: Trace) -> RemainingError:
     """Split the mean square of a record's residual.
 
-    White noise is what differs from one sample to the next. Slow is what remains in means over a cycle: drift,
-    temperature, creep that the model lacks. A line that the voltage does not have is a vibration. The rest repeats
-    with the voltage: the model's own error.
+    White noise differs from sample to sample. The slow part remains in means over a cycle: drift, temperature, creep
+    that the model lacks. A line that is not in the voltage is a vibration. The rest repeats with the voltage: it is the
+    model's own error.
     """
     residual = trace.residual - trace.residual.mean()
     total = float(np.mean(residual**2))
@@ -332,7 +333,7 @@ class Check:
         The assumption: "Assumption I", "Anti-symmetry", ...
     verdict : Verdict
     value, floor : float or None
-        The measured value, and the value that noise alone would give (for Assumption I the least allowed); None where
+        The measured value, and the largest value due to noise alone (for Assumption I the least allowed value); None if
         there is no such number.
     unit : str
         Unit of both.
