@@ -33,8 +33,8 @@ class RecordErrors:
     """Measured minus simulated displacement of one `record`, where its state is known.
 
     `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
-    `largest_with_drift` [m] is as `rms_with_drift`. `offset` [m] is the constant that was set aside. `datum` [m] is
-    that of the sensor.
+    `largest_with_drift` [m] is the largest error with the drift included. `offset` [V] is the constant that was
+    removed. `datum` [m] is the datum of the sensor.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class RecordErrors:
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
         Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: the
-        first rise from an unknown state, and single outliers, are set aside. Default: those of all samples.
+        first rise from an unknown state, and single outliers, are set aside. Default: errors of all samples.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
@@ -362,8 +362,8 @@ _COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", 
 class HeldOutHolds:
     """RMS errors [m] of the drift in held-out holds of the voltage, by form of creep; see `held_out.held_out_holds`.
 
-    `without`: of a model without creep. `force`: with creep as a force beside the elements. `displacement`: with creep
-    in displacement, behind them.
+    `without`: of a model without creep. `force`: with creep as a force parallel to the elements. `displacement`: with
+    creep in displacement, behind them.
     """
 
     without: float
@@ -380,7 +380,7 @@ class HeldOutHolds:
         return {f"{name}_m": error for name, error in asdict(self).items()}
 
     def sentence(self, actuator: Actuator) -> str:
-        """Return which form of creep an `actuator` has, and what each form leaves of the drift."""
+        """Return a sentence on the form of creep of an `actuator`, and on the remaining drift with each form."""
         force, behind = (100 * error / self.without for error in (self.force, self.displacement))
         forms = {"as a force": (actuator.creep, force), "in displacement": (actuator.displacement_creep, behind)}
         others = [f"{left:.0f} % {form}" for form, (part, left) in forms.items() if part is None]
@@ -398,7 +398,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     It has the arrays time_s_1, voltage_V_1, measured_m_1 and simulated_m_1 of the first record, and so on; the array
     "dehyst-output" is JSON in bytes: name, role and first time [s] of each.
 
-    Raise `FileFormatError`: the suffix is another one, or the file cannot be written.
+    Raise `FileFormatError` if the suffix is not .npz, or the file cannot be written.
     """
     if Path(path).suffix.lower() != ".npz":
         raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
@@ -412,7 +412,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
 def read_traces(path: PathLike) -> Iterator[Trace]:
     """Yield the traces that `write_traces` wrote to a `path`, one at a time.
 
-    Raise `FileFormatError`: the file cannot be read, or is another one.
+    Raise `FileFormatError` if the file cannot be read, or holds no traces.
     """
     with reading_errors(Path(path), ".npz"), np.load(path, allow_pickle=False) as archive:
         if _HEADS not in archive:
