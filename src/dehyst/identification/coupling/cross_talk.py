@@ -1,4 +1,4 @@
-"""What each voltage moves on the other axes beside the coupling matrix, or beside the model of a single axis."""
+"""Cross-talk: motion due to other voltages that the coupling matrix or the model of one axis does not describe."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ _MOST_ROWS, _LEAST_NEIGHBOUR = 12_000, 0.002
 
 @dataclass(frozen=True, eq=False)
 class CrossTalk:
-    """What each voltage moves on the other axes beside the coupling matrix.
+    """Cross-talk: motion due to each voltage on the other axes that the coupling matrix does not describe.
 
     Attributes
     ----------
     size, floor : (axes, axes) array
-        RMS of what the voltage of axis j predicts of the residual of axis i, on time it was not fitted to, and what
-        counts as nothing, as shares of the stroke of axis i; 0 on the diagonal.
+        RMS of the residual of axis i that the voltage of axis j predicts on held-out time, and the least value that
+        counts, as shares of the stroke of axis i; 0 on the diagonal.
     certainty : (axes, axes) array
         The improvement by the prediction over its scatter between spans of time.
     beyond : (axes, axes) bool array
-        Where `size` is over `floor` and the certainty is sufficient: coupling is no number there.
+        Where `size` is over `floor` and the certainty is sufficient: there, coupling is more than a number.
     """
 
     size: Array
@@ -70,7 +70,7 @@ class CrossTalk:
 
 
 def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:
-    """Return what the voltage of each axis predicts of the residual of the others, on time that was held out.
+    """Return how well the voltage of each axis predicts the residuals of the others on held-out time.
 
     The rule: the plays of the voltage of axis j, bent by ramps, are fitted to the residual of axis i in five sixths of
     the spans of the records, together with those of axis i itself. Coupling of j into i is more than a number if they
@@ -97,9 +97,9 @@ def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.int
 
     The certainty is the mean over the spans of the relative improvement, in its standard errors.
 
-    Of both, the first columns count, which move most. The level of each span is free: it is no motion that a voltage
-    causes. Spans in which the further columns do not move are left out; the others have the weight of what all
-    columns miss of them.
+    Of both, the first columns count, which move most. The level of each span is free: it is not a motion due to a
+    voltage. Spans in which the further columns do not move are left out; the others are weighted by their residual with
+    all columns.
     """
     base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
     target = _without_levels(target[:, None], spans)[:, 0]
@@ -150,10 +150,10 @@ def _fitted(rows: Array, target: Array, weights: Array) -> Array:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Another voltage that the residual of a record follows.
+    """Another voltage with which the residual of a record is correlated.
 
-    `column`: its name. `share`: RMS of what it predicts of the residual, as a share of the stroke. `explained`: the
-    share of the residual's power.
+    `column`: its name. `share`: RMS of the predicted residual, as a share of the stroke. `explained`: explained share
+    of the residual's power.
     """
 
     record: str

@@ -39,9 +39,9 @@ def model_checks(
     records. A model with more parts follows loops without them: its residuals must show no pattern, no difference
     between rising and falling branches, between the ends of the stroke, or between early and late.
 
-    `actuator`: as identified. `records`: training records, then those held out. `traces`, `errors`: those of a `Fit`,
-    one for each record. `floor`: least allowed slope [V/m] of the spring; of Maxwell-slip only. `imposed`: whether the
-    spring would fall somewhere without the floor; of Maxwell-slip only.
+    `actuator`: as identified. `records`: training records, then held-out ones. `traces`, `errors`: as in `Fit`, one for
+    each record. `floor`: least allowed slope of the spring [V/m], for Maxwell-slip only. `imposed`: whether the spring
+    would fall somewhere without the floor, for Maxwell-slip only.
 
     Returns
     -------
@@ -95,7 +95,8 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
     if imposed:
         verdict = Verdict.FAILS
         sentence += (
-            " The fit held it up: without that the spring would fall, and one voltage would have several displacements."
+            " The fit imposed this floor: otherwise the spring's voltage would fall, and one voltage would have "
+            "several displacements."
         )
     elif floor is not None and spring.slopes[least] <= floor * (1 + 1e-6):
         verdict, sentence = Verdict.UNKNOWN, sentence + _HELD_UP
@@ -207,8 +208,8 @@ def _symmetry(loop: Mirrored | None) -> tuple[Check, Check]:
         f"{named} equals its mirror image to {max(value, 0.01):.2g} % of the stroke. This does not prove that the "
         f"spring is linear: a spring that is odd about the loop's centre gives the same.{single}",
         f"{named} lies up to {value:.3g} % of the stroke from its mirror image, most at {at:.4g} um: a linear spring "
-        f"(Lemma 2) cannot follow it. The bend of the middle line makes {middle:.3g} % of it, which the nonlinear "
-        f"spring follows; the width makes {half:.2g} %.{single}",
+        f"(Lemma 2) cannot follow it. The bend of the middle line contributes {middle:.3g} %, which the nonlinear "
+        f"spring follows; the width contributes {half:.2g} %.{single}",
     )
     return mirror, _tested(
         names[1],
@@ -259,7 +260,7 @@ class _Drift(NamedTuple):
         return self.value / max(self.floor, RULES.smallest_pattern)
 
     def check(self, what: str, moves: str, why: str) -> Check:
-        """Return the check of how `what` `moves`; `why`: what follows if it does."""
+        """Return the check of a drift; `what` drifts, `moves` is the verb, and `why` the consequence."""
         value, floor, unit = self.value, self.floor, "% a decade"
         sentence = (
             f"{self.record}: {what} {moves} by {value:.2g} % of the stroke a decade of time since the record's start"
