@@ -69,7 +69,7 @@ class DecisionRules:
     force_gain: float = _rule(
         0.8,
         "ratio of errors",
-        "Creep as a force must leave less: taken wrongly it leaves half of a hold's creep, the other form a quarter.",
+        "Creep as a force must leave so much less than in displacement: taken wrongly it costs more.",
     )
     slowest_lag: float = _rule(0.05, "cycles", "What follows sooner than this is a lag, not creep.")
     coarse_voltage: float = _rule(
