@@ -225,8 +225,6 @@ def test_options_that_a_stage_does_not_take_are_refused(folder):
     words = ["compensate", folder / "stage.json", path, "-o", folder / "s.csv", "--table", folder / "t.csv"]
     assert refused(*words)["argument"] == "table"
     assert refused("export", folder / "stage.json", folder / "s.fmu", "--fmu", "3.0")["argument"] == "fmu"
-    words = ["insight", folder / "stage.json", folder / "stage.csv", "--report", folder / "i.html"]
-    assert refused(*words)["argument"] == "report"
     words = ["show", folder / "stage.json", "-o", folder / "o.csv"]
     assert refused(*words)["argument"] == "output"
 

@@ -321,7 +321,7 @@ CASES = {
             "stage.json stage.csv --options NONE",
             _AXES_BASE,
             _OF_AXES,
-            only=("trajectory", "zero", "start", "output", "report", "force", "columns:voltage", "columns:axes"),
+            only=("trajectory", "zero", "start", "output", "force", "columns:voltage", "columns:axes"),
         ),
     ],
     "identify": [

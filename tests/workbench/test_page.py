@@ -6,12 +6,13 @@ import time
 import numpy as np
 import places
 import pytest
+from coupled_stage import excited
 from matplotlib.image import imread
 from workbench_client import served
 from workbench_page import CHROMIUM, chromium, emulator, visit
 from workbench_tour import PICTURES, played
 
-from dehyst.records import read_table
+from dehyst.records import read_table, write_record
 
 Error = pytest.importorskip("playwright.sync_api", reason="needs playwright").Error
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
@@ -197,6 +198,39 @@ def test_a_reload_loses_nothing(owner):
     owner.sees("is the largest error to expect", within="#model")
     owner.page.locator("#model canvas").first.wait_for()
     assert colours(owner.page.locator("#model-body")) > 3
+
+
+def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp_path):
+    write_record(tmp_path / "stage.csv", excited()[0])
+    person.drop(tmp_path / "stage.csv")
+    person.sees("perhaps of coupled axes", within="#records")
+    person.click("button", "Read again")
+    person.sees("1 ready")
+    person.sees("stage, y", within="#records .legend")
+    person.identify(structure="maxwell_slip")
+    rows = person.page.get_by_role("table", name="Verdict of each axis").locator("tbody tr")
+    assert [one[0] for one in rows.all_inner_texts()] == ["x", "y"]
+    person.sees(r"Coupling: y moves x by 4 %, x moves y by .3 %", within="#model")
+    person.step("Path")
+    person.page.get_by_label("Axis to draw").select_option("y")
+    person.sees("Expect x within", within="#plan-words")
+    person.write_voltage()
+    person.page.get_by_role("radio", name="A file").check()
+    (tmp_path / "path.csv").write_text("time_s,y_um,x_um\n0,3,2\n1,8,10\n2,12,4\n")
+    person.page.locator("#path-file").set_input_files(tmp_path / "path.csv")
+    person.fill("Samples a second", 50, within="#path")
+    person.write_voltage()
+    _, content = person.download("link", "Download CSV", within="#voltage-list")
+    (tmp_path / "voltage.csv").write_bytes(content)
+    table = {column.name: column.data for column in read_table(tmp_path / "voltage.csv").columns}
+    assert {"vx_V", "vy_V", "x_um", "y_um"} <= table.keys()
+    assert (table["x_um"][-1], table["y_um"][-1]) == (pytest.approx(4), pytest.approx(12))
+    person.page.get_by_label("Voltage of x, y over time").wait_for()
+    person.step("Trust")
+    person.click("button", "Assess the model")
+    person.sees("Axis y", within="#trust-insight")
+    person.step("Export")
+    assert person.page.locator("#export .kinds h3").all_inner_texts() == ["C99", "Model and report"]
 
 
 def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):

@@ -23,7 +23,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { before, inkLines, nearest, thinPath, thinTime } from "./thinning.js";
 import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
-import { parsedPath } from "./path_file.js";
+import { parsedPaths } from "./path_file.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
 const { column } = await import("./report.js");
@@ -284,9 +284,15 @@ def test_modules_become_one_script_without_two_names_that_are_equal(modules):
     ],
 )
 def test_a_path_is_read_from_text(run, text):
-    assert run(f"print(parsedPath({json.dumps(text)}));") == [
+    assert run(f"print(parsedPaths({json.dumps(text)})[0]);") == [
         pytest.approx(row) for row in [[0, 1], [0.5, 2], [1, 1.5]]
     ]
+
+
+def test_a_path_of_several_axes_is_read_by_their_names(run):
+    text = "time_s,y_nm,x_um\n0,1000,2\n1,3000,4\n"
+    assert run(f'print(parsedPaths({json.dumps(text)}, ["x", "y"]));') == [[[0, 2], [1, 4]], [[0, 1], [1, 3]]]
+    run(f'assert.throws(() => parsedPaths({json.dumps(text)}, ["x", "z"]), /time_s,x_um,z_um/);')
 
 
 @pytest.mark.parametrize(
@@ -300,7 +306,7 @@ def test_a_path_is_read_from_text(run, text):
     ],
 )
 def test_a_text_that_is_no_path_is_refused_with_the_reason(run, text, sentence):
-    run(f"assert.throws(() => parsedPath({json.dumps(text)}), /{sentence}/);")
+    run(f"assert.throws(() => parsedPaths({json.dumps(text)}), /{sentence}/);")
 
 
 def test_numbers_are_written_for_people(run):

@@ -290,10 +290,14 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     errors = [{"record": "two (x)", "role": "training", **dict.fromkeys(("samples", "left_out"), 1)}]
     errors[0] |= {"largest_percent": 1.0, "rms_percent": 0.5}
     worse = {**FIT, "verdict": {**VERDICT, "largest_percent": 2.0}, "errors": errors, "remarks": ["look"]}
-    await stage.next(Finished({"sentence": "Identified.", "fits": {"x": {**FIT, "errors": errors}, "y": worse}}))
+    fits = {"x": {**FIT, "errors": errors}, "y": worse}
+    whole = {"verdict": "Ready for use: ...", "good": True, "coupling": [[1, 0.1], [0, 1]], "is_matrix": True}
+    await stage.next(Finished({**whole, "remarks": [], "fits": fits}))
     assert stage.step.parameters["columns"] == "x=vx_V:x_m, y=vy_V:y_m"
     assert (model.status, model.verdict["largest_percent"], len(model.table)) == ("ready", 2.0, 2)
     assert model.verdict["remarks"] == ["y: look"]
+    assert model.coupling["matrix"][0][1] == 0.1
+    assert [one["largest_percent"] for one in model.coupling["verdicts"].values()] == [0.5, 2.0]
     points = {"x": [[0, 1], [1, 2]], "y": [[0, 3], [2, 1]]}
     stage.session.follow(model.id, {"points": points, "rate": 10})
     await stage.next(Finished(error={"message": "no"}))

@@ -17,7 +17,7 @@ from dehyst.operations.paths import PathSlew, Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
 from dehyst.report import write_check_history, write_insight
-from dehyst.trust import CheckHistory, Recheck, check_stage, stage_insight
+from dehyst.trust import CheckHistory, Insight, Recheck, StageInsight, check_stage, stage_insight
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
 from dehyst.trust.history import ControlChart, demand_folder
@@ -50,7 +50,7 @@ def insight(
     precision: Annotated[float | None, _of_repeats] = None,
     repeats: int = 100,
     output: Annotated[Output | None, _of_path] = None,
-    report: Annotated[Output | None, _of_one] = None,
+    report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
     """Assess a MODEL: what the RECORDS that it was identified from determine, and what they leave open.
@@ -84,6 +84,7 @@ def insight(
     }
     if known.stage is not None:
         whole = stage_insight(known.stage, training, **asked)
+        assessed: Insight | StageInsight = whole
         found, fields, head = whole.insights, whole.as_dict(), list(whole.lines())
     else:
         actuator = known.actuators[0]
@@ -95,12 +96,12 @@ def insight(
             reader = start_reader(known, start, columns)
             asked["start"] = lambda one: reader(0, one, limits)
         one = insight_one(actuator, training, **asked)
-        found, fields, head = (one,), one.as_dict(), []
+        assessed, found, fields, head = one, (one,), one.as_dict(), []
         if output is not None and one.band is not None:
             write_table(output, {**time, **one.band.columns()})
-        if report is not None:
-            run.progress("drawing the page")
-            write_insight(report, one, command=run.command)
+    if report is not None:
+        run.progress("drawing the page")
+        write_insight(report, assessed, command=run.command)
 
     def lines(*, full: bool) -> list[str]:
         parts = zip(known.axes, found, strict=True)

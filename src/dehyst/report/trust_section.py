@@ -14,7 +14,17 @@ from dehyst.identification import Identifiability
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series, stems
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
-from dehyst.trust import ERRORS, NOISE_BIAS, SHARP, Insight, MajorLoopWidth, PredictionBand, Turn, TurnPlane
+from dehyst.trust import (
+    ERRORS,
+    NOISE_BIAS,
+    SHARP,
+    Insight,
+    MajorLoopWidth,
+    PredictionBand,
+    StageInsight,
+    Turn,
+    TurnPlane,
+)
 
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
@@ -25,11 +35,14 @@ _FREE: Colour = "noise"
 _NOISE: Colour = "simulated"
 
 
-def write_insight(path: PathLike, found: Insight, *, command: str | None = None) -> None:
+def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str | None = None) -> None:
     """Write an assessment to one HTML file that loads nothing from outside.
 
-    `path`, `command` and errors are as in `write_report`; `found` is the assessment.
+    `path`, `command` and errors are as in `write_report`; `found` is the assessment, of one axis or of several.
     """
+    if not isinstance(found, Insight):
+        _write_stage_insight(path, found, command)
+        return
     name = escape(found.actuator.name)
     records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
     parts = [
@@ -39,6 +52,27 @@ def write_insight(path: PathLike, found: Insight, *, command: str | None = None)
         html.reproduction(command),
     ]
     write_atomically(path, html.document(f"{found.actuator.name}: insight", parts))
+
+
+def _write_stage_insight(path: PathLike, found: StageInsight, command: str | None) -> None:
+    """Write the coupling with its intervals, and the sections of each axis."""
+    half = (found.high - found.low) / 2
+    matrix: list[Row] = [
+        (axis, *("1" if i == j else f"{found.coupling[i, j]:+.5f} ± {half[i, j]:.5f}" for j in range(len(found.axes))))
+        for i, axis in enumerate(found.axes)
+    ]
+    caption = (
+        "Displacement of each axis (row) for each metre that an actuator (column) moves, with half the interval that "
+        f"the records allow ({100 * found.level:g} %)."
+    )
+    parts: list[Part] = [
+        "<h1>Coupled axes: how far to trust the model</h1>",
+        f"<h2>Coupling</h2><p>{escape(caption)}</p>{html.table(('axis', *found.axes), matrix, 1)}",
+        html.bullets("Remarks", map(words, found.remarks)),
+    ]
+    for axis, one in zip(found.axes, found.insights, strict=True):
+        parts += [f"<h2>Axis {escape(axis)}</h2>", *sections(one, one.turns)]
+    write_atomically(path, html.document("Coupled axes: insight", [*parts, html.reproduction(command)]))
 
 
 def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
@@ -75,7 +109,7 @@ def _verdict(found: Insight) -> str:
         f'<div class="outcome {"amber" if warnings or new else "green"}" role="status">'
         f"<strong>{title}</strong>"
         f'<p class="first">{words(expected)}</p><p>The largest error of the model on these records is {share} % of '
-        f"their range.</p>{f'<ul>{lines}</ul>' if lines else ''}</div>"
+        f"the stroke.</p>{f'<ul>{lines}</ul>' if lines else ''}</div>"
     )
 
 

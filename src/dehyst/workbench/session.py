@@ -93,7 +93,8 @@ class ModelEntry:
 
     `rig` names the instrument of a calibrated model, which has no records of the list, and no `seconds` of its own.
     `table` has an entry a record: role, largest and RMS error [% of the stroke]. `axes` has an entry for each of
-    several coupled ones: name, range_v, range_um and slew_v_per_s; the model's own ranges hold all of them.
+    several coupled ones: name, range_v, range_um and slew_v_per_s; the model's own ranges hold all of them, and its
+    verdict is that of the worst axis. `coupling` has their matrix, whether it is all of the coupling, and each verdict.
     """
 
     id: str
@@ -114,6 +115,7 @@ class ModelEntry:
     summary: list[str] = field(default_factory=list)
     table: list[dict[str, Any]] = field(default_factory=list)
     axes: list[dict[str, Any]] = field(default_factory=list)
+    coupling: dict[str, Any] | None = None
     range_v: list[float] = field(default_factory=list)
     range_um: list[float] = field(default_factory=list)
     slew_v_per_s: float | None = None
@@ -138,25 +140,26 @@ class ModelEntry:
             self.status = "cancelled" if stopped else "failed"
             self.error = "it was ended before there was a model" if stopped else finished.words
             return
-        fits = fit.get("fits", {"": fit})
-        verdicts = [one["verdict"] for one in fits.values() if one.get("verdict") is not None]
-        if len(verdicts) < len(fits):
-            self.status, self.error = "failed", str(fit["sentence"])
+        several = "fits" in fit
+        fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
+        if any(one.get("verdict") is None for one in fits.values()):
+            self.status, self.error = "failed", str(fit[sentence])
             return
-        verdict = max(verdicts, key=lambda one: one["largest_percent"])
+        verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
+        remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
+        verdict = max(verdicts.values(), key=lambda one: one["largest_percent"])
         self.status, self.error = "ready", None
-        self.verdict = {
-            **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
-            "largest_um": verdict["largest_m"] * _MICRO,
-            "noise_um": verdict["noise_m"] * _MICRO,
-            "goal": verdict["goal_percent"],
-            "why": verdict["reasons"],
-            "remarks": [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]],
-        }
+        self.verdict = {**verdict, "remarks": remarks}
+        if several:
+            self.coupling = {"matrix": fit["coupling"], "is_matrix": fit["is_matrix"], "verdicts": verdicts}
+            self.verdict["remarks"] = [*fit["remarks"], *remarks]
+            self.verdict["why"] = [fit["verdict"]]
+            if not fit["good"]:
+                self.verdict["readiness"] = "NOT_USABLE"
         self.band_percent = verdict["largest_percent"]
         names = ("record", "role", "samples", "left_out", "largest_percent", "rms_percent")
         self.table = [{name: error[name] for name in names} for own in fits.values() for error in own["errors"]]
-        self.summary = [fit["sentence"], *(one for own in fits.values() for one in own["repairs"])]
+        self.summary = [fit[sentence], *(one for own in fits.values() for one in own["repairs"])]
 
     def fill_ranges(self, file: Path) -> None:
         """Fill in voltages [V] and speed [V/s] that a model is known for, and the displacements [um] it reaches."""
@@ -178,9 +181,23 @@ class ModelEntry:
         self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
 
 
+def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the page shows of a verdict."""
+    return {
+        **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
+        "largest_um": verdict["largest_m"] * _MICRO,
+        "noise_um": verdict["noise_m"] * _MICRO,
+        "goal": verdict["goal_percent"],
+        "why": verdict["reasons"],
+    }
+
+
 @dataclass
 class VoltageEntry:
-    """A voltage that follows a path with a model, and what to know of it in `words`."""
+    """A voltage that follows a path with a model, and what to know of it in `words`.
+
+    `largest_um`: the largest error to expect of each axis, None if it is not known.
+    """
 
     id: str
     name: str
@@ -191,6 +208,7 @@ class VoltageEntry:
     seconds: float = 0.0
     range_v: list[float] = field(default_factory=list)
     clamped: int = 0
+    largest_um: list[float | None] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
 
     def fill(self, result: Mapping[str, Any], file: Path) -> None:
@@ -202,6 +220,8 @@ class VoltageEntry:
 
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
+        errors = [one["largest_m"] for one in each("judgement")]
+        self.largest_um = [None if one is None else one * _MICRO for one in errors]
         self.words = [str(one) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))

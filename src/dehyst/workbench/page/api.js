@@ -84,6 +84,11 @@ export async function recordColumns(record, version, axis) {
   return { time, voltage, displacement };
 }
 
+export async function voltageColumns({ id }, axis) {
+  const [time, voltage] = await getColumns(`/api/voltages/${id}/data?axis=${encodeURIComponent(axis)}`, 4);
+  return { time, voltage };
+}
+
 export async function scanColumns(scan) {
   const [time, wanted] = await getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, 2);
   return { time, wanted };

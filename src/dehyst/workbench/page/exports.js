@@ -27,7 +27,9 @@ export function exportView({ files, log }) {
 }
 
 function exportsOf(model) {
-  const cards = KINDS.map(([kind, title, text]) => {
+  // Coupled axes are exported as C alone.
+  const kinds = KINDS.filter(([kind]) => kind === "c" || !model.coupling);
+  const cards = kinds.map(([kind, title, text]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
     const act = button("Export", `export ${kind}`, () => exportAs(kind), about);
     return h("li", { class: "card" }, h("h3", {}, title), h("p", {}, text), problem(`export ${kind}`), act);

@@ -5,7 +5,7 @@ import { announce, button, problem } from "./acts.js";
 import { duration, length, percent, range } from "./numbers.js";
 import { chooseModel, chosenModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
 import { isOpen } from "./steps.js";
-import { fileLink, goTo, lightOf, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
+import { axesBlock, fileLink, goTo, lightOf, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
 
 const began = new Map(); // when the server said how long an identification has run
 const lately = new Map(); // status of each model as last seen
@@ -40,7 +40,7 @@ function body(model) {
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
-    h("div", { id: "verdict" }, verdictBlock(model)),
+    h("div", { id: "verdict" }, verdictBlock(model), axesBlock(model)),
     h(
       "div",
       { class: "row next" },

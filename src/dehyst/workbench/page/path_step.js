@@ -1,20 +1,22 @@
 // The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
 import { announce, button, complain, problem } from "./acts.js";
 import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
+import { AxesFigures, resting } from "./axes_figures.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
 import { Form, fold, list } from "./forms.js";
 import { inPage } from "./labels.js";
-import { duration, limitsFrom, plain, range, roundDown, short, whole } from "./numbers.js";
+import { duration, length, limitsFrom, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
 import { PathFigures, judged, turnsOf, verdict } from "./path_figures.js";
-import { parsedPath } from "./path_file.js";
+import { expected, parsedPaths } from "./path_file.js";
 import { isPlane } from "./report.js";
 import { ScanForm } from "./scans.js";
 import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
 import { bandOf, fileLink, jobCards, lightOf, modelChoice, needsModel, remarksOf, reportOf } from "./verdict.js";
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
+const RATE = { label: "Samples a second", unit: "Hz", value: "1000", above: 0 };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
 const form = new Form(
@@ -23,17 +25,30 @@ const form = new Form(
     low: { label: "Lowest voltage", unit: "V" },
     high: { label: "Highest voltage", unit: "V" },
     slew: { label: "Largest slew rate", unit: "V/s", placeholder: "none", optional: true, above: 0 },
-    rate: { label: "Samples a second", unit: "Hz", value: "1000", above: 0 },
+    rate: RATE,
   },
   replan,
 );
 const figures = new PathFigures(usePoints);
+const axesForm = new Form(
+  "axes",
+  { axis: { label: "Axis to draw", choices: [] }, rate: RATE },
+  (name) => {
+    if (name === "axis") view.points = firstPoints();
+    replan();
+  },
+);
+const axesFigures = new AxesFigures(usePoints);
+// Of a model of several axes, whose path is of all of them.
+const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
+const drawnAxis = () => chosenModel().axes?.find((one) => one.name === axesForm.values.axis) ?? chosenModel();
 
 export function pathView(state) {
   const heading = h("h2", { class: "unseen" }, "Path and voltage");
   const model = chosenModel();
   if (!model) return [heading, needsModel("A path needs a model that is ready.")];
   adopt(model);
+  if (model.coupling) axesFigures.show(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
   const { said } = view;
   const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
   return [
@@ -48,20 +63,22 @@ export function pathView(state) {
         h(
           "div",
           { class: "card" },
-          sourceChoice(),
+          sourceChoice(model),
+          model.coupling && view.source === "points" && axesForm.field("axis"),
           { scan: scanFields, points: pointsField, file: fileField }[view.source](),
-          form.row(["low", "high", "slew", "rate"]),
+          model.coupling ? axesForm.row(["rate"]) : form.row(["low", "high", "slew", "rate"]),
           button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
           problem("path"),
         ),
         voltages(state),
       ),
-      h("div", { class: "stage" }, said && verdict(said, more), figures.element),
+      h("div", { class: "stage" }, said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
     ),
   ];
 }
 
-function sourceChoice() {
+function sourceChoice(model) {
+  const sources = Object.entries(SOURCES).filter(([name]) => !model.coupling || name !== "scan");
   const one = ([value, label]) => {
     const onchange = () => {
       view.source = value;
@@ -71,7 +88,7 @@ function sourceChoice() {
     const input = h("input", { type: "radio", name: "source", value, checked: value === view.source, onchange });
     return h("label", { class: "tick" }, input, label);
   };
-  return h("fieldset", { class: "row" }, h("legend", {}, "The wanted path"), Object.entries(SOURCES).map(one));
+  return h("fieldset", { class: "row" }, h("legend", {}, "The wanted path"), sources.map(one));
 }
 
 const scanFields = () => h("div", { id: "source-scan", key: "scan" }, scans.view());
@@ -81,9 +98,10 @@ function fileField() {
     const [file] = event.target.files;
     if (!file) return;
     try {
-      view.file = parsedPath(await file.text());
-      const steps = view.file.slice(1, 1000).map((one, k) => one[0] - view.file[k][0]);
-      form.values.rate = short(1 / Math.min(...steps), 6);
+      view.file = parsedPaths(await file.text(), namesOf(chosenModel()));
+      const [points] = view.file;
+      const steps = points.slice(1, 1000).map((one, k) => one[0] - points[k][0]);
+      form.values.rate = axesForm.values.rate = short(1 / Math.min(...steps), 6);
       replan();
     } catch (error) {
       view.file = null;
@@ -95,7 +113,7 @@ function fileField() {
     { class: "field", key: "file" },
     h("label", { for: "path-file" }, "Table of time and displacement"),
     h("input", { type: "file", accept: ".csv,.txt,.dat,.tsv", id: "path-file", onchange: read }),
-    h("small", { class: "hint" }, "columns such as time_s,displacement_um"),
+    h("small", { class: "hint" }, `columns such as ${expected(namesOf(chosenModel())).join(",")}`),
   );
 }
 
@@ -103,7 +121,7 @@ function fileField() {
 function pointsField() {
   const typed = (event) => {
     try {
-      usePoints(parsedPath(event.target.value));
+      usePoints(parsedPaths(event.target.value)[0]);
     } catch (error) {
       cannotPlan(error.message);
     }
@@ -131,9 +149,9 @@ function pace({ range_v: [low, high], slew_v_per_s: slew }) {
 }
 
 function firstPoints() {
-  const [low, high] = chosenModel().range_um;
+  const [low, high] = drawnAxis().range_um;
   // The first quarter goes through 0.55 of the range.
-  const seconds = 1 / roundDown(Math.min(1, pace(chosenModel()) / 2.2));
+  const seconds = 1 / roundDown(Math.min(1, pace(drawnAxis()) / 2.2));
   return [0.2, 0.75, 0.35, 0.6, 0.2].map((share, k) => [(k / 4) * seconds, low + share * (high - low)]);
 }
 
@@ -141,6 +159,10 @@ function firstPoints() {
 function adopt(model) {
   if (view.model === model.id) return;
   view.model = model.id;
+  view.file = null;
+  axesForm.fields.axis.choices = namesOf(model).map((name) => [name, name]);
+  [axesForm.values.axis] = namesOf(model);
+  if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
   form.values.slew = model.slew_v_per_s ? plain(model.slew_v_per_s, 6) : "";
@@ -158,10 +180,18 @@ function replan() {
 }
 
 async function wantedPath(rate) {
-  if (view.source === "scan") return scanColumns({ ...scans.scan(), rate });
-  const points = view[view.source];
-  if (!points) throw new Error("Choose a file first.");
-  return sampled(points, rate);
+  return view.source === "scan" ? scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
+}
+
+// The points of each axis: of a file, or drawn for one while the others rest in the middle of their reach.
+function chosenPaths() {
+  if (view.source === "file") {
+    if (!view.file) throw new Error("Choose a file first.");
+    return view.file;
+  }
+  const { axes, coupling } = chosenModel();
+  if (!coupling) return [view.points];
+  return axes.map((one) => (one === drawnAxis() ? view.points : resting(one, view.points)));
 }
 
 const modules = new Map(); // by model and period: compiled
@@ -169,6 +199,12 @@ const modules = new Map(); // by model and period: compiled
 async function planNow(model) {
   const asked = (view.asked += 1);
   try {
+    if (model.coupling) {
+      view.said = planAxes(model);
+      complain("path", "");
+      redraw();
+      return;
+    }
     const { limits, slew, rate } = choices();
     const period = 1 / rate;
     const compiled = remembered(modules, `${model.id} ${period}`, () => load(wasmAddress(model, period)));
@@ -187,6 +223,24 @@ async function planNow(model) {
     if (asked === view.asked) cannotPlan(error.message);
   }
   redraw();
+}
+
+// Of several axes, whose voltages depend on one another, only the path is drawn before they are written.
+function planAxes(model) {
+  const paths = chosenPaths();
+  const drawn = view.source === "points" ? { points: view.points, reach: drawnAxis().range_um } : null;
+  axesFigures.draw(namesOf(model), paths, drawn);
+  const [light] = lightOf(model.verdict);
+  const expected = model.axes.map(({ name }) => {
+    const { largest_um: um, largest_percent: share } = model.coupling.verdicts[name];
+    return `${name} within ${length(um)} (${percent(share)} of the stroke)`;
+  });
+  return {
+    light,
+    first: `Expect ${expected.join(", ")}.`,
+    facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
+    remarks: remarksOf(model.verdict),
+  };
 }
 
 // Without a plan there is no verdict either: that of the path before is not this one's.
@@ -218,8 +272,14 @@ function choices() {
 
 // The path as the server takes it.
 export function currentRequest() {
+  const model = chosenModel();
+  if (model.coupling) {
+    const paths = chosenPaths();
+    const points = Object.fromEntries(namesOf(model).map((name, k) => [name, paths[k]]));
+    return { points, rate: axesForm.number("rate") };
+  }
   const { slew, ...others } = choices();
-  const path = view.source === "scan" ? { scan: scans.scan() } : { points: view[view.source] };
+  const path = view.source === "scan" ? { scan: scans.scan() } : { points: chosenPaths()[0] };
   return { ...path, ...others, slew: slew ?? "none" };
 }
 
@@ -249,7 +309,8 @@ function voltages(state) {
   );
 }
 
-function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [] }) {
+function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
+  const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
   const [first, ...others] = words.map(inPage);
   const maker = modelOf(model)?.name ?? "a model that was removed";
   const summary = others.length === 1 ? "One more thing to know" : `${others.length} more things to know`;
@@ -258,6 +319,7 @@ function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, c
     { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
     h("div", { class: "card-head" }, h("h3", {}, name), fileLink(file, "Download CSV", { class: "button main" })),
     h("p", {}, `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
+    errors.some(Boolean) && h("p", {}, `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
     clamped > 0 && h("p", { class: "error" }, `${whole(clamped)} voltages are clamped: the path is missed there.`),
     first && list([first], "remarks"),
     others.length > 0 && fold(summary, list(others, "remarks")),

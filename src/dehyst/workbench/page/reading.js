@@ -87,8 +87,8 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
     const found = words.find((one) => one[1] === word.replace(GUESS, ""));
     if (found) values[found[0]] = [names[k], ...unit].join(":") + (unit.length ? "" : word.match(GUESS)?.[0] ?? "");
   });
-  const fields = { axes: { label: "Axes", choices: NAMES.map((_, k) => [String(k + 1), k ? `${k + 1}, coupled` : "1"]) } };
-  fields.axes.value = values.axes;
+  const counts = NAMES.map((_, k) => [String(k + 1), k ? `${k + 1}, coupled` : "1"]);
+  const fields = { axes: { label: "Axes", choices: counts, value: values.axes } };
   const labels = columns.map(({ name, unit, range: ends }) =>
     ends?.length === 2 ? `${/^\d+$/.test(name) ? `No. ${name}` : name}: ${range(ends, unit)}` : name,
   );
@@ -119,7 +119,7 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
     name in suggested ||
     (name in UNITS && "columns" in suggested) ||
     (many && (name === "axes" || (quantityOf(name) in UNITS && form.values[name] !== "")));
-  const coupled = `It has ${pairs.length} voltages and as many displacements, perhaps of coupled axes: check the pairs.`;
+  const coupled = `There are ${pairs.length} voltages with displacements, perhaps of coupled axes: check the pairs.`;
   return { form, marked, guesses, help: many ? coupled : hint && "The marked options may mend it." };
 }
 
@@ -165,7 +165,9 @@ function chosen({ values }, columns, guesses) {
   const twice = used.some((at) => names.indexOf(names[at]) !== names.lastIndexOf(names[at]));
   // Only its place tells a column from another of the same name.
   if (twice && used.length < 3) throw new Error("Two columns have the same name: choose all three columns.");
-  if (count > 1 && used.length < needed) throw new Error("Several axes: choose all their columns, and that of the time.");
+  if (count > 1 && used.length < needed) {
+    throw new Error("Several axes: choose all their columns, and that of the time.");
+  }
   if (twice || count > 1) {
     for (const field of fieldsOf(count)) delete options[field];
     options.columns = order.join(",");

@@ -247,7 +247,8 @@ class RecordFigure extends Figure {
     this.stamp = stamp;
     const { x, y, columns } = VIEWS[this.view];
     try {
-      const parts = records.flatMap((one) => axesOf(one).map((axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) })));
+      const ofAxis = (one) => (axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) });
+      const parts = records.flatMap((one) => axesOf(one).map(ofAxis(one)));
       const data = await Promise.all(parts.map((one) => recordColumns(one, version(one), one.axis)));
       if (this.stamp !== stamp) return;
       const series = parts.map(({ id, name, axis, colour }, k) => {

@@ -10,7 +10,7 @@ import { currentPlan } from "./path_step.js";
 import { MICROMETRES, SECONDS_AXIS } from "./records.js";
 import { isPlane } from "./report.js";
 import { chosenModel, openJobs } from "./state.js";
-import { goTo, jobCards, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
+import { axesBlock, goTo, jobCards, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
 const turns = make(h("div", { class: "report", id: "trust-turns" }));
@@ -24,8 +24,9 @@ export function trustView() {
   const running = jobs.some((one) => one.status === "running");
   const { report } = model.insight ?? {};
   const assessment = report && mounted(report);
-  fill(turns, turned(model));
-  if (assessment) assessed(assessment);
+  // Those of several axes are in their assessment, without a path.
+  fill(turns, model.coupling ? axesBlock(model) : turned(model));
+  if (assessment && !model.coupling) assessed(assessment);
   return [
     heading,
     modelChoice(),

@@ -1,10 +1,10 @@
 // What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
 import { button, complain, problem } from "./acts.js";
 import { cancelJob, fileAddress, remembered, textOfFile } from "./api.js";
-import { h } from "./dom.js";
+import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
 import { inPage } from "./labels.js";
-import { length, percent } from "./numbers.js";
+import { length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
 import { chooseModel, chosenModel, readyModels, redraw } from "./state.js";
 import { openStep } from "./steps.js";
@@ -36,6 +36,29 @@ export function verdictBlock({ verdict }) {
     h("p", {}, `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
     why.length > 0 && fold(things, list(why.map(inPage))),
     list(remarksOf(verdict), "remarks"),
+  );
+}
+
+// Of a model of several axes: what to expect of each, and how far the voltage of one moves another.
+export function axesBlock({ axes, coupling }) {
+  if (!coupling) return null;
+  const { matrix, is_matrix: whole, verdicts } = coupling;
+  const rows = axes.map(({ name, range_v: volts, range_um: reach }) => {
+    const { largest_percent: largest, largest_um: um, rms_percent: rms } = verdicts[name];
+    const [colour, words] = lightOf(verdicts[name]);
+    const light = h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
+    return [name, light, percent(largest), length(um), percent(rms), range(volts, "V"), range(reach, "\u00b5m")];
+  });
+  const text = { text: "Verdict", class: "text" };
+  const heads = ["Axis", text, "Largest error", "Largest error", "RMS error", "Known for", "Reaches"];
+  const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
+  const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
+  const rest = whole ? "This matrix is all of the coupling, and is compensated." : "Coupling is more than this matrix.";
+  return h(
+    "section",
+    { class: "comparison", "aria-label": "Axes", key: "axes" },
+    table("Verdict of each axis", heads, rows),
+    h("p", { class: "muted" }, `Coupling: ${pairs.join(", ")}. ${rest}`),
   );
 }
 
