@@ -108,6 +108,11 @@ class DecisionRules:
         0.1, "singular value", "Least of a determined direction over the largest, times N squared, with which it falls."
     )
 
+    temperatures: float = _rule(2.0, "kelvins", "A smaller range of temperatures shows no effect of theirs.")
+    temperature_helps: float = _rule(
+        0.9, "ratio of held-out errors", "Gain and offset by temperature must lower that of temperatures held out."
+    )
+
     quiet: float = _rule(0.0003, "part of the range", "Less noise has no effect on elements.")
     loud: float = _rule(0.002, "part of the range", "More noise drags elements back and forth: their loops get narrow.")
     first_element_noise: float = _rule(

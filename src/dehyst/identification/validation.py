@@ -265,9 +265,9 @@ def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as those that an actuator was identified from: before its sensor's lag, if that was given."""
+    """Prepare a record as those that an actuator was identified from: at its reference, before its sensor's lag."""
     known = actuator.identification or Identification()
-    return prepare(record, ringing=known.ringing).without_lag(known.sensor_lag)
+    return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
 
 
 def compare_all(

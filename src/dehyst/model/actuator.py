@@ -25,6 +25,7 @@ from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
 from dehyst.model.python_control import actuator_block
 from dehyst.model.serialization import JsonFile
+from dehyst.records import Record
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -428,6 +429,16 @@ class Actuator(JsonFile, AbstractModel):
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         return cls(**serialization.parts(data))
+
+    def at_reference(self, record: Record) -> Record:
+        """Return a `record` of one axis as it would have been at the reference of `thermal`.
+
+        Without that part, or if the record has no temperature, it is returned as it is.
+        """
+        if self.thermal is None or record.temperature is None:
+            return record
+        gain, offset = self.thermal.scale(record.temperature, len(record))
+        return replace(record, displacement=(record.displacement - offset) / gain)
 
     def with_identification(self, **entries: Any) -> Actuator:
         """Return a copy whose identification holds `entries`, fields of `Identification`."""
