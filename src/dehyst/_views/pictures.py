@@ -13,5 +13,5 @@ _ROOM = "dehyst.report.object_plots"
 
 
 def plotted(function: str, thing: object, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw an object with a function of `dehyst.report.object_plots`; return the axes."""
+    """Draw an object with a function of ``dehyst.report.object_plots``; return the axes."""
     return cast("Axes", getattr(import_module(_ROOM), function)(thing, kind, ax))

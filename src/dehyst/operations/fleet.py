@@ -9,12 +9,12 @@ from dehyst._errors import FileFormatError
 from dehyst.fleet import Drifts, Fleet, FleetOptions, drifts_of, findings_of, identify_fleet, load
 from dehyst.fleet.page import write_fleet_page
 from dehyst.fleet.run import refuse_inside
+from dehyst.fleet.task import COLUMNS
 from dehyst.operations.declaration import Input, Only, Output, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.run import Result, Run
 
 _KEYS = ("time", "voltage", "displacement", "rate", "decimal")
-_CHOICE = ("time", "voltage", "displacement", "voltage_scale", "displacement_scale", "sample_rate", "decimal")
 _slip = Only(lambda given: given.get("structure") != "auto", "with --structure auto")
 
 
@@ -63,8 +63,8 @@ def identify(
     """
     columns.demand(_KEYS, "on a dataset")
     refuse_inside(dataset, output)
-    chosen = {name: getattr(columns, name) for name in _CHOICE}
-    options = FleetOptions(structure=structure, elements=elements, norm=norm, delay=delay, drift=drift, **chosen)
+    chosen = {name: value for name in COLUMNS if (value := getattr(columns, name)) is not None}
+    options = FleetOptions(structure=structure, elements=elements, norm=norm, delay=delay, drift=drift, columns=chosen)
     remarks: list[str] = []
 
     def remark(sentence: str) -> None:

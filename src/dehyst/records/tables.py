@@ -1,4 +1,4 @@
-"""From the tables of files to the columns of a record: names, the choice of columns, and two files as one table."""
+"""Conversion of file tables to the columns of a record: names, choice of columns, and joining of two files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RATE = "HZ"
 
 
 class Choice(NamedTuple):
-    """What selects the columns of a record: names, scales, and a sample rate [Hz] instead of a time."""
+    """Selection of the columns of a record: names, scales, and a sample rate [Hz] instead of a time."""
 
     time: str | None = None
     voltage: str | None = None

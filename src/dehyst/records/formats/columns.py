@@ -19,7 +19,7 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 
 
 class ColumnWords(NamedTuple):
-    """What is known about the columns of a quantity.
+    """Words and units by which the columns of a quantity are found.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
     in names, the usual `units`, and the plausible `range` in SI units: for proposals. `scale`: an example.
@@ -125,7 +125,7 @@ class Scale(NamedTuple):
     """The scale of an amplifier's monitor or of a sensor.
 
     `factor`: SI units of the quantity for one volt (or one `per`) at the plug. `per`: the unit of the column if the
-    file states none. `words`: the scale as it was given.
+    file states none. `words`: the given text.
     """
 
     factor: float
@@ -143,10 +143,10 @@ class Scale(NamedTuple):
 
 
 def scale_of(quantity: str, text: str) -> Scale:
-    """Parse a scale as "100 V/V" or "10 um/V".
+    """Parse a scale such as "100 V/V" or "10 um/V".
 
-    Raise `FileFormatError` if it is no number with two units, its first unit is not of the quantity, or the number is
-    0 or not finite.
+    Raise `FileFormatError` if the text is not a number with two units, the first unit is not of the quantity, or the
+    number is 0 or not finite.
     """
     got = f"'{text}'" if isinstance(text, str) else repr(text)
     what = f"{quantity}_scale: got {got}, need a number with two units, as in '{QUANTITIES[quantity].scale}'"
@@ -243,7 +243,7 @@ class Column:
 
     @property
     def role(self) -> str:
-        """What it is as a further channel of a record: "temperature", "load" or "other", by its name and its unit.
+        """Role as a further channel of a record, by name and unit: "temperature", "load" or "other".
 
         A temperature has "temp" in its name, or the unit degC or °C; a load has "load", "force" or "kraft".
         """
@@ -298,10 +298,10 @@ def _option(quantity: str, value: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """The column that was decided on for a quantity.
+    """The column that was selected for a quantity.
 
-    `unit`: of the column, by the user or by the file. `scale`: that of an amplifier's monitor or of a sensor. `guess`:
-    what is guessed about the column; empty if it is known.
+    `unit`: unit of the column, from the user or the file. `scale`: scale of an amplifier's monitor or of a sensor.
+    `guess`: guessed properties of the column; empty if all are known.
     """
 
     source: str
@@ -320,8 +320,8 @@ class Selected:
     def values(self) -> Array:
         """The column (n,) in seconds, volts or metres.
 
-        Raise `ColumnError` if its cells are no numbers, its unit is unknown, the scale does not fit, or it is a voltage
-        that looks like a monitor's, without a scale.
+        Raise `ColumnError` if its cells are not numbers, its unit is unknown, the scale does not fit, or it seems to be
+        a monitor's voltage without a scale.
         """
         column, scale = self.column, self.scale
         if column.fault:
@@ -403,7 +403,7 @@ class Selected:
 class Table:
     """The columns of one file, still in the file's units.
 
-    `remarks`: sentences about what was done to them, for the notes of a record.
+    `remarks`: sentences about changes to the columns, for the notes of a record.
     """
 
     source: str
@@ -413,7 +413,7 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Column names as the file has them, with their groups."""
+        """Column names as in the file, with their groups."""
         return tuple(column.name for column in self.columns)
 
     def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
@@ -421,12 +421,12 @@ class Table:
         return self.select(quantity, wanted, scale).values
 
     def select(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Selected:
-        """Decide on the column of a `quantity` ("time", "voltage" or "displacement").
+        """Select the column of a `quantity` ("time", "voltage" or "displacement").
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
-        A "?" at its end marks it as a guess. `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or
-        "10 um/V". Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid
-        scale.
+        A "?" at its end marks it as a guess. `scale`: scale of an amplifier's monitor or of a sensor, as "100 V/V" or
+        "10 um/V". Raise `FileFormatError` if there are no or several such columns, units contradict, or the scale is
+        invalid.
         """
         if not isinstance(wanted, str | None):
             need = f"the name of a column, as '{QUANTITIES[quantity].example}'"

@@ -1,4 +1,4 @@
-"""The paper's numbers beside those of this package: the summary, the limits of the errors, and Table 1."""
+"""Comparison of the paper's numbers with this package: the summary, the limits of the errors, and Table 1."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Quantity:
 
 
 def summary(found: Experiment) -> tuple[Quantity, ...]:
-    """Return the paper's numbers beside those of one virtual actuator."""
+    """Return the paper's numbers and those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
     errors = [
         Quantity(
