@@ -103,8 +103,8 @@ class TemperatureEffect:
 def temperature_effect(records: Sequence[Record]) -> TemperatureEffect | None:
     """Return how the displacement of `records` of one axis depends on their temperature; None if that is not shown.
 
-    All need a temperature, and the temperatures a range of `Rules.temperatures`; held-out ones must be predicted better
-    by `Rules.temperature_helps`.
+    All need a temperature, with a range of `DecisionRules.temperatures` at least. Held-out ones must be predicted better,
+    by `DecisionRules.temperature_helps`.
     """
     given = [record.temperature for record in records]
     if any(one is None for one in given):
