@@ -458,9 +458,9 @@ class Actuator(JsonFile, AbstractModel):
         return replace(self, identification=replace(self.identification or Identification(), **entries))
 
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
-        """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible; empty if they are plausible.
+        """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
 
-        A displacement is implausible if it lies outside of the range over `plausible` and `others` by more than its
+        A sample is implausible if it lies outside of the range over `plausible` and `others` by more than its
         width.
         """
         ends, displacements = self.plausible.far_ends(displacement), self.plausible.joined(*others)
