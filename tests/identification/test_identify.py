@@ -1,5 +1,6 @@
 """The identification against actuators that are known: what records tell, what they leave open, what is refused."""
 
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -9,8 +10,9 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import IdentifyError, Outcome, Record, RecordError
+from dehyst import Actuator, IdentifyError, MaxwellSlip, Outcome, Record, RecordError, Spring
 from dehyst.identification import Structure
+from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.identifiability import projected
 from dehyst.identification.preprocessing.regressors import collect
 from dehyst.identification.regression.regression import Regression
@@ -18,6 +20,7 @@ from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.least_absolute import PrimalDual
 from dehyst.identification.solvers.program import NORMS
 from dehyst.identification.structure import Grid
+from dehyst.identification.structure_selection import StructureTrial
 
 PLANT = plain_records.plant(10)
 TOPS = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="tops")
@@ -344,3 +347,31 @@ def test_a_model_file_tells_how_its_identification_ended(tmp_path):
     fit = dehyst.identify(TOPS, structure="maxwell_slip")
     fit.actuator.save(tmp_path / "model.json")
     assert dehyst.Actuator.load(tmp_path / "model.json").identification.outcome is fit.outcome
+
+
+@pytest.mark.parametrize(("turns", "grows"), [(np.linspace(0.06, 0.5, 8), True), (np.linspace(0.5, 0.06, 8), False)])
+def test_elements_that_slide_once_are_found_where_loops_grow(turns, grows):
+    """The longest of four elements is longer than half of the widest loop; begun relaxed."""
+    half = 8e-6
+    truth = Actuator(
+        MaxwellSlip(np.array([0.1, 0.3, 0.6, 1.3]) * half, [3e6, 2e6, 2e6, 3e6]),
+        Spring([-10e-6, 26e-6], [-50.0, 150.0]),
+    )
+    corners = 50 + 100 * np.array([0.0, *(side * turn for turn in turns for side in (1, -1))])
+    leg = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 31) / 30)
+    voltage = np.concatenate([corners[:1], *(a + (b - a) * leg for a, b in itertools.pairwise(corners))])
+    y = truth.simulate(voltage, state=truth.relaxed(), extrapolate=True).displacement
+    y += np.random.default_rng(1).normal(0, 1e-9, y.size)
+    record = Record(np.arange(y.size) * 0.02, voltage, y)
+    fit = dehyst.identify(record, structure="maxwell_slip", norm="l2", delay=0.0, drift=False)
+    assert (messages.LONGER_ELEMENTS in fit.remarks) == grows
+    assert (fit.actuator.slip.breakaway.max() > 0.55 * np.ptp(y)) == grows
+
+
+def test_the_summary_marks_the_structure_that_was_chosen():
+    fit = dehyst.identify(plain_records.loops(PLANT, MAJOR), elements=10)
+    chosen, other = Structure(elements=10), Structure(elements=10, creep=3)
+    trials = tuple(StructureTrial(one, error, 0.0, 0.0) for one, error in ((other, 1e-9), (chosen, 2e-9)))
+    fit = replace(fit, trials=trials, options={**fit.options, "structure": chosen.as_dict()})
+    (line,) = (line for line in fit.summary(full=True).splitlines() if line.endswith("(chosen)"))
+    assert "2.0 nm" in line

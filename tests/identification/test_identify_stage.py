@@ -39,6 +39,12 @@ def test_matrix_and_held_out_record(fit):
     assert fit.as_dict()["coupling"] == fit.stage.coupling.tolist()
 
 
+def test_an_axis_without_a_model_is_named(fit):
+    none = replace(fit, stage=None, fits=(fit.fits[0], replace(fit.fits[1], actuator=None)), axes=("x", "second"))
+    assert none.exchanged == () and not none.good
+    assert none.verdict.endswith(" second")
+
+
 def test_exchanged_columns_of_displacements_are_not_usable():
     training, _ = coupled_stage.excited(coupling=np.array([[1.0, 0.05], [0.04, 1.0]]))
     turned = dehyst.Record(training.time, training.voltage, training.displacement[:, ::-1], "turned", axes=("x", "y"))

@@ -1,4 +1,4 @@
-"""A small convex program that is solved step by step: every step ends at a feasible point that is no worse."""
+"""A small convex program solved step by step; each step ends at a feasible point with no larger objective."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class StepwiseProgram:
         return (1.0, None) if share[limit] >= 1 else (float(share[limit]), limit)
 
     def _release(self, pull: Array, forces: Array) -> bool:
-        """Release the limit that holds most against the objective; return whether there is one."""
+        """Release the active limit with the most negative multiplier; return whether there is one."""
         flat = _FLAT * float(np.abs(self._image).max(initial=0.0))
         held = np.where(self._fixed, pull, np.inf)
         place, row = int(np.argmin(held)), int(np.argmin(forces)) if forces.size else -1

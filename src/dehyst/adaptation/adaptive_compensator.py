@@ -1,4 +1,4 @@
-"""A compensator that learns: from what a sensor measures it keeps the weights of its model true."""
+"""A compensator that adapts the weights of its model to a sensor's measurements."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INTEGRAL = 0.1
 class AdaptiveSnapshot(files.JsonFile):
     """The memory of an adaptive loop.
 
-    `loop`: that of the compensator. `learnt`: what was learnt, as arrays by name.
+    `loop`: the snapshot of the compensator. `learnt`: arrays of the estimator by name.
     """
 
     loop: Snapshot
@@ -53,7 +53,7 @@ class AdaptiveSnapshot(files.JsonFile):
 class AdaptiveCompensator:
     """A `Compensator` whose model is adapted to the displacements that a sensor measures.
 
-    ``measured`` is the displacement now, which the voltages sent so far have led to; None or NaN without one::
+    ``measured`` is the present displacement, due to the voltages sent so far; None or NaN if there is no measurement::
 
         compensator = dehyst.AdaptiveCompensator(actuator, (0, 100), slew_rate=2e4, period=1e-4)
         for wanted in path:
@@ -61,27 +61,28 @@ class AdaptiveCompensator:
 
     Stiffnesses of slip and smooth elements, of creep branches and of the spring are learnt, cycle by cycle, by
     non-negative least squares with a prior (theory sections 8 and 21). Thresholds, transformer, delay and inertia stay.
-    Other weights are used only if they predict a cycle that they have not seen better than those in use. The memory of
-    the hysteresis stays at an exchange, and the voltage follows no faster than the slew rate.
+    New weights are used only if they predict the next cycle, before it is learnt, better than the weights in use. An
+    exchange of weights keeps the hysteresis state, and the voltage changes no faster than the slew rate.
 
-    A cycle is not learnt if the sensor is missing, stuck or saturated in most of it, if it contradicts the path, or if
-    the path moves less than a breakaway; nor is a sample whose voltage was clamped. `log` says what was done and why.
+    A cycle is not learnt if the sensor is missing, stuck or saturated in most of it, if the sensor contradicts the
+    path, or if the path moves less than a breakaway elongation. Samples with a clamped voltage are not learnt either.
+    `log` holds each decision and its reason.
 
     Parameters
     ----------
     actuator, limits, slew_rate, period, state, units, warns
         As in `Compensator`; `measured` is in `units` too.
     memory : float, optional
-        Number of cycles after which one counts for a third.
+        Number of cycles after which the weight of a cycle has fallen to a third.
     time_constant : float, optional
-        The same in seconds, instead of cycles; needs a period.
+        Time [s] after which the weight of a cycle has fallen to a third, instead of `memory`; needs a period.
     zero_drifts : bool, optional
-        Whether the sensor's zero may differ from that of the model's records, and drift (default). No loop can tell
-        that from an actuator that moves as a whole: an offset at the beginning is then not learnt, a later one only as
-        far as a change of gain and loop width explains it, and `datum` holds the rest.
+        Whether the sensor's zero may differ from the zero of the model's records, and drift (default). No loop can
+        distinguish such a drift from a motion of the whole actuator. An offset at the beginning is then not learnt, and
+        a later one only as far as a change of gain and loop width explains it. `datum` holds the rest.
     integral_time : float, optional
-        Time [s] in which an integral action removes what is measured as error; it trusts the sensor's zero, and needs a
-        period. It stands still while a voltage is clamped or nothing is measured. Default: none.
+        Time constant [s] of an integral action on the measured error. It trusts the sensor's zero and needs a period.
+        It pauses while a voltage is clamped or nothing is measured. Default: no integral action.
 
     Attributes
     ----------
@@ -153,7 +154,7 @@ class AdaptiveCompensator:
         Raises
         ------
         ModelError
-            If `wanted` is not finite or `measured` no number: the memory is unchanged, and no time has passed.
+            If `wanted` is not finite or `measured` is not a number: the memory is unchanged, and no time has passed.
 
         Warns
         -----
@@ -177,7 +178,7 @@ class AdaptiveCompensator:
         return voltage
 
     def _corrected(self, last: tuple[float, float], measured: float) -> float:
-        """Return what the integral action adds to the path; it waits while a voltage is clamped."""
+        """Return the integral action's addition to the path; it pauses while a voltage is clamped."""
         wanted, voltage = last
         low, high = self._compensator.limits
         if not isnan(measured) and low < voltage < high and not self._contradicted:
@@ -194,7 +195,7 @@ class AdaptiveCompensator:
         return bool(log) and isnan(log[-1].error)
 
     def _advance(self) -> None:
-        """Do a bounded amount of the work that there is."""
+        """Do a bounded amount of the pending work."""
         if self._work is None:
             end = self._turns.cycle(self._rows)
             if end:
@@ -211,7 +212,7 @@ class AdaptiveCompensator:
             self._compensator.exchange(actuator)
 
     def _cut(self, end: int) -> tuple[PathCycle, float]:
-        """Take the first samples as a cycle; return it, and the part that those before it keep of their weight."""
+        """Take the first samples as a cycle; return it, and its factor on the weight of the cycles before."""
         table = np.array(self._rows[:end])
         del self._rows[:end]
         loop, sent = self._compensator, table[:, 1]
@@ -229,7 +230,7 @@ class AdaptiveCompensator:
 
     @property
     def actuator(self) -> Actuator:
-        """The model in use; save it to start with it the next time."""
+        """The model in use; save it to start with it next time."""
         return self._compensator.actuator
 
     @property
@@ -249,17 +250,17 @@ class AdaptiveCompensator:
 
     @property
     def clamps(self) -> tuple[int, int]:
-        """Numbers of samples clamped at a limit and by the slew rate."""
+        """Number of samples clamped at a limit, and by the slew rate."""
         return self._compensator.clamps
 
     @property
     def datum(self) -> float:
-        """Displacement [m, or `units`] by which the sensor reads more than the model expects: not learnt."""
+        """Sensor reading minus the model's displacement [m, or `units`]: the offset that is not learnt."""
         return self._estimator.datum * self._per_metre
 
     @property
     def log(self) -> tuple[Exchange, ...]:
-        """The last thousand cycles: what was exchanged, and why not."""
+        """The last thousand cycles: whether weights were exchanged, and if not, why."""
         return tuple(self._estimator.log)
 
     def snapshot(self) -> AdaptiveSnapshot:
@@ -270,9 +271,9 @@ class AdaptiveCompensator:
         return AdaptiveSnapshot(self._compensator.snapshot(), learnt)
 
     def restore(self, snapshot: AdaptiveSnapshot) -> None:
-        """Continue from a `snapshot` of a loop that was made of the same actuator; the log is empty then.
+        """Continue from a `snapshot` of a loop with the same actuator; this empties the log.
 
-        Raise `ModelError` if it is of another actuator, period or limits, or damaged.
+        Raise `ModelError` if the snapshot belongs to another actuator, period or limits, or is damaged.
         """
         if not isinstance(snapshot, AdaptiveSnapshot):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="an AdaptiveSnapshot")
@@ -290,14 +291,14 @@ class AdaptiveCompensator:
 
 
 class _Turns:
-    """Turns of a path, by `least` motion after them: every second one ends a cycle. `seen`: samples looked at."""
+    """Turns of a path followed by at least `least` motion; every second one ends a cycle. `seen`: samples processed."""
 
     def __init__(self, least: float) -> None:
         self.least, self.seen = least, 0
         self._count, self._direction, self._extreme, self._at = 0, 0, nan, 0
 
     def cycle(self, rows: Sequence[tuple[float, float, float]]) -> int:
-        """Look at the new `rows`, which begin with what was wanted; return where the first cycle ends, else 0."""
+        """Process new `rows`, the wanted displacement in front; return the end of the first cycle, or 0."""
         for place in range(self.seen, len(rows)):
             wanted = rows[place][0]
             moved = wanted - self._extreme
@@ -314,5 +315,5 @@ class _Turns:
         return 0
 
     def halve(self) -> None:
-        """Go on after every second row was left out."""
+        """Continue after every second row was dropped."""
         self.seen, self._at = (self.seen + 1) // 2, self._at // 2

@@ -1,7 +1,7 @@
-"""What a loop learns of its actuator: cycles of a path become sums, sums become weights, and a test decides their use.
+"""The estimator of a loop: sums over cycles of a path give weights, and a test decides whether they are used.
 
-Each cycle is first predicted, by the weights in use and by those that the cycles before it offer; only then is it
-learnt. Weights that predict it better are used from then on (a prequential test).
+Each cycle is first predicted, by the weights in use and by the new weights from the cycles before it; only then is it
+learnt. If the new weights predict it better, they are used from then on (a prequential test).
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ _LOGGED = 1000
 
 @dataclass(frozen=True)
 class Exchange:
-    """A cycle of the path, and whether other weights are used from then on.
+    """A cycle of the path, and whether new weights are used after it.
 
     Attributes
     ----------
     step : int
-        Steps of the loop until then.
+        Number of steps of the loop at the end of the cycle.
     used : bool
-        Whether other weights are used.
+        Whether new weights are used after the cycle.
     reason : str
-        Why they are not, or why the cycle was not learnt; empty if they are.
+        Why new weights are not used, or why the cycle was not learnt; empty if they are used.
     error, offered : float
-        RMS error of the cycle [m], a constant set aside, by the weights in use and by those on offer; NaN if unknown.
+        RMS error of the cycle [m] without its mean, with the weights in use and with the new ones; NaN if unknown.
     datum : float
-        Displacement [m] by which the sensor reads more than the model expects. It is not learnt.
+        Sensor reading minus the model's displacement [m]; not learnt.
     slope, friction : float
-        Mean slope of the spring and friction of all elements, of those of the model as it was given.
+        Mean slope of the spring, and friction of all elements, relative to the initial model.
     """
 
     step: int
@@ -82,7 +82,7 @@ class Exchange:
 class PathCycle:
     """Samples of a cycle (n,): displacement wanted and measured [m], voltage sent [V], and whether it was clamped.
 
-    `step`: of the loop at its end. `seconds`: between samples; None if unknown.
+    `step`: number of steps of the loop at its end. `seconds`: time between samples; None if unknown.
     """
 
     wanted: Array
@@ -94,10 +94,11 @@ class PathCycle:
 
 
 class Estimator:
-    """Factors of the weights of an actuator, as the cycles of a path show them.
+    """Estimator of the factors on an actuator's weights from the cycles of a path.
 
-    `state`: of the actuator before the first cycle. `zero_drifts`: whether the sensor's zero may drift, so that an
-    offset is learnt only as far as a change of gain and loop explains it; else it is that of the model's axis.
+    `state`: state of the actuator before the first cycle. `zero_drifts`: whether the sensor's zero may drift; an offset
+    is then learnt only as far as a change of gain and loop width explains it. Otherwise the sensor's zero is the zero
+    of the model's axis.
     """
 
     def __init__(self, actuator: Actuator, state: State, zero_drifts: bool) -> None:
@@ -118,7 +119,7 @@ class Estimator:
         self.least_motion = max(2 * float(rho[0]) if rho.size else 0.0, 0.02 * self.reach)
 
     def numbers(self) -> dict[str, Array]:
-        """Return all that was learnt, and the memory along the measured path, by name."""
+        """Return the learnt arrays and the memory along the measured path, by name."""
         state, counts = self._tracker.state, [self.datum, self._zero, self.constant, self._odd, self._learnt]
         return {
             "factors": self.factors,
@@ -148,9 +149,9 @@ class Estimator:
         return self.weights.model(self.factors, self.constant)
 
     def learn(self, cycle: PathCycle, keep: float) -> Iterator[Actuator | None]:
-        """Learn from a cycle in slices of bounded work; yield the actuator to use from then on, at most once.
+        """Learn from a cycle in slices of bounded work; yield a new actuator to use, at most once.
 
-        `keep`: part that the cycles before it keep of their weight.
+        `keep`: factor on the weight of the cycles before.
         """
         path, counted, reason = self._signal(cycle)
         yield None
@@ -172,7 +173,7 @@ class Estimator:
         centred = (sums - count * np.outer(mean, mean))[:-1, :-1] / count
         late = self._lateness(centred)
         if late:
-            self._note(cycle, f"the sensor is late by {late:.2g} samples, or the period is not what was given")
+            self._note(cycle, f"the sensor is late by {late:.2g} samples, or the given period is wrong")
             return
         kept = np.delete(np.arange(len(sums)), -3)
         centred, mean = centred[np.ix_(kept[:-1], kept[:-1])], mean[kept]
@@ -182,7 +183,7 @@ class Estimator:
             yield from self._learnt_from(centred, keep)
 
     def _judged(self, cycle: PathCycle, centred: Array, mean: Array) -> Iterator[Actuator | None]:
-        """Predict a cycle, and exchange the weights if those on offer predict it better."""
+        """Predict a cycle, and exchange the weights if the new ones predict it better."""
         error = self._error(centred, self.factors)
         usual = float(np.median(self._usual)) if self._usual else error
         odd = error > max(_ODD * usual, _ODD_PART * self.reach) and self._odd < _ODD_CYCLES
@@ -213,7 +214,7 @@ class Estimator:
         self._note(cycle, reason, error, offered)
 
     def _learnt_from(self, centred: Array, keep: float) -> Iterator[None]:
-        """Add the sums of a cycle, and seek weights step by step: they are on offer for the next one."""
+        """Add the sums of a cycle, and solve for new weights step by step; the next cycle tests them."""
         self._learnt += 1
         self._gram = keep * self._gram + centred[:-1, :-1]
         self._image = keep * self._image + centred[:-1, -1]
@@ -227,7 +228,7 @@ class Estimator:
             yield None
 
     def _lateness(self, centred: Array) -> float:
-        """Return by how many samples a sensor is late, if that explains a cycle far better than gain and width do."""
+        """Return the sensor's delay in samples, if it explains a cycle far better than gain and width do."""
         spring, size = self.weights.springs, self.factors.size
         common = np.zeros((size + 2, 4))
         common[: spring.start, 0], common[spring, 1] = self.factors[: spring.start], self.factors[spring]
@@ -247,7 +248,7 @@ class Estimator:
         return float(np.sqrt(max(vector @ centred @ vector, 0.0))) / self._slope
 
     def _trusted(self, centred: Array, offered: Array) -> tuple[str, Array]:
-        """Return why an offer is of another actuator, else "", and the factors as far as one exchange goes."""
+        """Return why new factors suggest another actuator, or "", and the factors within the range of one exchange."""
         change = np.append(offered - self.factors, 0.0)
         moved = float(np.sqrt(max(change @ centred @ change, 0.0))) / self._slope
         share = min(1.0, _TRUST * self.reach / moved) if moved else 1.0
@@ -259,10 +260,10 @@ class Estimator:
         return "", factors
 
     def _constant(self, factors: Array, mean: Array) -> tuple[float, float]:
-        """Return the constant c [V] that belongs to factors, and the datum that the sensor then has [m].
+        """Return the constant c [V] for given factors, and the resulting datum of the sensor [m].
 
-        The constant keeps the sensor's zero where it was. If that may drift, the constant goes no farther than keeps
-        an anchor of the model, give or take the usual error: the rest is the datum.
+        The constant keeps the sensor's zero where it was. If the zero may drift, the constant changes only as far as an
+        anchor of the model stays in place within the usual error; the rest is the datum.
         """
         fitted = float(mean[-2] - mean[:-2] @ factors)
         constant = fitted - self._slope * (self.datum - self._zero)
@@ -277,7 +278,7 @@ class Estimator:
         self.log.append(Exchange(cycle.step, not reason, reason, error, offered, self.datum, *ratios))
 
     def _drive(self, cycle: PathCycle) -> Array:
-        """Return tau (n,) [V] of the voltages that acted, less what drives the mass."""
+        """Return tau (n,) [V] of the acting voltages, without the part that drives the mass."""
         actuator, acting, seconds = self.weights.actuator, cycle.sent, cycle.seconds
         if actuator.lag and seconds:
             tables = Creep([actuator.lag], [0.0]).tables(np.array([seconds]))
@@ -288,7 +289,7 @@ class Estimator:
         return drive - actuator.dynamics.series * self._lead(cycle) if actuator.dynamics else drive
 
     def _lead(self, cycle: PathCycle) -> Array:
-        """Return w - y (n,) [m], what the inertia needs along the path that was wanted."""
+        """Return w - y (n,) [m], the lead for inertia along the wanted path."""
         dynamics, seconds = self.weights.actuator.dynamics, cycle.seconds
         if dynamics is None or seconds is None:
             return np.zeros(cycle.wanted.size)
@@ -296,9 +297,10 @@ class Estimator:
         return dynamics.lead(velocity, np.gradient(velocity, seconds))
 
     def _signal(self, cycle: PathCycle) -> tuple[Array, Mask, str]:
-        """Return the displacement that drives the elements (n,), the samples that count, and why the cycle does not.
+        """Return the displacement (n,) [m] at the elements, the samples that count, and why the cycle is not learnt.
 
-        Noise would move every cart: the path is the one wanted, plus what was measured beyond it, smoothed.
+        Noise would move every cart. So the path is the wanted one plus the smoothed difference of the measured one from
+        it.
         """
         rest = cycle.measured - self.datum - cycle.wanted
         counted = np.isfinite(rest) & ~cycle.clamped & ~_stuck(cycle.measured, cycle.wanted, self.least_motion)
@@ -310,7 +312,7 @@ class Estimator:
         return cycle.wanted + smooth + self._lead(cycle), counted, ""
 
     def _contradiction(self, cycle: PathCycle, counted: Mask) -> str:
-        """Return why a cycle shows nothing of the actuator; empty if it does."""
+        """Return why nothing can be learnt from a cycle; empty if something can."""
         if np.count_nonzero(counted) < max(_COUNTED * counted.size, 16):
             return "most samples are missing, stuck or clamped"
         wanted, measured = cycle.wanted[counted], cycle.measured[counted]
@@ -324,7 +326,7 @@ class Estimator:
         return ""
 
     def _smoothed(self, rest: Array) -> Array:
-        """Return a difference (n,) without the noise that would move the shortest element."""
+        """Return a difference (n,) [m] without the noise that would move the element that slides first."""
         rho = self.weights.actuator.slip.breakaway
         noise = float(np.std(np.diff(rest, 2))) / np.sqrt(6) if rest.size > 3 else 0.0
         width = min(np.ceil((_QUIET * noise / float(rho[0])) ** 2), rest.size // 12) if rho.size else 0

@@ -1,4 +1,4 @@
-"""Trust: what records determine of a model, how wrong a path may come out, and whether the model still holds."""
+"""Trust: what records determine of a model, the error to expect on a path, and whether the model still holds."""
 
 from dehyst.trust.assessment import insight
 from dehyst.trust.changes import Change

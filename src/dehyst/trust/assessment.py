@@ -41,35 +41,36 @@ def insight(
 ) -> Insight:
     """Judge what records determine of an actuator that was identified from them, and what they leave open.
 
-    Which models beside it the records do not contradict is judged in the Maxwell-slip class only; see `Insight`.
+    The feasible set (all models that fit the records about as well) is computed for Maxwell-slip models only; see
+    `Insight`.
 
     Parameters
     ----------
     actuator : Actuator
     records : Record or sequence of Record
-        Those it was identified from.
+        The records that the actuator was identified from.
     trajectory : (n,) array_like, optional
-        A displacement to follow [m], on the model's axis: how wrong may it come out?
+        A displacement to follow [m], on the model's axis, whose error is to be predicted.
     time : (n,) array_like, optional
-        Of the trajectory [s]; needed by a model that moves in time.
+        Time of the trajectory [s]; needed by a model that depends on time.
     start : callable, optional
-        Gives a model's start of the trajectory, such as ``lambda one: start_of(one, record, began=True)``; default: the
-        top of the limits after a rise through them, where the state is known.
+        Returns the start of the trajectory for a model, such as ``lambda one: start_of(one, record, began=True)``;
+        default: the top of the limits after a rise through them, where the state is known.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     seconds : float, optional
-        Longest excitation to be advised.
+        Longest excitation to suggest [s]; default: no limit.
     level : float, optional
-        Of the intervals.
+        Confidence level of the intervals, 0 to 1.
     precision : float, optional
-        A number counts as known if half the width of its interval is at most this part of the estimate and the
-        interval excludes zero; see `Insight.precision`. Numbers that are not are a warning if it is given; default:
-        0.2, without a warning, for a path can be predicted without them.
+        A number counts as known if half the width of its interval is at most this part of the estimate and the interval
+        excludes zero; see `Insight.precision`. If it is given, numbers that are not known cause a warning. Default:
+        0.2, without a warning, because a path can be predicted without knowing each number.
     repeats : int, optional
         Sets of resampled cycles; 0 leaves out intervals and bands.
     seed : int, optional
     progress : callable, optional
-        Called with a few words at each step.
+        Called with a short text at each step.
 
     Raises
     ------
@@ -123,7 +124,7 @@ def insight(
 
 
 class _WantedPath(NamedTuple):
-    """A trajectory (n,) [m] with its time [s], the command that follows it, and its start.
+    """A trajectory (n,) [m], its time (n,) [s], the command that follows it, and its start.
 
     `state` gives the state of a model before it, `first` that of the actuator.
     """
@@ -156,7 +157,7 @@ class _WantedPath(NamedTuple):
         return cls(wanted, time, command, state, first, begin, opened)
 
     def band(self, evidence: Evidence, intervals: Intervals, free: FeasibleSet | None) -> PredictionBand:
-        """Return where the displacement may be."""
+        """Return the prediction band of the displacement."""
         return PredictionBand.of(
             self.wanted,
             self.command,

@@ -1,13 +1,13 @@
-"""How far numbers may be off because records are finite and noisy: intervals from resampled cycles.
+"""Confidence intervals of a model's numbers for finite and noisy records, by a bootstrap over cycles.
 
 The model is taken for the truth. Its simulation of each record, plus residuals of cycles picked at random, each with a
-random sign, makes a new set of records; it is identified again by least squares. How the new coefficients scatter
-about the model's, and on which side, gives basic bootstrap intervals: ``2 theta - quantile``. Noise of the sensor runs
-through the stop operators as it does in the measurement, so that the bias that it causes is taken off too. Its extremes
-drag carts, and with them whole legs: what that makes of the legs' mean residuals comes again by itself, and is taken
-out of the residuals lest it count twice. Directions of Maxwell-slip elements that the records leave open keep the
-model's values: no resampling can show them (see `feasible_set`). The grids of all parts are held; of models with more
-parts than slip elements and a spring what the records leave open scatters too.
+random sign, makes a new set of records; it is identified again by least squares. The scatter and the bias of the new
+coefficients about the model's give basic bootstrap intervals: ``2 theta - quantile``. Sensor noise passes through the
+stop operators as it does in the measurement, so the intervals have the bias due to noise removed. Extremes of the noise
+drag carts, and thereby shift whole legs. The resampled noise shifts the legs' mean residuals again; the share that it
+explains is removed from the residuals, so that it does not count twice. Directions of Maxwell-slip elements that the
+records leave open keep the model's values, because resampling cannot show them (see `feasible_set`). The grids of all
+parts stay fixed. In models with more parts than slip elements and a spring, open directions scatter too.
 """
 
 from __future__ import annotations
@@ -40,25 +40,24 @@ _NORMS: tuple[Norm, ...] = ("l2", "l1")
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """Models that resampled records gave, and the intervals that follow.
+    """Models identified from resampled records, and the intervals that follow.
 
     Attributes
     ----------
     actuator : Actuator
-        The model in question.
+        The model whose numbers have these intervals.
     actuators : tuple of Actuator
-        One a resampled set of records.
+        One for each resampled set of records.
     level : float
-        Of the intervals, 0 to 1.
+        Confidence level of the intervals, 0 to 1.
     spread : float
-        By which deviations are widened, for the model's norm scatters more than least squares: measured where that
-        norm is L1, else 1.
+        Factor on the deviations, because estimates in the model's norm scatter more than least-squares estimates:
+        measured if that norm is L1, else 1.
     few : float
-        By which deviations are widened because few cycles show their own scatter badly: Student's quantile over the
-        normal one.
+        Factor on the deviations for the small number of cycles: Student's quantile over the normal quantile.
     own : tuple of Actuator
-        Of a model that was not identified by least squares, what its own norm makes of some resampled records: they
-        show its bias, which norms do not share.
+        Models identified from some of the resampled records in the model's own norm, if that is not least squares: they
+        show the bias of this norm.
     """
 
     actuator: Actuator
@@ -112,18 +111,18 @@ class Intervals:
 
     @property
     def spring(self) -> Array:
-        """Lowest and highest voltage of the spring at its knots less that of the first, (2, M) [V]."""
+        """Lowest and highest voltage of the spring at its knots, relative to the first knot, (2, M) [V]."""
         return self._basic(_risen)
 
     def prediction(
         self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
     ) -> Array:
-        """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes, `state` of each model at first."""
+        """Return the lowest and highest displacement (2, n) [m] for a voltage (n,) [V], from each model's `state`."""
         return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
 
     @property
     def widening(self) -> float:
-        """By which standard deviations of the resampled models are widened."""
+        """Factor on the standard deviations of the resampled models."""
         return self.spread * self.few
 
     def _basic(self, value: Callable[[Actuator], Array]) -> Array:
@@ -148,19 +147,19 @@ def resample(
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Intervals:
-    """Identify resampled records.
+    """Identify resampled records and return the intervals.
 
     Parameters
     ----------
     evidence : Evidence
-        The model and its records. Datums are held; constants, drifts and all coefficients are found anew.
+        The model and its records. Datums stay fixed; constants, drifts and all coefficients are fitted again.
     level : float, optional
-        Of the intervals.
+        Confidence level of the intervals, 0 to 1.
     repeats : int, optional
-        Sets of records.
+        Number of resampled sets of records.
     seed : int, optional
     progress : callable, optional
-        Called with a few words now and then.
+        Called with a short text from time to time.
 
     Raises
     ------
@@ -193,7 +192,7 @@ def resample(
 
 
 class _Again:
-    """Identifies records that were resampled, by least squares."""
+    """Identifies resampled records by least squares."""
 
     def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
@@ -212,11 +211,11 @@ class _Again:
 
     @property
     def few_rows(self) -> int:
-        """Rows by which two norms are compared."""
+        """Rows for the comparison of two norms."""
         return rows_of(self._evidence.regression.grid, _FEWER)
 
     def errors(self, found: Coefficients) -> Array:
-        """Return errors of the voltages, without the epochs' constants, over the slopes [m]: where norms differ."""
+        """Return the voltage errors without the epochs' constants, divided by the slopes [m]."""
         rows = self._evidence.regression.rows
         step = max(1, len(rows) // self.few_rows)
         few = self._evidence.regression.thinned(self.few_rows)
@@ -226,11 +225,11 @@ class _Again:
         return left * self._evidence.weights[::step]
 
     def actuator(self, pieces: list[list[Record]]) -> Actuator | None:
-        """Return the actuator of records; None if the program was not solved or no voltage would have one answer."""
+        """Return the actuator of records; None if the program was not solved or the model is not invertible."""
         return self.made(self.identified(pieces))
 
     def made(self, answer: Coefficients) -> Actuator | None:
-        """Return the actuator of coefficients, None as in `actuator`."""
+        """Return the actuator with these coefficients; None as in `actuator`."""
         if not answer.solved.optimal:
             return None
         try:
@@ -239,7 +238,7 @@ class _Again:
             return None
 
     def identified(self, pieces: list[list[Record]], norm: Norm = "l2", most: int | None = None) -> Coefficients:
-        """Coefficients of resampled records, of about `most` rows."""
+        """Return the coefficients fitted to resampled records, with about `most` rows."""
         rows = self._most if most is None else most
         again = self._evidence.with_pieces(pieces)
         step = max(1, len(again.rows) // rows)
@@ -254,24 +253,24 @@ class _Again:
         return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
 
     def slow_of_model(self) -> float:
-        """Return the same of the model itself."""
+        """Return the mean square of the legs' mean residuals [m2] that the model itself leaves."""
         weighted = self._evidence.model.solved.residual * self._evidence.weights
         return float(np.mean(_leg_means(weighted, self._starts) ** 2))
 
 
 def _legs(voltage: Array, cut: Any) -> Any:
-    """First sample of each leg: the first, those after the cuts, and those where the voltage turns."""
+    """Return the first sample of each leg: sample 0, the samples after cuts, and the turning points of the voltage."""
     return np.unique([0, *cut, *turning_points(voltage, 0.02 * float(np.ptp(voltage)))])
 
 
 def _leg_means(values: Array, starts: Any) -> Array:
-    """Return the mean of each leg at all of its samples (n,)."""
+    """Return, at each sample (n,), the mean over its leg."""
     size = np.diff(np.append(starts, values.size))
     return np.repeat(np.add.reduceat(values, starts) / size, size)
 
 
 def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generator) -> float:
-    """Return the part of the legs' mean residuals, 0 to 1, that resampled noise does not make by itself."""
+    """Return the share of the legs' mean residuals, 0 to 1, that resampled noise does not explain."""
     found = [again.identified([world.resampled(random, 0.0) for world in worlds]) for _ in range(_TRIALS)]
     made = float(np.mean([again.slow(one) for one in found if one.solved.optimal] or [0.0]))
     there = again.slow_of_model()
@@ -279,7 +278,7 @@ def _unexplained(again: _Again, worlds: list[_World], random: np.random.Generato
 
 
 class _World:
-    """One record as the model would have made it, and the residuals of its cycles."""
+    """One record as simulated by the model, and the residuals of its cycles."""
 
     def __init__(self, compared: RecordComparison, actuator: Actuator) -> None:
         self._pieces = compared.measured
@@ -301,9 +300,9 @@ class _World:
         return self._residual.size // self._block
 
     def resampled(self, random: np.random.Generator, share: float) -> list[Record]:
-        """Return the pieces with new displacements, a share of the legs' mean residuals left in.
+        """Return the pieces with resampled displacements, which keep a share of the legs' mean residuals.
 
-        Cycles start at the same phase as those they are put for.
+        A cycle starts at the same phase as the one that it replaces.
         """
         residual = self._residual - (1 - share) * self._slow
         new = [piece.displacement.copy() for piece in self._pieces]
@@ -319,7 +318,7 @@ class _World:
 
 
 def _few(worlds: list[_World], level: float) -> float:
-    """Student's quantile over the normal one, a degree of freedom less than there are cycles."""
+    """Return Student's quantile over the normal quantile, with one degree of freedom less than there are cycles."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 * (1 + level)
@@ -329,7 +328,7 @@ def _few(worlds: list[_World], level: float) -> float:
 def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
     """Return combinations of the movable stiffnesses that the records leave open, and their values in the model [V].
 
-    None where they are not known for a model of this class, or nothing is open.
+    None if the combinations are not known for this class of models, or none is open.
     """
     directions = evidence.identifiability
     combinations = directions.vectors[directions.determined :] * directions.breakaway[directions.movable]
@@ -341,10 +340,10 @@ def open_combinations(evidence: Evidence) -> tuple[Array, Array] | None:
 def _spread(
     again: _Again, worlds: list[_World], share: float, random: np.random.Generator
 ) -> tuple[float, tuple[Actuator, ...]]:
-    """How much more the model's own norm scatters than least squares, and what that norm finds.
+    """Return how much more the model's norm scatters than least squares, and the models identified in that norm.
 
-    Of the same resampled records, by errors of the voltages: coefficients that the records leave open scatter as either
-    norm pleases. At least 1; nothing is found by another norm where the model's is least squares.
+    Both norms see the same resampled records and are compared by voltage errors, because open coefficients scatter
+    arbitrarily in either norm. The ratio is at least 1. For a least-squares model it is 1, without models.
     """
     both, own = [], []
     for _ in range(_PAIRS if again.by_absolutes else 0):

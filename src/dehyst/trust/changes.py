@@ -4,8 +4,9 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
 
     y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + offset,
 
-whose coefficients are what has changed. Standard errors are those of a jackknife over blocks of time, or over sections
-of the loop if these give more, and with the model's own error: what repeats in each cycle is no evidence of a change.
+whose coefficients are the changes. Standard errors come from a jackknife over blocks of time, or over sections of the
+loop if that gives larger ones. They include the model's own error, because an error that repeats in each cycle is no
+evidence of a change.
 """
 
 from __future__ import annotations
@@ -45,14 +46,14 @@ class Change:
     Attributes
     ----------
     name : str
-        "gain" (of the whole displacement, about that at 0 V), "width" (of the loop, beside the gain), "offset" (of the
-        displacement at 0 V, as the record began), "delay", "creep" (by a logarithm of time) or "drift" (in proportion
-        to time).
+        "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "offset" (of the
+        displacement at 0 V, at the beginning of the record), "delay", "creep" (logarithmic in time) or "drift" (linear
+        in time).
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
         [m a decade of time] for creep, [m over the record] for a drift.
     effect : float
-        The largest displacement [m] that it makes on a path like the record, with the sign of `value`.
+        The largest displacement [m] due to the change on a path like the record, with the sign of `value`.
     least : float
         Effect [m] from which a change counts.
     """
@@ -65,25 +66,25 @@ class Change:
 
     @property
     def counts(self) -> bool:
-        """Whether it exceeds three standard errors, and its effect the least that counts."""
+        """Whether the change exceeds three standard errors and its effect exceeds `least`."""
         return abs(self.value) > SIGMAS * self.error and abs(self.effect) > self.least
 
     @property
     def score(self) -> float:
-        """The change as a part of the least that counts, times 3: what control charts add up."""
+        """The change relative to the smallest one that counts, times 3: the input of control charts."""
         if not self.value:
             return 0.0
         scale = self.value / self.effect if self.effect else np.inf
         return float(self.value / max(self.error, self.least * abs(scale) / SIGMAS))
 
     def sentence(self, stroke: float) -> str:
-        """Return the change in words; creep and drift as parts of `stroke` [m]."""
+        """Return the change as a sentence; creep and drift relative to `stroke` [m]."""
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
         return f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke. {_REMEDIES[self.name]}"
 
     def amount(self, stroke: float) -> str:
-        """Return the size with its standard error, as shown; creep and drift as parts of `stroke` [m]."""
+        """Return size and standard error as text; creep and drift relative to `stroke` [m]."""
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
         if self.name in SLOW:
             factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
@@ -115,7 +116,7 @@ _REMEDIES = {
 
 @dataclass(frozen=True, eq=False)
 class Slow:
-    """A curve of time that a displacement may move along: its name, "creep" or "drift", and its values (n,)."""
+    """A slow change over time: its name, "creep" or "drift", and its values (n,)."""
 
     name: str
     curve: Array
@@ -130,9 +131,9 @@ class Known:
     datum : float
         Shift to the model's axis [m].
     doubt : float
-        What the record leaves open of it [m].
+        Uncertainty of the datum that the record leaves [m].
     own : float
-        Error of the model itself, as a standard deviation [m]: it differs from one kind of loop to another.
+        Standard deviation of the model's own error [m], which differs from one kind of loop to another.
     """
 
     datum: float
@@ -141,14 +142,14 @@ class Known:
 
 
 def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float) -> tuple[Change, ...]:
-    """Regress measured less simulated displacement on what may have changed.
+    """Regress the measured minus the simulated displacement on possible changes.
 
     Parameters
     ----------
     trace : Trace
-        Played without an offset and without a drift.
+        Measured and simulated displacement, simulated without offset and drift.
     slow : sequence of Slow
-        Curves of time, of which the one that explains more is taken; may be empty.
+        Candidate slow changes, of which the one that explains most is used; may be empty.
     known : Known
     least : float
         Effect [m] from which a change counts.
@@ -166,7 +167,7 @@ def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float)
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedLoop:
-    """A simulated loop: time, voltage, measured and simulated displacement, mean line, and that at 0 V."""
+    """A simulated loop: time, voltage, measured and simulated displacement, mean line, and mean line at 0 V."""
 
     time: Array
     voltage: Array
@@ -187,7 +188,7 @@ class _SimulatedLoop:
         return cls(trace.time, trace.voltage, trace.measured, trace.simulated, mean, rest, stroke)
 
     def later(self, delay: float) -> _SimulatedLoop:
-        """Return the loop as a sensor sees it that is late by `delay` [s]."""
+        """Return the loop as seen by a sensor with a `delay` [s]."""
         late = self.time - delay
         moved = (np.interp(late, self.time, values) for values in (self.voltage, self.simulated, self.mean))
         voltage, simulated, mean = moved
@@ -196,7 +197,7 @@ class _SimulatedLoop:
 
 @dataclass(frozen=True, eq=False)
 class _ChangeFit:
-    """Coefficients (k,) of named columns, their standard errors, their largest values, and the sum of squares left."""
+    """Coefficients (k,) of named columns, standard errors, the columns' largest values, and residual sum of squares."""
 
     names: list[str]
     values: Array
@@ -211,7 +212,7 @@ class _ChangeFit:
 
 
 def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
-    """Return the displacements (k,) at `knots` of the line through both branches, each passage of equal weight."""
+    """Return the mean line (k,) at `knots`, the average of both branches; each passage has equal weight."""
     weight = np.sqrt(np.abs(np.gradient(voltage)))
     place = np.clip(np.searchsorted(knots, voltage, side="right") - 1, 0, knots.size - 2)
     share = (voltage - knots[place]) / (knots[1] - knots[0])
@@ -262,7 +263,7 @@ def _regression(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFi
 
 
 def _rate(time: Array, values: Array) -> Array:
-    """Return the derivative (n,), NaN beside gaps in time."""
+    """Return the derivative (n,), NaN next to gaps in time."""
     rate = np.gradient(values, time)
     steps = np.diff(time)
     gaps = np.flatnonzero(steps > 3 * np.median(steps))
@@ -276,14 +277,14 @@ def _blocks(size: int) -> NDArray[np.intp]:
 
 
 def _sections(voltage: Array, rate: Array) -> NDArray[np.intp]:
-    """Return the number of the section of the loop of each sample (n,): of the voltage, rising and falling apart."""
+    """Return the section of the loop of each sample (n,): by voltage, rising and falling numbered separately."""
     share = (voltage - voltage.min()) / max(float(np.ptp(voltage)), 1e-300)
     section = np.minimum((_SECTIONS * share).astype(np.intp), _SECTIONS - 1)
     return np.asarray(section + _SECTIONS * (rate > 0), dtype=np.intp)
 
 
 def _jackknife(x: Array, y: Array, groups: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return coefficients (k,) by least squares, and their standard errors with each group left out in turn."""
+    """Return least-squares coefficients (k,) and their jackknife standard errors, with each group left out in turn."""
     names = np.unique(groups)
     products = np.array([x[own].T @ np.column_stack([x[own], y[own]]) for own in (groups == name for name in names)])
     whole = products.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Records beside a model that was identified from them: the ground on which its uncertainty is judged."""
+"""The evidence for a model: its records on its axis, from which its uncertainty is estimated."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _WORTH_OF_START = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Records beside a model, on the model's axis; grids, delay, dynamics and options are those of the model.
+    """The evidence for a model: records on the model's axis, with its grids, delay, dynamics and options.
 
-    Neighbours are held as much alike as in the identification. Creep branches and smooth elements that got no stiffness
-    are not fitted again.
+    Neighbouring coefficients are smoothed as in the identification. Creep branches and smooth elements that got no
+    stiffness are not fitted again.
 
     Attributes
     ----------
     actuator : Actuator
     comparisons : tuple of RecordComparison
-        One a record.
+        One for each record.
     regression : Regression
-        Rows (of long records some, evenly), with the datums and drifts that the model leaves to each record.
+        Its rows (of long records an even selection), with the datum and drift of each record under the model.
     stroke : float
         The range of the widest loop [m].
     """
@@ -58,14 +58,14 @@ class Evidence:
 
     @classmethod
     def from_records(cls, actuator: Actuator, records: Record | Sequence[Record]) -> Evidence:
-        """Put records beside a model.
+        """Compare records with a model.
 
         Parameters
         ----------
         actuator : Actuator
-            As `dehyst.identify` or a model file gives it; without an `identification` its options are the defaults.
+            From `dehyst.identify` or a model file; without an `identification` the default options apply.
         records : Record or sequence of Record
-            Those it was identified from, or others, to see what they would determine.
+            The records that it was identified from, or others, to see what these would determine.
 
         Raises
         ------
@@ -99,20 +99,20 @@ class Evidence:
 
     @cached_property
     def reference(self) -> int:
-        """The epoch whose constant is that of the model's spring: the one that needs the least offset."""
+        """The epoch whose constant is the constant of the model's spring: the one with the least offset."""
         base = float(self.actuator.spring.voltage[0])
         return min(self.model.offsets, key=lambda epoch: abs(self.model.offsets[epoch] - base))
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """What the turning points determine of the stiffnesses, whatever the noise; see `directions`."""
+        """What the turning points determine of the stiffnesses, regardless of noise; see `directions`."""
         return self.directions()
 
     def directions(self, *more: Record) -> Identifiability:
         """Return what the turning points of the records, and of `more` on the model's axis, determine.
 
-        Of the stiffnesses in the Maxwell-slip class, whose columns turning points make alone; of ten plain elements in
-        its place where a model has more parts.
+        For Maxwell-slip models it concerns their stiffnesses, whose columns depend on turning points only. For models
+        with more parts it concerns ten plain Maxwell-slip elements instead.
         """
         records = [*self.pieces(), *more]
         if not self.actuator.wide:
@@ -135,12 +135,12 @@ class Evidence:
         ]
 
     def with_pieces(self, pieces: list[list[Record]]) -> Regression:
-        """Return the same regression on other measured displacements, piece for piece."""
+        """Return the regression with other measured displacements for each piece."""
         rows = _rows(self.actuator, self.regression.grid, self.comparisons, self.stroke, pieces)
         return replace(self.regression, rows=rows)
 
     def actuator_of(self, found: Coefficients) -> Actuator:
-        """Return the actuator of other coefficients on the same axes; parts without stiffness stay."""
+        """Return the actuator with other coefficients on the same axes; parts without stiffness stay."""
         model = self.actuator
         first = found.offsets[self.reference] - self.model.offsets[self.reference] + float(model.spring.voltage[0])
         return found.to_actuator(
@@ -162,7 +162,7 @@ class Evidence:
 def _rows(
     actuator: Actuator, grid: Grid, compared: Sequence[RecordComparison], stroke: float, pieces: list[list[Record]]
 ) -> Rows:
-    """Rows of measured pieces, prepared as an identification prepares them."""
+    """Return the rows of measured pieces, prepared as in an identification."""
     stacked, noise = [], []
     for q, (item, measured) in enumerate(zip(compared, pieces, strict=True)):
         for (_, _, curve), piece in zip(item.pieces, measured, strict=True):
@@ -173,13 +173,13 @@ def _rows(
 
 
 def rows_of(grid: Grid, entries: int) -> int:
-    """Return how many rows have about so many entries: a row has one for each coefficient, of up to hundreds."""
+    """Return how many rows hold about this many entries; a row has one for each of up to hundreds of coefficients."""
     columns: int = grid.places()["transformer"].stop
     return max(1, entries // columns)
 
 
 def _strained(compared: RecordComparison) -> bool:
-    """Whether a record creeps as if it had not been at rest as it began: the model fits it much worse without."""
+    """Return whether a record shows creep from before its start: without that the model fits it much worse."""
     regression, found = compared.regression, compared.found
     weights = 1 / regression.slope(found)
     rested = replace(regression, strained=()).fit_nuisances(found)

@@ -1,4 +1,4 @@
-"""Which excitation to add: of a menu, those that close most of what records leave open of the stiffnesses."""
+"""Experiment design: which excitations of a menu determine most of the stiffness directions that are still open."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _SAMPLES_A_CYCLE = 200
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """An excitation, and what would be known with it.
+    """A suggested excitation, and what would be known after recording it.
 
     Attributes
     ----------
     words : str
-        What to play.
+        Description of the excitation.
     command : str
-        How to make it with `dehyst excite`.
+        The `dehyst excite` command that writes it.
     excitation : Excitation
-        Its first cycle is a major loop, so that it may be recorded whenever.
+        The voltage. Its first cycle is a major loop, so no homing is needed before it.
     determined, of : int
-        Directions of the stiffnesses known with it, and all there are.
+        Number of stiffness directions known after recording it, and their total number.
     weakest : float
-        Least singular value of those known [V/V]; see `Identifiability`.
+        Smallest singular value of the known directions [V/V]; see `Identifiability`.
     """
 
     words: str
@@ -46,33 +46,32 @@ class Suggestion:
 
     @property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return self.excitation.duration
 
     def as_dict(self) -> dict[str, object]:
-        """JSON values."""
+        """Return JSON values."""
         return json_values(self, "words command seconds determined of weakest_V_per_V=weakest")
 
 
 def advise(
     evidence: Evidence, *, limits: tuple[float, float] | None = None, seconds: float | None = None
 ) -> tuple[Suggestion, ...]:
-    """Rank a menu of excitations: what would be known of the stiffnesses, how well, and in what time.
+    """Rank a menu of excitations by the stiffness directions that they would determine, how well, and in what time.
 
     Parameters
     ----------
     evidence : Evidence
-        What there is already; the motion of each excitation is predicted by its model, at the pace of its records.
+        The present records and model. The model predicts the motion of each excitation, at the rate of the records.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     seconds : float, optional
-        Only what takes no longer.
+        Longest duration of an excitation [s]; default: no limit.
 
     Returns
     -------
     tuple of Suggestion
-        Best first; those that determine nothing new are left out, and the tuple is empty if no excitation on the menu
-        does.
+        Best first. Excitations that determine nothing new are left out, so the tuple may be empty.
 
     Raises
     ------
@@ -106,7 +105,7 @@ def advise(
 
 
 def _menu(drive: Sampling, top: float, elements: int) -> Iterator[tuple[str, str, Excitation]]:
-    """Return what to play in words, the kind and arguments of `dehyst excite`, and the voltage."""
+    """Return description, arguments of `dehyst excite`, and voltage of each excitation."""
     low = drive.base
 
     def at(part: float) -> float:

@@ -1,8 +1,8 @@
-"""The latitude that records leave: how large and how small a number can be without contradicting them.
+"""Feasible parameter set: bounds of the model's numbers that are consistent with the records.
 
-Over all coefficients that meet the records nearly as well as the model does, the largest and the smallest stiffness,
-spring voltage, or voltage at a place of a trajectory are linear programs. Each optimum is a model of its own; played on
-the trajectory, these models show what open directions could do there.
+The feasible set contains all coefficients that fit the records nearly as well as the model does. Linear programs find
+the largest and the smallest stiffness, spring voltage, and voltage at points of a trajectory in this set. Each optimum
+is a model; simulated along the trajectory, these models show the possible effect of open directions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ROUNDING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSet:
-    """What the records do not contradict.
+    """Feasible parameter set: bounds of a model's numbers that are consistent with the records.
 
     Attributes
     ----------
@@ -45,13 +45,13 @@ class FeasibleSet:
     stiffness : (2, N) array
         Lowest and highest kappa_i [V/m].
     spring : (2, M) array
-        Lowest and highest voltage of the spring at its knots less that of the first [V].
+        Lowest and highest voltage of the spring at its knots, relative to the first knot [V].
     slopes : (2, M - 1) array
         Lowest and highest slope of the spring's segments [V/m].
     actuators : tuple of Actuator
-        Two a place of the trajectory: least and largest voltage there.
+        Two for each point of the trajectory: the models with the smallest and the largest voltage there.
     tolerance : float
-        The misfit allowed, its mean over the records [V].
+        Allowed misfit, averaged over the records [V].
     """
 
     actuator: Actuator
@@ -62,7 +62,7 @@ class FeasibleSet:
     tolerance: float
 
     def prediction(self, voltage: Array, state: Callable[[Actuator], State]) -> Array:
-        """Lowest and highest displacement (2, n) [m] that a voltage (n,) [V] causes in any of them."""
+        """Return the lowest and highest displacement (2, n) [m] of these models for a voltage (n,) [V]."""
         every = (self.actuator, *self.actuators)
         paths = np.array([a.simulate(voltage, state=state(a), extrapolate=True).displacement for a in every])
         return np.array([paths.min(axis=0), paths.max(axis=0)])
@@ -71,9 +71,9 @@ class FeasibleSet:
 def feasible_set(
     evidence: Evidence, displacement: Array | None = None, state: State | None = None
 ) -> FeasibleSet | None:
-    """Ask of each coefficient, and of some places of a path, how large and how small it could be.
+    """Compute feasible bounds of each coefficient, and of the voltage at some points of a path.
 
-    None outside of the Maxwell-slip class: the columns of other parts are no functions of the path alone.
+    Returns None for other models than Maxwell-slip ones, because columns of other parts depend on more than the path.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def feasible_set(
     displacement : (n,) array, optional
         The path [m], on the model's axis.
     state : State, optional
-        Where it starts, every element known; default the model's own.
+        Fully known initial state of the path; default: the model's own.
 
     Raises
     ------
@@ -99,7 +99,9 @@ def feasible_set(
     with one_thread():
         extremes = polytope.extremes(np.vstack([numbers, path]))
     if not any(x is not None for pair in extremes for x in pair):
-        raise IdentifyError("no model meets these records as well as the identified one: are they of another actuator?")
+        raise IdentifyError(
+            "no model fits these records as well as the identified one; check that they belong to the same actuator"
+        )
     count = int(np.count_nonzero(regression.grid.movable))
     ranges = _ranges(numbers, extremes[: len(numbers)], _vector(evidence, evidence.model))
     stiffness = np.tile(actuator.slip.stiffness, (2, 1))
@@ -116,7 +118,7 @@ def feasible_set(
 
 
 def _numbers(regression: Regression, unknowns: int) -> Array:
-    """Costs that pick each stiffness, the spring's voltage at each knot less that of the first, and each slope."""
+    """Return cost vectors that select each stiffness, spring voltage (relative to the first knot) and slope."""
     count, segments = int(np.count_nonzero(regression.grid.movable)), regression.grid.knots.size - 1
     costs = np.zeros((count + 2 * segments, unknowns))
     costs[:count, :count] = np.eye(count)
@@ -127,7 +129,7 @@ def _numbers(regression: Regression, unknowns: int) -> Array:
 
 
 def _ranges(costs: Array, extremes: list[tuple[Array | None, Array | None]], model: Array) -> Array:
-    """Least and largest value of each cost (2, p); the model's own where there is no optimum."""
+    """Return the least and the largest value of each cost (2, p); the model's own value where there is no optimum."""
     ends = [[cost @ (model if x is None else x) for x in pair] for cost, pair in zip(costs, extremes, strict=True)]
     both = np.array([[*pair, cost @ model] for pair, cost in zip(ends, costs, strict=True)]).T
     return np.array([both.min(axis=0), both.max(axis=0)])
@@ -135,9 +137,10 @@ def _ranges(costs: Array, extremes: list[tuple[Array | None, Array | None]], mod
 
 @dataclass(frozen=True, eq=False)
 class _Polytope:
-    """Coefficients that meet each mean within the tolerance, and all of them nearly as well as the model does.
+    """The feasible coefficients: each mean residual within the tolerance, and their sum nearly as small as the model's.
 
-    With residuals split in two, ``rows x + over - under = goal``, both within the tolerance and their sum bounded.
+    Residuals are split into two parts, ``rows x + over - under = goal``; both are within the tolerance, and their sum
+    is bounded.
     """
 
     rows: Array
@@ -166,7 +169,7 @@ class _Polytope:
         return cls(rows, goal, weights, lower, tolerance, total)
 
     def extremes(self, costs: Array) -> list[tuple[Array | None, Array | None]]:
-        """Where each cost (rows) is least and where it is largest; None where that could not be solved."""
+        """Return the minimiser and the maximiser of each cost (rows); None where a program could not be solved."""
         n, unknowns = self.rows.shape
         scale = np.abs(self.rows).max(axis=0, initial=0.0)
         scale[scale == 0] = 1.0
@@ -190,7 +193,7 @@ def _columns(regression: Regression, elongation: Array, y: Array, nuisances: Arr
 
 
 def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
-    """Rows, voltages and weights, each a mean over neighbours of one epoch and one leg."""
+    """Return rows, voltages and weights, each a mean over neighbours in one epoch and one leg."""
     regression = evidence.regression
     rows = regression.rows
     columns = _columns(regression, rows.elongation, regression.axis, regression.nuisances())
@@ -205,7 +208,7 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
 
 
 def _groups(evidence: Evidence) -> NDArray[np.intp]:
-    """Return number of the group of each row: runs of neighbours, cut at epochs and at turning points."""
+    """Return the group of each row: runs of neighbours, cut at epochs and at turning points."""
     rows = evidence.regression.rows
     length = max(1, len(rows) // _ROWS)
     cut = np.zeros(len(rows), dtype=bool)
@@ -240,7 +243,7 @@ def _coefficients(evidence: Evidence, x: Array) -> Coefficients:
 
 
 def _costs(evidence: Evidence, displacement: Array, state: State) -> Array:
-    """Columns of the voltage at places of the path: its turning points, its legs' middles, and places between."""
+    """Return the columns of the voltage at points of the path: turning points, middles of legs, and points between."""
     regression = evidence.regression
     y = np.ascontiguousarray(displacement)
     turns = [0, *turning_points(y, 0.01 * float(np.ptp(y))).tolist(), y.size - 1]

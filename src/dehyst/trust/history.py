@@ -46,7 +46,7 @@ class PastCheck:
     standing : str
         Name of the `Standing`.
     effects, scores : Mapping
-        Of each change by its name: displacement [% of the stroke], and the change in a third of the least that counts.
+        By name of the change: its displacement [% of the stroke], and its score, 3 at the smallest change that counts.
     """
 
     checked: datetime
@@ -63,7 +63,7 @@ class PastCheck:
 
 @dataclass(frozen=True, eq=False)
 class ControlChart:
-    """One kind of change over the checks that looked for it.
+    """Control chart of one kind of change, over the checks that looked for it.
 
     Attributes
     ----------
@@ -72,15 +72,15 @@ class ControlChart:
     places : (n,) array
         Numbers of the checks, from 0.
     effects : (n,) array
-        Displacement by the change [% of the stroke].
+        Displacement due to the change [% of the stroke].
     scores : (n,) array
-        Changes in standard deviations, of which three make a change that counts.
+        Changes in standard deviations; a change counts from 3 on.
     average : (n,) array
         Their exponentially weighted moving average.
     limits : (n,) array
         Its limits, on both sides of 0.
     above, below : (n,) array
-        Cumulative sums of what exceeds the allowance, upwards and downwards; both positive.
+        Cumulative sums (CUSUM) of the excess over the allowance, upwards and downwards; both positive.
     """
 
     name: str
@@ -117,7 +117,7 @@ class ControlChart:
 
     @property
     def since(self) -> int:
-        """Number of the check, from 0, since which that is so; of the last check if it is not."""
+        """First check, from 0, of the present run of alarms; the last check if there is no alarm now."""
         inside = np.flatnonzero(~self.alarms)
         first = inside[-1] + 1 if inside.size else 0
         return int(self.places[min(first, self.places.size - 1)])
@@ -135,7 +135,7 @@ class CheckHistory:
     others : int
         Number of checks of other models in the folder.
     damaged : tuple of str
-        A sentence for each file that is left out because it is no check.
+        A sentence for each file that is left out because it is not a valid check.
     """
 
     folder: Path
@@ -167,8 +167,8 @@ class CheckHistory:
     def keep(cls, folder: PathLike, recheck: Recheck, *, moment: datetime | None = None) -> CheckHistory:
         """Write a check to a folder, made if it does not exist, and read the history.
 
-        A record that was checked before with the same model keeps its place and gets the new result. A file that is no
-        check is left out, see `damaged`; one of the same record and model is replaced.
+        A record that was checked before with the same model keeps its place and gets the new result. A file that is not
+        a valid check is left out, see `damaged`; a damaged file of the same record and model is replaced.
 
         Parameters
         ----------
@@ -176,14 +176,14 @@ class CheckHistory:
             New, empty or the folder of a history.
         recheck : Recheck
         moment : datetime, optional
-            When it was done, with a time zone; default: now.
+            Time of the check, with a time zone; default: now.
 
         Raises
         ------
         FileFormatError
             If the folder holds other files or cannot be written, or `moment` has no zone.
         IdentifyError
-            If the record is plainly not of the model's actuator, see `Recheck.mismatch`.
+            If the record clearly belongs to another actuator, see `Recheck.mismatch`.
         """
         if recheck.mismatch:
             raise IdentifyError(f"{recheck.mismatch}. It is not kept in the history")
@@ -215,7 +215,7 @@ class CheckHistory:
         return np.array(means)
 
     def sentences(self) -> tuple[str, ...]:
-        """Return a sentence for each kind of change whose chart is outside of its limits now."""
+        """Return a sentence for each kind of change whose control chart is outside of its limits now."""
         return tuple(
             f"{chart.name.capitalize()}: average or cumulative sum of the checks has been outside of its limits "
             f"since check {chart.since + 1} ({self.checks[chart.since].checked:%Y-%m-%d}): a lasting change, now "
@@ -237,7 +237,7 @@ class CheckHistory:
 
 
 def demand_folder(folder: PathLike) -> None:
-    """Refuse a folder that is neither new, nor empty, nor of a history; raise `FileFormatError`."""
+    """Raise `FileFormatError` if a folder is neither new, nor empty, nor the folder of a history."""
     marker = Path(folder) / OWN[0]
     checks = [path.name for path in Path(folder).glob("check-*.json") if format_of(path) == _CHECK]
     if checks and format_of(marker) != OWN[1]:
@@ -250,7 +250,7 @@ def demand_folder(folder: PathLike) -> None:
 
 
 def _moment_of(path: Path) -> datetime | None:
-    """Return when a check was done; None if there is no such, or its file is damaged."""
+    """Return the time of a check; None if there is no such check, or its file is damaged."""
     try:
         return _past(path).checked
     except FileFormatError:
@@ -282,5 +282,5 @@ def _past(path: Path) -> PastCheck:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(
-            f"{path}: is no check that dehyst wrote ({type(error).__name__}: {error}); remove it from the folder"
+            f"{path}: is not a check written by dehyst ({type(error).__name__}: {error}); remove it from the folder"
         ) from error

@@ -1,10 +1,10 @@
-"""What records determine of each part of a structured model: combinations of coefficients, despite noise.
+"""Identifiability of each part of a model: which combinations of its coefficients the records determine despite noise.
 
-Coefficients count as what their parts hold in volts: stiffness times breakaway elongation, slope times the length of
-its segment, and so on. Along the paths that the model itself makes of the records' voltages (noise could be taken for
-knowledge), a combination of a part's coefficients shows as an RMS voltage, everything else being free to make up for
-it. With the scatter of the legs' mean residuals that gives its standard deviation. That stiffnesses are not negative is
-left aside: it can only determine more.
+Coefficients are scaled to volts: stiffness times breakaway elongation, slope times the length of its segment, and so
+on. The columns are computed along simulated paths, because measurement noise could be mistaken for information. Each
+combination of a part's coefficients then has an RMS voltage that all other coefficients together cannot compensate.
+This RMS voltage and the scatter of the legs' mean residuals give its standard deviation. The constraint that
+stiffnesses are not negative is ignored: it can only determine more.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class PartIdentifiability:
         Standard deviation of each combination of its coefficients, the best known first [V]; infinite if the records
         do not determine it at all.
     allowed : float
-        That up to which a combination counts as known [V].
+        Largest standard deviation with which a combination counts as known [V].
     alone : (m,) bool array
-        Whether the records determine a coefficient by itself, whatever their noise.
+        Whether the records determine a coefficient by itself, regardless of noise.
     """
 
     part: str
@@ -63,7 +63,7 @@ class PartIdentifiability:
 
     @property
     def sentence(self) -> str:
-        """Both in words."""
+        """The number of known combinations in words."""
         if self.known == self.of:
             return f"{self.part}: {'all ' if self.of > 1 else ''}{self.of} known."
         return f"{self.part}: {self.known} of {self.of} combinations known."
@@ -75,7 +75,7 @@ class PartIdentifiability:
 
 
 def part_identifiability(evidence: Evidence) -> tuple[PartIdentifiability, ...]:
-    """Return what records determine of each part of a model; creep before the records is left out."""
+    """Return the identifiability of each part of a model; creep from before the records is left out."""
     regression = evidence.with_pieces(_made(evidence))
     weights = evidence.weights / np.median(evidence.weights)
     columns = regression.bounded / _holds(regression) * weights[:, None]
@@ -100,7 +100,7 @@ def part_identifiability(evidence: Evidence) -> tuple[PartIdentifiability, ...]:
 
 
 def _parts(regression: Regression) -> list[tuple[str, slice]]:
-    """Name and columns of each part there is."""
+    """Return name and columns of each part of the model."""
     grid = regression.grid
     sizes = {
         "slip elements" if grid.segments == 1 else "graded elements": int(grid.movable.sum()) * grid.segments,
@@ -115,7 +115,7 @@ def _parts(regression: Regression) -> list[tuple[str, slice]]:
 
 
 def _holds(regression: Regression) -> Array:
-    """Return what a coefficient of each column must be to hold a volt, over one (q,)."""
+    """Return the scale (q,) of each column: the coefficient that holds one volt."""
     grid = regression.grid
     stroke, lengths = float(np.ptp(grid.knots)), np.diff(grid.drive)
     found = np.concatenate(
@@ -131,7 +131,7 @@ def _holds(regression: Regression) -> Array:
 
 
 def _made(evidence: Evidence) -> list[list[Record]]:
-    """Return the pieces with the displacements that the model makes."""
+    """Return the pieces with the displacements simulated by the model."""
     made = []
     for one in evidence.comparisons:
         paths = [piece.displacement.copy() for piece in one.measured]
@@ -142,7 +142,7 @@ def _made(evidence: Evidence) -> list[list[Record]]:
 
 
 def _scatter(evidence: Evidence, weights: Array) -> float:
-    """Return standard deviation of a mean over all legs [V]."""
+    """Return the standard deviation of the legs' mean residuals [V]."""
     rows, residual = evidence.regression.rows, evidence.model.solved.residual * weights
     cuts = np.flatnonzero(np.diff(rows.epoch)) + 1
     turns = turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))
@@ -159,14 +159,14 @@ _SMALL = 1e-9
 
 @dataclass(frozen=True)
 class StateKnowledge:
-    """From when on the state is known along a record, nothing being known before it.
+    """Time after which the hysteresis state is observable from a record.
 
     Attributes
     ----------
     record : str
     by_displacement, by_voltage : float or None
-        Time since the record's start [s] from which every element with stiffness is known: to one who sees the
-        displacement, and to one who sees the voltage alone; None if never.
+        Time since the record's start [s] after which every element with stiffness is known, from the measured
+        displacement and from the voltage alone; None if never.
     judged : bool
         Whether `by_voltage` was judged: the order of voltages does not determine it with creep, inertia, a lag or
         smooth elements.
@@ -179,7 +179,7 @@ class StateKnowledge:
 
     @classmethod
     def of(cls, actuator: Actuator, compared: RecordComparison) -> StateKnowledge:
-        """Return what a record that was put beside an actuator makes known."""
+        """Return the state knowledge from a record that was compared with an actuator."""
         stiff, record = _stiff(actuator), compared.record.record
         # Noise widens a range by its extremes; what it adds is no excursion.
         reach = 2 * stiff.slip.breakaway + 4 * compared.record.noise
@@ -205,7 +205,7 @@ class StateKnowledge:
 
 
 def _stiff(actuator: Actuator) -> Actuator:
-    """Return the slip elements that hold something, the spring and the transformer: the rest has no carts."""
+    """Return the actuator with only spring, transformer and the slip elements that have stiffness."""
     slip = actuator.slip
     keep = slip.friction > _SMALL * float(np.ptp(actuator.spring.voltage))
     rho, kappa = slip.breakaway[keep], slip.stiffness[keep]

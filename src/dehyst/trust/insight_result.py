@@ -1,4 +1,4 @@
-"""The result of `dehyst.insight`: how far a model can be trusted, and what to do about it."""
+"""The result of `dehyst.insight`: how far a model can be trusted, and what to record next."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _WIDER = 0.01
 
 
 def of_another(actuator: Actuator, misfit: float, stroke: float) -> str | None:
-    """Return A warning if records are of another actuator than the model."""
+    """Return a warning if the records seem to belong to another actuator."""
     range_ = float(np.ptp(actuator.spring.displacement))
     missed, known = 100 * misfit / stroke, actuator.identification
     own = np.inf if known is None or known.largest_error is None else known.largest_error
@@ -47,12 +47,12 @@ def of_another(actuator: Actuator, misfit: float, stroke: float) -> str | None:
         return None
     return (
         f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
-        f"{range_ * 1e6:.4g} um): they are of another actuator, or in other units. Nothing below holds for them."
+        f"{range_ * 1e6:.4g} um): they belong to another actuator or are in other units. Nothing below holds for them."
     )
 
 
 def beyond(actuator: Actuator, limits: tuple[float, float] | None) -> str | None:
-    """Return A warning if limits [V] go beyond the voltages that were recorded."""
+    """Return a warning if limits [V] go beyond the recorded voltages."""
     recorded = actuator.limits
     if recorded is None or limits is None:
         return None
@@ -66,7 +66,7 @@ def beyond(actuator: Actuator, limits: tuple[float, float] | None) -> str | None
 
 
 def not_homed(homing: Homing | None) -> str | None:
-    """Return A warning if the rise before a trajectory leaves the state unknown."""
+    """Return a warning if the rise before a trajectory leaves the state unknown."""
     if homing is None or homing.certified:
         return None
     return (
@@ -84,7 +84,7 @@ _NOT_JUDGED = (
 
 @dataclass(frozen=True, eq=False)
 class Insight:
-    """How far a model can be trusted, and what to do about it.
+    """How far a model can be trusted, and what to record next.
 
     Attributes
     ----------
@@ -95,13 +95,13 @@ class Insight:
     homing : Homing or None
         None if the model has no voltage limits.
     intervals : Intervals or None
-        From resampled cycles; None if they were not asked for.
+        From resampled cycles; None with repeats 0.
     band : PredictionBand or None
-        If a trajectory was given; without what the records do not contradict where there is no feasible set.
+        Prediction band of the trajectory, if one was given; it includes compatible models if there is a feasible set.
     feasible_set : FeasibleSet or None
-        What the records do not contradict; None without intervals, and outside of the Maxwell-slip class.
+        Bounds consistent with the records; None without intervals, and for other models than Maxwell-slip ones.
     advice : tuple of Suggestion
-        Best first; empty if nothing on the menu determines more.
+        Excitations to record next, best first; empty if none on the menu determines more.
     parts : tuple of PartIdentifiability
         What the records determine of each part.
     loop : MajorLoopWidth or None
@@ -109,11 +109,11 @@ class Insight:
     precision : Precision or None
         Which numbers are known to a precision; None without intervals.
     exact : bool
-        Whether that precision was asked for, so that numbers that are not known to it are a warning.
+        Whether a precision was requested; then numbers that are not known to this precision cause a warning.
     start : PossibleStart or None
-        Of the trajectory; None: the top of the limits, after a rise through them.
+        Start of the trajectory; None: the top of the limits, after a rise through them.
     opened : StartError or None
-        What the start leaves open of the trajectory; None if it is known.
+        Displacement error along the trajectory due to its unknown start; None if the start is known.
     """
 
     evidence: Evidence
@@ -138,7 +138,7 @@ class Insight:
 
     @property
     def identifiability(self) -> Identifiability:
-        """Of the stiffnesses; of ten plain elements if the model has more parts: whether inner loops are enough."""
+        """Identifiability of the stiffnesses; if the model has more parts, of ten plain slip elements instead."""
         return self.evidence.identifiability
 
     @property
@@ -148,7 +148,7 @@ class Insight:
 
     @property
     def turns(self) -> TurnPlane | None:
-        """Where the records turned, and which regions they test."""
+        """The plane of turning points: where the records turned, and which regions they test."""
         records = (one.record.record for one in self.evidence.comparisons)
         return turn_plane(((one.name, one.time, one.voltage) for one in records), self.limits)
 
@@ -161,12 +161,12 @@ class Insight:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
 
-        `full` returns what `--all` prints: what is known of each part and number, and of the state, beside.
+        With `full`, return what `--all` prints: also what is known of each part, each number and the state.
         """
         return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 
     def to_dataframe(self) -> DataFrame:
-        """Return the judged numbers of the model as a pandas DataFrame, a row a number; stiffnesses in V/um.
+        """Return the judged numbers of the model as a pandas DataFrame, one row for each number; stiffnesses in V/um.
 
         Columns: part, number, unit, estimate, lowest, highest, verdict; no rows without intervals. Raise
         `MissingExtraError` if pandas is not installed.
@@ -187,14 +187,14 @@ class Insight:
         *,
         ax: Axes | None = None,
     ) -> Axes:
-        """Draw what the records leave open.
+        """Draw the uncertainty that the records leave.
 
         Parameters
         ----------
         kind : str, optional
-            "stiffnesses": each with its interval. "directions": their singular values, determined or open. "loop":
-            uncertainty of the displacement on the major loop. "band": where the displacement of
-            the trajectory may be, less the wanted path. Default: the last of "directions", "loop", "stiffnesses" and
+            "stiffnesses": each with its interval. "directions": singular values of the stiffness directions, determined
+            or open. "loop": uncertainty of the displacement on the major loop. "band": where the displacement of the
+            trajectory may be, minus the wanted path. Default: the last of "directions", "loop", "stiffnesses" and
             "band" for which there are numbers.
         ax : matplotlib.axes.Axes, optional
             Where to draw; default: the axes of a new figure.
@@ -219,7 +219,7 @@ class Insight:
 
     @property
     def stiffness(self) -> Array | None:
-        """Lowest and highest kappa_i (2, N) [V/m] by noise and open directions together; None without intervals."""
+        """Lowest and highest kappa_i (2, N) [V/m] due to noise and open directions together; None without intervals."""
         if self.intervals is None or self.feasible_set is None:
             return None
         noise, free = self.intervals.stiffness, self.feasible_set.stiffness
@@ -227,16 +227,16 @@ class Insight:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether the records leave no direction open: of the stiffnesses, or of ten plain elements."""
+        """Whether the records determine all directions of the stiffnesses; see `identifiability`."""
         return self.identifiability.determined == self.identifiability.of
 
     @property
     def judgement(self) -> Judgement:
-        """How far the trajectory is expected to be missed; without one a path like the records."""
+        """The expected error of the trajectory; without a trajectory, of a path like the records."""
         return judge(self.actuator, self.band, self.opened)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what must be heeded before the model is used."""
+        """Return warnings to consider before the model is used."""
         remarks = [
             of_another(self.actuator, self.misfit, self.evidence.stroke),
             self._open(),
@@ -259,7 +259,7 @@ class Insight:
         )
 
     def _imprecise(self) -> str | None:
-        """Return what is not known to the precision that was asked for, and what to record next."""
+        """Return which numbers are not known to the requested precision, and what to record next."""
         if self.precision is None or self.precision.all_known or not self.exact:
             return None
         # The warning of open directions says what to add.
@@ -267,23 +267,23 @@ class Insight:
         return " ".join(words for words in (self.precision.sentence, self.precision.others, next_) if words)
 
     def _open_on(self, band: PredictionBand) -> str | None:
-        """Return what open directions make of a trajectory, where that is more than the rest."""
+        """Return a sentence on the trajectory's error due to open directions, if that exceeds all other errors."""
         parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
         known = max(parts["misfit"], parts["noise"], 0.1)
         if self.trustworthy or parts.get("open", 0.0) <= known:
             return None
         return (
             f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the stroke; the "
-            f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound it."
+            f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound this error."
         )
 
     def _open_start(self) -> str | None:
-        """Return what the start leaves open of the trajectory, where that is more than the model's error."""
+        """Return a sentence on the trajectory's error due to its unknown start, if that exceeds the model's error."""
         if self.start is None or self.opened is None or not self.opened.matters:
             return None
         return (
             f"The start after {self.start.name} leaves {self.opened.percent(self.opened.largest):.2g} % of the stroke "
-            "open on this trajectory, which the band does not hold."
+            "open on this trajectory; the band does not include this."
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -314,7 +314,7 @@ class Insight:
         }
 
     def numbers(self) -> dict[str, tuple[Array, Array | None]]:
-        """Return coefficients of parts that stand alone, by name with unit, and their lowest and highest by noise."""
+        """Return the coefficients of the other parts by name with unit, and their ends of the interval due to noise."""
         model, noise = self.actuator, self.intervals
         parts: dict[str, tuple[Array, Array | None]] = {}
         if model.transformer is not None:
@@ -327,7 +327,7 @@ class Insight:
 
 
 def one_line(found: Insight) -> str:
-    """Return what is determined and known, counted."""
+    """Return the numbers of determined directions and known numbers as text."""
     directions = f"{found.identifiability.determined} of {found.identifiability.of} directions determined"
     known = "" if found.precision is None else f", {found.precision.sentence.removesuffix('.')}"
     warnings = counted(len(found.warnings()), "warning")
@@ -355,7 +355,7 @@ def as_html(found: Insight) -> str:
 
 
 def _answer(found: Insight) -> Iterator[str]:
-    """Yield the error to expect, of the path or of one like the records, and the warnings."""
+    """Yield the error to expect, of the trajectory or of a path like the records, and the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
     another = of_another(found.actuator, found.misfit, stroke)
     if another is not None:
@@ -425,14 +425,14 @@ def _advice(found: Insight) -> Iterator[str]:
 
 
 def _next(found: Insight) -> str:
-    """Return what to record where no loop determines more directions."""
+    """Return what to record if no further loop determines more directions."""
     if found.precision is None or found.precision.all_known:
         return "nothing; no loop determines more directions."
     return f"no loop determines more directions. {found.precision.next}"
 
 
 def _parts_known(found: Insight) -> Iterator[str]:
-    """Yield what records determine of each part, and how accurate its numbers are."""
+    """Yield the identifiability of each part, and the accuracy of its numbers."""
     yield f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:"
     yield from _bullets(part.sentence for part in found.parts)
     if found.precision is not None:

@@ -1,4 +1,4 @@
-"""The one judgement: how far a path is expected to be missed, from the model, the evidence and the path."""
+"""The judgement of a path: its expected error, from the model, the evidence and the path."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from dehyst.trust.prediction_band import PredictionBand
 
 @dataclass(frozen=True)
 class Judgement:
-    """The errors to expect on a path; a number that is not known is None.
+    """The errors to expect on a path; None if a number is not known.
 
     Attributes
     ----------
     rms, largest : float or None
-        RMS and largest error of the path [m], which nine of ten paths should keep; without a path those of one that
-        turns anywhere within the recorded voltages.
+        RMS and largest error of the path [m], bounds that nine of ten paths should keep. Without a path: of any path
+        within the recorded voltages.
     parts : mapping of str to float
         Largest error by cause [m]: keys of `PredictionBand.errors`, and "training", the error on the training records.
     start : float
-        Largest displacement that an unknown start leaves open [m]; 0 if the start is known.
+        Largest displacement error due to an unknown start [m]; 0 if the start is known.
     untested : tuple of str
-        What the records do not test of the path, each a sentence.
+        Sentences on the parts of the path that the records do not test.
     validated : bool
         Whether the errors come from validation records.
     """
@@ -45,7 +45,7 @@ class Judgement:
     validated: bool
 
     def words(self, stroke: float) -> str:
-        """Return the errors in percent of a stroke [m]; empty if they are not known."""
+        """Return the errors as text, in percent of a stroke [m]; empty if they are not known."""
         if self.rms is None or self.largest is None:
             return ""
         rms, largest = (100 * error / stroke for error in (self.rms, self.largest))
@@ -66,22 +66,22 @@ def judge(
     time: ArrayLike | None = None,
     missed: ArrayLike = (),
 ) -> Judgement:
-    """Judge how far a path is expected to be missed.
+    """Judge the error to expect on a path.
 
     Parameters
     ----------
     actuator : Actuator
-        Its `identification` has what the records tested.
+        Its `identification` holds what the records tested.
     evidence : PredictionBand, optional
-        What the records show of the path, as `insight(..., trajectory=...)` returns it.
+        The prediction band of the path, as `insight(..., trajectory=...)` returns it.
     path : StartError, optional
-        What the start leaves open of the path, such as `HomedPath.error`; default: the start is known.
+        Error of the path due to its unknown start, such as `HomedPath.error`; default: the start is known.
     voltage : (n,) array_like, optional
-        That follows the path [V], where there is no evidence; default: any path within the recorded voltages.
+        Voltage that follows the path [V], if there is no evidence; default: any path within the recorded voltages.
     time : (n,) array_like, optional
-        Of the voltage [s]; without it speeds and holds are taken for those of the records.
+        Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
     missed : (n,) array_like, optional
-        How far the model itself misses the path, where its voltage was held back [m].
+        Error of the model itself on the path where its voltage was clamped [m].
     """
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}

@@ -1,9 +1,9 @@
-"""What is known to a stated precision: numbers that records determine and whose intervals are narrow.
+"""Which numbers are known to a stated precision: the records determine them, and their intervals are narrow.
 
-A number is known if the records determine it by itself, whatever their noise, and its interval is narrow: half its
-width is at most the precision, a part of the estimate, and it excludes zero. An estimate of exactly 0 is known to be
-below the upper end of its interval, if that is at most the precision times the mean number of its part. Each
-interval contains the estimate: where the interval by noise does not, it is extended, and the reason stands beside.
+A number is known if the records determine it by itself, regardless of noise, and its interval is narrow. An interval is
+narrow if half its width is at most the precision times the estimate, and it excludes zero. An estimate of exactly 0 is
+known to be below the upper end of its interval, if this end is at most the precision times the mean number of the part.
+An interval due to noise that excludes the estimate is extended to it, and the reason is given.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from dehyst.trust.identifiability import PartIdentifiability
 PRECISION = 0.2
 # Beside intervals by noise that exclude the estimate.
 NOISE_BIAS = (
-    "By noise: resampled records, identified again, come out to one side of the model that they were made of. The "
-    "interval has this bias removed, so it may exclude the estimate; the verdict says so and counts both."
+    "By noise: models identified from resampled records lie to one side of the model that these records were simulated "
+    "with. The interval has this bias removed, so it may exclude the estimate; the verdict says so and counts both."
 )
 # An interval by noise that misses the estimate by less than this part of the estimate is rounding.
 _ROUNDING = 1e-9
 
 
 class NumberVerdict(Enum):
-    """What an interval says of a number."""
+    """Verdict on a number, from its interval."""
 
     KNOWN = "known"
     BELOW = "known to be small"
@@ -45,25 +45,25 @@ class NumberVerdict(Enum):
 
 @dataclass(frozen=True, eq=False)
 class PartPrecision:
-    """The numbers of a part, each with its interval and verdict.
+    """The numbers of one part, each with its interval and verdict.
 
     Attributes
     ----------
     part : str
-        One number in words, such as "stiffness".
+        Name of one number, such as "stiffness".
     several : str
-        More of them in words.
+        The name in the plural.
     unit : str
     estimate : (n,) array
-        Of the model.
+        Numbers of the model [`unit`].
     noise : (2, n) array
-        Lowest and highest by noise, which may exclude the estimate.
+        Ends of the intervals due to noise, which may exclude the estimate.
     interval : (2, n) array
-        Lowest and highest by all that was judged, the estimate included.
+        Ends of the intervals from noise and compatible models together; they include the estimate.
     determined : (n,) bool array
-        Whether the records determine a number by itself, whatever their noise.
+        Whether the records determine a number by itself, regardless of noise.
     precision : float
-        Half of an interval's width up to which a number is known, as a part of the estimate.
+        Largest half width of the interval of a known number, as a part of the estimate.
     """
 
     part: str
@@ -85,9 +85,9 @@ class PartPrecision:
         precision: float,
         compatible: Array | None = None,
     ) -> PartPrecision:
-        """Judge numbers by their intervals by noise, and by those of compatible models where these were judged.
+        """Judge numbers by their intervals due to noise, and by the bounds of compatible models, if there are any.
 
-        `names` are one number, several, and their unit.
+        `names`: singular, plural and unit of the numbers.
         """
         lows, highs = ([end, estimate] for end in noise)
         if compatible is not None:
@@ -103,7 +103,7 @@ class PartPrecision:
 
     @property
     def verdicts(self) -> tuple[NumberVerdict, ...]:
-        """Of each number."""
+        """Verdict on each number."""
         mean = float(np.abs(self.estimate).mean()) if self.of_all else 0.0
         return tuple(self._verdict(i, mean) for i in range(self.of_all))
 
@@ -119,7 +119,7 @@ class PartPrecision:
 
     @property
     def known(self) -> int:
-        """How many numbers are known, those known to be small included."""
+        """Number of known numbers, including those known to be small."""
         return sum(verdict in (NumberVerdict.KNOWN, NumberVerdict.BELOW) for verdict in self.verdicts)
 
     @property
@@ -129,7 +129,7 @@ class PartPrecision:
 
     @property
     def by_noise(self) -> int:
-        """How many would be known if only noise counted."""
+        """Number of numbers that would be known if only noise counted."""
         alone = PartPrecision.of(
             (self.part, self.several, self.unit), self.estimate, self.noise, self.determined, self.precision
         )
@@ -137,13 +137,13 @@ class PartPrecision:
 
     @property
     def biased(self) -> tuple[int, ...]:
-        """For each number whether noise biases the estimate: -1 below its interval by noise, 1 above, 0 within."""
+        """Bias of each estimate due to noise: -1 below its interval, 1 above it, 0 within."""
         slack = _ROUNDING * float(np.abs(self.estimate).max(initial=0.0))
         below, above = self.estimate < self.noise[0] - slack, self.estimate > self.noise[1] + slack
         return tuple((above.astype(int) - below.astype(int)).tolist())
 
     def words(self, i: int) -> str:
-        """Describe number i: "known, ± 6 %"; with the reason if the interval by noise excludes the estimate."""
+        """Describe number i, as "known, ± 6 %"; with the reason if the interval due to noise excludes the estimate."""
         verdict, reason = self.verdicts[i], self.reason(i)
         if verdict is NumberVerdict.BELOW:
             text = f"known to be below {_shown(max(self.interval[1, i], -self.interval[0, i]), self.unit)}"
@@ -155,7 +155,7 @@ class PartPrecision:
         return f"{text}; {reason}" if reason else text
 
     def reason(self, i: int) -> str:
-        """Return why the estimate is outside of the interval by noise; empty if it is inside."""
+        """Return why estimate i is outside of its interval due to noise; empty if it is inside."""
         side = self.biased[i]
         return "" if not side or not self.determined[i] else f"noise makes it too {'large' if side > 0 else 'small'}"
 
@@ -175,15 +175,15 @@ class PartPrecision:
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """What is known of a model to a stated precision.
+    """Which numbers of a model are known to a stated precision.
 
     Attributes
     ----------
     parts : tuple of PartPrecision
     precision : float
-        Half of an interval's width, as a part of the estimate.
+        Largest half width of the interval of a known number, as a part of the estimate.
     level : float
-        Of the intervals.
+        Confidence level of the intervals, 0 to 1.
     """
 
     parts: tuple[PartPrecision, ...]
@@ -197,7 +197,7 @@ class Precision:
 
     @property
     def rule(self) -> str:
-        """What counts as known, in a sentence."""
+        """A sentence that defines "known"."""
         return (
             f"Known within {100 * self.precision:g} %: the records determine the number by itself, half the width of "
             f"its {100 * self.level:g} % interval is at most {100 * self.precision:g} % of the estimate, and the "
@@ -207,14 +207,14 @@ class Precision:
 
     @property
     def sentence(self) -> str:
-        """What is known, counted."""
+        """A sentence with the number of known numbers of each part."""
         counts = _listed(part.counted for part in self.parts)
         few = len(self.parts) == 1 and self.parts[0].known == 1
         return f"{counts} {'is' if few else 'are'} known within {100 * self.precision:g} %."
 
     @property
     def others(self) -> str:
-        """Why the others are not known, counted; empty if all are."""
+        """How many numbers are not known for each reason; empty if all are known."""
         verdicts = [verdict for part in self.parts for verdict in part.verdicts]
         reasons = {
             NumberVerdict.OPEN: "not determined by themselves",
@@ -226,15 +226,15 @@ class Precision:
 
     @property
     def next(self) -> str:
-        """What to do where turning points are not what is missing; empty if all numbers are known."""
+        """What to do if further turning points do not help; empty if all numbers are known."""
         if self.all_known:
             return ""
         gain = sum(part.by_noise - part.known for part in self.parts)
         if gain:
             count = f"{gain} more {'is' if gain == 1 else 'are'} known"
             return (
-                f"By noise alone {count}: the rest of these intervals is error of the model class, which more records "
-                "of this kind do not reduce."
+                f"By noise alone {count}: the rest of the intervals' width is error of the model class, which more "
+                "records of this kind do not reduce."
             )
         return "Record more cycles: four times as many halve an interval by noise; or identify fewer elements."
 
@@ -249,7 +249,7 @@ def _listed(items: Iterable[str]) -> str:
 
 
 def _shown(value: float, unit: str) -> str:
-    """Write a number of an SI unit; stiffnesses in volts a micrometre."""
+    """Return a number with its SI unit as text; stiffnesses in volts per micrometre."""
     return f"{value * 1e-6:.3g} V/um" if unit == "V/m" else f"{value:.3g} {unit}"
 
 
@@ -264,11 +264,12 @@ def known_numbers(
     free: FeasibleSet | None,
     precision: float,
 ) -> Precision:
-    """Judge the coefficients of each part; those that the structure holds at zero are left out.
+    """Judge the coefficients of each part, except those that the structure fixes at zero.
 
-    With a feasible set (of the Maxwell-slip class only) by noise and compatible models, and the turning points say
-    which stiffnesses are determined. An open direction that moves a spring segment shows in the segment's range among
-    compatible models. Otherwise by noise, and `parts` say what is determined.
+    With a feasible set (Maxwell-slip models only), intervals cover noise and compatible models, and the turning points
+    decide which stiffnesses are determined. An open direction that moves a spring segment widens the range of this
+    segment among compatible models. Without a feasible set, intervals cover noise, and `parts` decide what is
+    determined.
     """
     alone = {one.part: one.alone for one in parts}
     actuator, movable = evidence.actuator, evidence.regression.grid.movable
@@ -308,5 +309,5 @@ def _part(
 
 
 def _with_last(alone: Mask | None) -> Mask | None:
-    """Add the last segment of tau, whose slope follows from the others as the ends are fixed."""
+    """Add the last segment of tau, whose slope follows from the others because both ends are fixed."""
     return None if alone is None else np.append(alone, alone.all())

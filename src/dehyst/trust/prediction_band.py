@@ -1,4 +1,4 @@
-"""Where the displacement of a trajectory may be when its compensating voltage is played."""
+"""The prediction band: where the displacement of a trajectory may be when its compensating voltage is played."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ ERRORS = {
 
 @dataclass(frozen=True, eq=False)
 class PredictionBand:
-    """Where the displacement of a trajectory may be, in metres on the model's axis.
+    """Prediction band: where the displacement of a trajectory may be, in metres on the model's axis.
 
     Attributes
     ----------
     wanted : (n,) array
         The path to follow [m].
     voltage, displacement : (n,) array
-        Played [V], within the limits, and what the model does with it: the wanted path, but where it was clamped.
+        Voltage [V] within the limits, and the model's displacement [m]: the wanted path, except where it was clamped.
     noise : (2, n) array
         Lowest and highest prediction of models identified from resampled cycles.
     open : (2, n) array or None
-        Lowest and highest prediction of models that the records do not contradict; None where it was not judged.
+        Lowest and highest prediction of models that the records do not contradict; None if there is no feasible set.
     misfit : float
-        The largest error of the model on these records [m]: what no model of its class may be able to follow.
+        The largest error of the model on these records [m]; perhaps no model of its class does better.
     warnings : tuple of str
         What was clamped or extrapolated.
     level : float
-        Of the intervals by noise.
+        Confidence level of the intervals due to noise, 0 to 1.
     promise : Promise or None
-        What was promised of this path; None of a model that does not hold what its records tested.
+        The promised error of this path; None if the model does not hold what its records tested.
     time : (n,) array or None
-        Of the path [s], if it was given.
+        Time of the path [s], if it was given.
     """
 
     wanted: Array
@@ -76,9 +76,9 @@ class PredictionBand:
         time: Array | None = None,
         promise: Promise | None = None,
     ) -> PredictionBand:
-        """Play a command on every model that might be the true one, from its own `state`.
+        """Simulate a command with every possible model, from the `state` of this model.
 
-        With the command's `time` [s], which counts where time matters.
+        `time` (n,) [s] of the command; needed by models that depend on time.
         """
         noise = intervals.prediction(command.voltage, state, time if intervals.actuator.needs_time else None)
         free_ = None if free is None else free.prediction(command.voltage, state)
@@ -97,15 +97,15 @@ class PredictionBand:
 
     @property
     def lowest(self) -> Array:
-        """(n,) lowest displacement to be expected [m]: by the promise, without one by noise and the misfit.
+        """(n,) lowest displacement to expect [m]: from the promise, or without a promise from noise and misfit.
 
-        Models that the records do not contradict are within.
+        The band includes the models that the records do not contradict.
         """
         return self._edge(0)
 
     @property
     def highest(self) -> Array:
-        """(n,) highest displacement to be expected [m]."""
+        """(n,) highest displacement to expect [m]."""
         return self._edge(1)
 
     def _edge(self, k: int) -> Array:
@@ -133,7 +133,7 @@ class PredictionBand:
         return {"half_width_m": half, **self.promise.as_dict(), "sentence": self.promise.sentence(stroke)}
 
     def errors(self) -> dict[str, float]:
-        """Largest errors [m] that noise, open directions, the misfit and clamping may cause."""
+        """Largest error [m] by cause: noise, open directions, misfit and clamping."""
 
         def off(band: Array) -> float:
             return largest(np.maximum(band[1] - self.displacement, self.displacement - band[0]))
@@ -148,10 +148,11 @@ class PredictionBand:
 
 
 def top_start(actuator: Actuator, limits: tuple[float, float] | None) -> Callable[[Actuator], State]:
-    """Return what gives the state of a model at the top of the limits, after the rise that suits the `actuator`.
+    """Return a function of a model: its state at the top of the limits, after the rise that suits the `actuator`.
 
-    Where time matters that is the homing that ends there (`dehyst.control.planning.homing.shortest_homing`), otherwise
-    a rise through the limits. Without limits the state is that at the top of the spring.
+    For a model that depends on time, the rise is the homing that ends there
+    (`dehyst.control.planning.homing.shortest_homing`); for others it goes once through the limits. Without limits, the
+    function returns the state at the top of the spring.
     """
     if limits is None:
         return lambda model: model.turned(float(model.spring.displacement[-1]))
@@ -172,12 +173,12 @@ _SAMPLES = 400
 
 @dataclass(frozen=True, eq=False)
 class MajorLoopWidth:
-    """The major loop at the rate of the records, after one before it.
+    """The second of two major loops at the rate of the records, with its uncertainty.
 
     Attributes
     ----------
     voltage, displacement : (n,) array
-        Through the limits [V], up first, and the displacement of the model [m].
+        Voltage through the limits [V], up first, and the displacement of the model [m].
     noise : (2, n) array
         Lowest and highest displacement of models identified from resampled cycles [m].
     """
@@ -188,7 +189,7 @@ class MajorLoopWidth:
 
     @classmethod
     def from_intervals(cls, evidence: Evidence, intervals: Intervals, limits: tuple[float, float]) -> MajorLoopWidth:
-        """Play two cycles through the limits; the second counts."""
+        """Simulate two cycles through the limits; the second counts."""
         seconds = min(cycle_time(item.record.record) for item in evidence.comparisons)
         phase = np.linspace(0, 2, 2 * _SAMPLES + 1)
         low, high = limits
@@ -205,5 +206,5 @@ class MajorLoopWidth:
 
     @property
     def off(self) -> float:
-        """The largest distance of the noise's models from the model [m]."""
+        """The largest distance [m] of the models from resampled cycles from the model."""
         return float(np.abs(self.noise - self.displacement).max())

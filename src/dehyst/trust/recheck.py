@@ -1,4 +1,4 @@
-"""A check of a model against a new record of its actuator: the errors now and then, and what has changed."""
+"""A check of a model against a new record of its actuator: present and earlier errors, and what has changed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Standing(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """A model beside a new record.
+    """The result of a check: a model compared with a new record.
 
     Attributes
     ----------
@@ -47,29 +47,30 @@ class Recheck:
     model : str
         Name of the model.
     record_id, model_id : str
-        Hashes of their numbers, whatever their names.
+        Hashes of the numbers of record and model, independent of their names.
     samples, left_out : int
-        Samples of the record that were compared, and others.
+        Number of samples of the record that were compared, and that were left out.
     largest, rms : float
-        Measured less simulated displacement [m]; an offset and, of a model without creep, a drift are set aside.
+        Largest and RMS difference of measured and simulated displacement [m], without an offset and, for a model
+        without creep, without a drift.
     noise : float
         Standard deviation of the sensor [m].
     before : float or None
         Largest error on the records that the model was identified from [m]; None if the model file lacks it.
     stroke : float
-        To which percentages refer: the displacement between the model's limits [m].
+        Displacement between the model's limits [m], the reference of percentages.
     goal : float
         Allowed largest error [% of the stroke].
     drift : float
-        What was set aside as a drift, over the record [m].
+        Drift over the record [m] that was removed.
     changes : tuple of Change
         What may have changed, each with its standard error.
     remarks : tuple of str
-        Sentences: what limits the result, and what was repaired.
+        Sentences on what limits the result, and what was repaired.
     trace : Trace
         Measured and simulated displacement.
     promise : Promise or None
-        What the identification promised of this record's path; None if the model file lacks it.
+        Error that the identification promised for this record's path; None if the model file lacks it.
     """
 
     record: str
@@ -92,12 +93,12 @@ class Recheck:
 
     @property
     def without_noise(self) -> float:
-        """Largest error less the peaks of the sensor's noise [m]: what is compared with the goal."""
+        """Largest error minus the peaks of the sensor's noise [m]; it is compared with the goal."""
         return max(self.largest - NOISE_PEAK * self.noise, 0.0)
 
     @property
     def ratio(self) -> float | None:
-        """Largest error, of that at the identification; None if that is not known."""
+        """Largest error relative to the largest error at the identification; None if the latter is not known."""
         return self.largest / self.before if self.before else None
 
     @property
@@ -108,7 +109,7 @@ class Recheck:
 
     @property
     def standing(self) -> Standing:
-        """The judgement."""
+        """The judgement: whether the model is still true."""
         allowed = self.goal / 100 * self.stroke
         if self.mismatch:
             return Standing.RECALIBRATE
@@ -124,7 +125,7 @@ class Recheck:
 
     @property
     def mismatch(self) -> str:
-        """Why the record is plainly not of the model's actuator, in a sentence; empty if it may be."""
+        """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
         gain = next((one.value for one in self.changed if one.name == "gain"), 0.0)
         reasons = []
         if abs(gain) > _ANOTHER:
@@ -141,7 +142,7 @@ class Recheck:
 
     @property
     def sentence(self) -> str:
-        """The judgement in one line, with its numbers."""
+        """The judgement and its numbers in one line."""
         text = (
             f"{self.standing.value.capitalize()}: the largest error is {self._percent(self.without_noise)} of the "
             f"stroke without the sensor's noise (goal {self.goal:g} %)"
@@ -159,7 +160,7 @@ class Recheck:
         if self.standing is Standing.RECALIBRATE:
             return "Identify the model again from new records."
         if self.standing is Standing.NEVER_MET:
-            return "The same records again would give the same error: record more loops, or allow a wider structure."
+            return "Records of the same kind would give the same error: record more loops, or allow more parts."
         if self.standing is Standing.DRIFTS:
             moved = self._percent(abs(self.drift))
             return (
@@ -172,7 +173,7 @@ class Recheck:
         return lines.percent(length, self.stroke)
 
     def change_sentences(self) -> tuple[str, ...]:
-        """Return a sentence for each change that counts, the largest first."""
+        """Return a sentence for each change that counts, the largest effect first."""
         return tuple(change.sentence(self.stroke) for change in self.changed)
 
     def as_dict(self) -> dict[str, Any]:
@@ -222,17 +223,18 @@ _NO_NUMBERS = DESCRIPTION | {"state"}
 
 
 def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> Recheck:
-    """Compare a model with a new record of its actuator: whether it is still true, and what has changed.
+    """Check whether a model is still true by a new record of its actuator, and what has changed.
 
-    The whole record is simulated from a start that is fitted to it, as a validation record is.
+    As with a validation record, the initial state is fitted, and the whole record is simulated from it.
 
     Parameters
     ----------
     actuator : Actuator
     record : Record
-        One full loop of the voltage at least; three show a drift, the range of later use shows most.
+        At least one full loop of the voltage. Three loops show a drift; best is a record over the range of later use.
     goal : float, optional
-        Largest error [% of the stroke] with which the model is still true; default: that of its identification, or 1.
+        Largest error [% of the stroke] with which the model is still true; default: the goal of its identification, or
+        1.
 
     Returns
     -------
@@ -297,7 +299,7 @@ def _model_id(actuator: Actuator) -> str:
 
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
-    """Return the shift [m] to the model's axis with which the voltages need no offset."""
+    """Return the shift [m] to the model's axis for which the voltages need no offset."""
     (low, high), measured = actuator.voltage_range, record.record.displacement_range
     expected = actuator.major_loop(record.record.voltage_range)
     # The middle of the loop first: a sensor may have its zero far away.
@@ -312,14 +314,14 @@ def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
 
 
 def _slow(record: Prepared, trace: Trace) -> tuple[Slow, ...]:
-    """Return the curves of creep, by decade of time, and of a drift, over the record; both 0 as the record began."""
+    """Return the curves of creep, per decade of time, and of a drift over the record; both are 0 at its beginning."""
     time = trace.time - record.start
     creep = np.log10(1 + time / (_EARLY * cleaning.cycle_time(record.record)))
     return Slow("creep", creep), Slow("drift", time / float(time[-1]))
 
 
 def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
-    """Return the error (n,) [m] without its mean and the drift that explains most of it, and that drift [m]."""
+    """Return the error (n,) [m] without its mean and its linear drift, and the drift [m]."""
     residual = trace.residual - trace.residual.mean()
     error, drift = residual, 0.0
     for one in slow:
@@ -332,7 +334,7 @@ def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
 
 
 def _doubt(actuator: Actuator, record: Record) -> float:
-    """Return what a record leaves open of the offset [m]: elements that stay strained throughout, creep before it."""
+    """Return the uncertainty of the offset [m] due to elements that stay strained, and to creep before the record."""
     slope = float(np.ptp(actuator.voltage_range)) / float(np.ptp(actuator.reach))
     standing = 2 * actuator.slip.breakaway > record.stroke
     held = float(np.sum(actuator.slip.friction[standing]))
@@ -343,7 +345,7 @@ def _doubt(actuator: Actuator, record: Record) -> float:
 
 
 def _remarks(actuator: Actuator, record: Record) -> list[str]:
-    """Return sentences on voltages outside of the model's, and on those that the record leaves out."""
+    """Return sentences on voltages outside of the model's limits, and on voltages that the record does not cover."""
     if actuator.limits is None:
         return []
     (low, high), (least, most) = actuator.limits, record.voltage_range

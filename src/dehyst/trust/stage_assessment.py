@@ -1,4 +1,4 @@
-"""How far to trust a stage: what its records leave open of the coupling, and whether a new record agrees."""
+"""How far to trust a stage: the uncertainty of its coupling, and whether a new record agrees."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class StageInsight:
     ----------
     axes : tuple of str
     coupling, low, high : (axes, axes) array
-        The matrix of the stage, and the ends of the interval of each entry that the records allow.
+        The coupling matrix of the stage, and the ends of the confidence interval of each entry.
     level : float
         Confidence level.
     own_motion : (axes,) array
-        Share of the motion of each voltage that no other voltage explains.
+        Share of each voltage's motion that no other voltage explains, 0 to 1.
     insights : tuple of Insight
-        Of each actuator.
+        Assessment of each actuator.
     remarks : tuple of str
-        What the records leave open, and what to record next.
+        Sentences on what the records leave open, and what to record next.
     """
 
     axes: tuple[str, ...]
@@ -79,7 +79,7 @@ def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9
     level : float, optional
         Confidence level of the intervals.
     **options
-        Of `dehyst.insight`, for each actuator.
+        Options of `dehyst.insight`, for each actuator.
     """
     _refuse_other_axes(stage, records)
     columns = PlayColumns.of(records)
@@ -97,17 +97,17 @@ def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9
 
 @dataclass(frozen=True, eq=False)
 class StageRecheck:
-    """Whether a stage is still true: a `Recheck` of each axis, and what has changed of the coupling.
+    """Whether a stage is still true: a `Recheck` of each axis, and changes of the coupling.
 
     Attributes
     ----------
     axes : tuple of str
     rechecks : tuple of Recheck
-        Of each actuator.
+        Check of each actuator.
     coupling, uncertainty : (axes, axes) array
-        The matrix by the new record and its standard errors.
+        The coupling matrix estimated from the new record, and its standard errors.
     changes : tuple of str
-        Sentences on entries of the matrix that have changed.
+        Sentences on entries of the coupling matrix that have changed.
     """
 
     axes: tuple[str, ...]
@@ -118,7 +118,7 @@ class StageRecheck:
 
     @property
     def good(self) -> bool:
-        """Whether each actuator is still true, and the coupling too."""
+        """Whether the model of each actuator and the coupling are still true."""
         return all(one.good for one in self.rechecks) and not self.changes
 
     def as_dict(self) -> dict[str, Any]:
@@ -127,10 +127,10 @@ class StageRecheck:
 
 
 def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageRecheck:
-    """Check whether a stage is still true, by a new record: each actuator, and the coupling.
+    """Check each actuator and the coupling of a stage against a new record.
 
-    The coupling by plays of the new record counts as changed where it differs by more than 0.005 and by more than three
-    standard errors.
+    The coupling is estimated from the new record with play operators. An entry counts as changed if it differs by more
+    than 0.005 and by more than three standard errors.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _refuse_other_axes(stage: Stage, records: Sequence[Record]) -> None:
 
 
 def _alone(records: Sequence[Record]) -> list[str]:
-    """Return which axes never moved while all others stood."""
+    """Return which axes never moved while all others stood still."""
     alone, count = np.zeros(len(records[0].axes)), 0
     for record in records:
         moving = np.array(
@@ -175,15 +175,15 @@ def _alone(records: Sequence[Record]) -> list[str]:
         alone += (moving & (moving.sum(axis=1) == 1)[:, None]).sum(axis=0)
         count += len(moving)
     return [
-        f"axis {axis} never moved alone: its own error and its coupling are distinguished by the motions of the others "
-        "only; dehyst excite stage moves each axis alone first"
+        f"axis {axis} never moved alone: only the motions of the others distinguish its own error from its coupling; "
+        "dehyst excite stage moves each axis alone first"
         for axis, windows in zip(records[0].axes, alone, strict=True)
         if windows < _ALONE * count
     ]
 
 
 def _repeating(records: Sequence[Record]) -> list[str]:
-    """Return which axes have periods that soon repeat together."""
+    """Return the axes whose common period is only a few of their own periods."""
     remarks = []
     for record in records:
         periods = [_period(record.voltage[:, j]) for j in range(len(record.axes))]
@@ -194,19 +194,19 @@ def _repeating(records: Sequence[Record]) -> list[str]:
                 if turns and _together(record, i, j):
                     remarks.append(
                         f"record '{record.name}': axes {record.axes[j]} and {record.axes[i]} repeat together after "
-                        f"{turns[0]} periods of the slower one; give them periods whose ratio is no small fraction"
+                        f"{turns[0]} periods of the slower axis; choose periods whose ratio is not a simple fraction"
                     )
     return remarks
 
 
 def _period(voltage: Array) -> float:
-    """Return the samples of the strongest period."""
+    """Return the strongest period in samples."""
     power = np.abs(np.fft.rfft((voltage - voltage.mean()) * np.hanning(len(voltage)))) ** 2
     return len(voltage) / max(int(np.argmax(power[1:])) + 1, 1)
 
 
 def _together(record: Record, i: int, j: int) -> bool:
-    """Return whether two axes move at the same time for most of the time that they move."""
+    """Return whether two axes move simultaneously during most of their motion."""
     moving = np.abs(np.diff(record.voltage[:, [i, j]], axis=0)) > 1e-6 * np.ptp(record.voltage[:, [i, j]], axis=0)
     return float(moving.all(axis=1).sum()) > 0.8 * float(moving.any(axis=1).sum())
 
@@ -217,7 +217,8 @@ def _unknown(stage: Stage, half: Array, own: Array) -> list[str]:
         for i, j in np.argwhere(half > _CHANGED).tolist()
     ]
     return remarks + [
-        f"axis {axis}: only {100 * share:.2g} % of the motion of its voltage is its own; record it alone"
+        f"axis {axis}: only {100 * share:.2g} % of the motion of its voltage is independent of the other voltages; "
+        "record this axis alone"
         for axis, share in zip(stage.axes, own, strict=True)
         if share < BARELY
     ]

@@ -1,4 +1,4 @@
-"""The start that a record determines: the state at its end, or in which it began."""
+"""The initial state that a record determines: the state at its end or at its beginning."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ BEGAN = "as:"
 def start_of(
     actuator: Actuator, record: Record, *, began: bool = False, limits: tuple[float, float] | None = None
 ) -> PossibleStart:
-    """Return the start that a record determines by its measured displacement.
+    """Return the initial state that a record determines by its measured displacement.
 
     Parameters
     ----------
     actuator : Actuator
     record : Record
-        Played before; its sensor's zero does not matter.
+        A record of what was played before; the sensor's zero does not matter.
     began : bool, optional
-        The start is the state in which the record began; default: the state at its end.
+        Return the state at the beginning of the record; default: the state at its end.
     limits : (float, float), optional
-        Voltages allowed besides the identified ones [V].
+        Allowed voltages [V], in addition to the identified range.
 
     Returns
     -------
     PossibleStart
-        One state; its remarks name voltages that lie beside the model's or outside of the identified range.
+        One state; its remarks name voltages that are offset from the model's or outside of the identified range.
 
     Raises
     ------
     ModelError
-        If displacements or voltages lie far outside of the model's.
+        If displacements or voltages lie far outside of the model's range.
     RecordError
-        If the record is too short to be compared.
+        If the record is too short for a comparison with the model.
     """
     outside = outside_identified(actuator, record.voltage, limits, name=record.name)
     if reason := actuator.implausibility(record.displacement):
@@ -50,7 +50,7 @@ def start_of(
     remarks = [*outside.warnings]
     if share * float(np.ptp(actuator.reach)) > model_error(actuator):
         remarks.append(
-            f"{record.name}: its voltages lie {offset:.4g} V beside those of the model, {100 * share:.2g} % of the "
-            "range: expect displacements to lie beside the sensor's by as much"
+            f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {100 * share:.2g} % of the range: "
+            "expect displacements to be off the sensor's by as much"
         )
     return PossibleStart(f"{BEGAN if began else ''}{record.name}", (state,), tuple(remarks))

@@ -1,7 +1,8 @@
-"""The plane of turning points: between which voltages records turned, how fast they went, and how long they held.
+"""The plane of turning points: between which voltages records turned, their speeds, and their holds.
 
-A rise that begins at a lower turning point tests the model there for all upper voltages that it passes, and a fall that
-begins at an upper turning point for all lower ones. A loop between two voltages is tested if both branches are.
+A rise from a lower turning point tests the model for this point and all upper voltages that the rise passes. A fall
+from an upper turning point tests it for all lower voltages that the fall passes. A loop between two voltages is tested
+if both its branches are tested.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _MOST = 2000
 
 
 class Turn(NamedTuple):
-    """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and how often.
+    """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and its count.
 
     Time at rest does not count for the speed. Without time the speed is NaN and the hold 0.
     """
@@ -43,7 +44,7 @@ class Turn(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Voltages, speed and hold."""
+        """Voltages, speed and hold as text."""
         speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
         held = f", held {self.held:.2g} s" if self.held > 0 else ""
         often = f", {self.times} times" if self.times > 1 else ""
@@ -57,11 +58,11 @@ class TurnPlane:
     Attributes
     ----------
     turns : tuple of Turn
-        Similar ones are one.
+        Branches; similar ones are merged.
     edges : (n + 1,) array
-        Of the cells, both of the lower and of the upper turning point [V].
+        Edges of the cells [V], the same for lower and upper turning points.
     rising, falling : (n, n) bool array
-        Whether the records test that branch of a loop; a row has one upper turning point.
+        Whether the records test the rising or falling branch of a loop; a row belongs to one upper turning point.
     """
 
     turns: tuple[Turn, ...]
@@ -71,12 +72,12 @@ class TurnPlane:
 
     @property
     def cells(self) -> NDArray[np.intp]:
-        """What is tested of the loops of each cell (n, n): 1 the falling branch, 2 the rising one, 3 both."""
+        """Tested branches of the loops of each cell (n, n): 0 none, 1 the falling, 2 the rising one, 3 both."""
         return np.asarray(self.falling + 2 * self.rising, dtype=np.intp)
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Lowest and highest speed [V/s]."""
+        """Lowest and highest mean speed of a branch [V/s]."""
         speeds = [turn.speed for turn in self.turns]
         return min(speeds), max(speeds)
 
@@ -86,7 +87,7 @@ class TurnPlane:
         return max(turn.held for turn in self.turns)
 
     def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
-        """Return the rises and falls of a path with this voltage [V] and time [s]."""
+        """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
         step = _stride(voltage)
         turns = _turns(name, clock[::step], voltage[::step], float(np.ptp(self.edges)))
@@ -150,10 +151,10 @@ def _stride(samples: Array) -> int:
 
 
 def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
-    """Return the turns of a record, those that are alike as one; `span`: the range of all voltages [V].
+    """Return the turns of a record, similar ones merged; `span`: the range of all voltages [V].
 
-    The first rise or fall begins at the first turning point: nobody knows from where the voltage came before. An end of
-    the record's range at its very beginning counts as one.
+    The first rise or fall begins at the first turning point, because the voltage before the record is unknown. A record
+    that begins at an end of its range has its first turning point there.
     """
     at, band = legs(voltage, span), _BAND * span
     if len(at) and at[0, 0] == 0 and voltage.min() + band < voltage[0] < voltage.max() - band:

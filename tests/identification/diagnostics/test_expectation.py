@@ -108,6 +108,8 @@ def test_held_out_legs_are_new_by_their_turning_points():
     assert new_legs(legs(0, 100, 0), legs(0, 100, 0)) == (0.0, 0.0)
     # The rise from 0 V passes 50 V; the fall from there begins 50 V below the only one.
     assert new_legs(legs(0, 50, 0), legs(0, 100, 0)) == pytest.approx((0.0, 0.5))
+    # From wherever voltages are counted.
+    assert new_legs(legs(0, 50, 0) + 70, legs(0, 100, 0) + 70) == pytest.approx((0.0, 0.5))
     # Beyond the others nothing is known.
     assert new_legs(legs(0, 150, 0), legs(0, 100, 0)) == (0.0, 0.0)
 
