@@ -50,6 +50,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/strangers.py --jobs 2
 	$(BIN)/python benchmarks/transients.py
 	$(BIN)/python benchmarks/lags.py
+	$(BIN)/python benchmarks/creep.py
 	$(BIN)/python benchmarks/coupled_axes.py
 	$(BIN)/python benchmarks/calibrated_axes.py
 	$(BIN)/python benchmarks/paper.py

@@ -335,6 +335,7 @@ def calibrated(address, out):
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
+@pytest.mark.nightly  # as a rig of one's own below
 def test_a_second_actuator_behind_the_emulator_is_refused(tmp_path):
     """Two processes, two files of one name: status 2, and nothing of the folder is touched."""
     for name, scale in (("a", 1.0), ("b", 0.6)):

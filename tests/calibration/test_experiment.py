@@ -125,10 +125,11 @@ def test_creep_is_seen_and_followed(creeping):
     found, _, _ = creeping
     assert found.creep.seen
     assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
-    assert found.fit.actuator.creep is not None
+    assert found.fit.actuator.displacement_creep is not None
     assert found.compensated.largest_percent < 0.4
 
 
+@pytest.mark.nightly
 def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(creeping, tmp_path):
     """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
     # The only test that drives this rig on.

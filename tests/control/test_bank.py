@@ -204,7 +204,7 @@ def test_a_state_of_other_actuators_is_refused():
     other = Bank(
         [replace(one, spring=Spring(one.spring.displacement, 1.1 * one.spring.voltage)) for one in bank.actuators]
     )
-    with pytest.raises(ModelError, match="it is of a bank of other actuators"):
+    with pytest.raises(ModelError, match="belongs to a bank of other actuators"):
         bank.restore(other.state)
     with pytest.raises(ModelError, match="state: got NoneType"):
         bank.restore(None)

@@ -240,3 +240,15 @@ def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_pa
     sent = CliRunner().invoke(main, ["compensate", model, path, "-o", voltage, "--start", "homed", "--force"])
     assert sent.exit_code == 0
     assert "(homed, at " in sent.stdout
+
+
+@pytest.mark.parametrize("damping", [0.05, 2.0])
+def test_a_mass_comes_to_rest_at_the_limits(damping):
+    """Twelve time constants of its slower root."""
+    frequency = 60.0
+    found = shortest_homing(replace(PLAIN, dynamics=Dynamics(frequency, damping)), present=0.0)
+    voltage, time = found.played.voltage, found.played.time
+    ends = np.flatnonzero(np.diff(voltage, prepend=np.nan, append=np.nan))
+    longest = max(time[stop - 1] - time[first] for first, stop in pairwise(ends))
+    roots = np.roots([1.0, 2 * damping * frequency, frequency**2])
+    assert longest == pytest.approx(12 / np.abs(roots.real).min(), rel=0.02, abs=np.diff(time).max())

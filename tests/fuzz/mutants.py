@@ -37,9 +37,8 @@ CORE_TESTS = {
         "tests/model/test_smooth_slip.py",
         "tests/model/test_dynamics.py",
         "tests/control/test_compensator.py",
-        "tests/core/test_all_parts.py",
-        "tests/core/test_blocks.py",
         "tests/contracts/test_hysteresis_laws.py",
+        "tests/core/test_all_parts.py",
     ),
 }
 FAST = ("-m", "not slow and not nightly and not fuzz")
@@ -98,11 +97,11 @@ OPERATORS = {
 
 
 def places_in(function):
-    """Yield (kind, node) of what can be changed in a function; text of errors, and annotations, stay."""
+    """Yield (kind, node) of what can be changed in a function; text, annotations and `zip(strict=...)` stay."""
     waiting = list(function.body)
     while waiting:
         node = waiting.pop()
-        if isinstance(node, ast.Raise | ast.JoinedStr):
+        if isinstance(node, ast.Raise | ast.JoinedStr) or (isinstance(node, ast.keyword) and node.arg == "strict"):
             continue
         if isinstance(node, ast.AnnAssign):
             waiting.extend([node.value] if node.value else [])

@@ -50,6 +50,7 @@ def test_no_cell_converts_a_length_by_hand_but_where_the_library_is_in_metres():
     assert 1e-6 not in numbers
 
 
+@pytest.mark.nightly
 def test_the_page_on_python_runs(tmp_path, monkeypatch):
     import matplotlib
 

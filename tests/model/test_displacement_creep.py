@@ -20,6 +20,7 @@ from dehyst import (
     State,
     Thermal,
 )
+from dehyst.control import shortest_homing
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -256,3 +257,19 @@ def test_a_loop_follows_a_temperature():
     ):
         with pytest.raises(ModelError):
             call()
+
+
+def test_a_cycle_repeats_from_its_steady_strains():
+    part, time = DisplacementCreep([0.5, 5.0, 80.0], [0.02, 0.01, 0.03]), np.arange(201) * 0.05
+    y = 1e-6 * (1 - np.cos(2 * np.pi * time / 10))
+    m, begun = part.steady(time, y)
+    again, strains = part.added(time, m, begun)
+    assert np.allclose(again, y, rtol=0, atol=1e-18)
+    assert np.allclose(strains, begun, rtol=0, atol=1e-18)
+    assert m[-1] == pytest.approx(m[0], abs=1e-18)
+
+
+def test_homing_waits_for_creep_in_displacement():
+    homing = shortest_homing(CREEPING, limits=CREEPING.voltage_range, tolerance=0.01 * float(np.ptp(CREEPING.knots)))
+    assert homing.certified
+    assert np.ptp(homing.played.time) > PART.time_constants[-1]

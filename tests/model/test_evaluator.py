@@ -337,7 +337,7 @@ def test_physical_units_are_refused_where_they_mean_nothing():
     constants = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
     with pytest.raises(ModelError, match="single stiffness"):
         Actuator(GRADED, SPRING).physical(**constants)
-    with pytest.raises(ModelError, match="T v is no force"):
+    with pytest.raises(ModelError, match="transformer curve"):
         Actuator(SLIP, SPRING, transformer=TAU).physical(**constants)
     with pytest.raises(ModelError, match="transformer_ratio: got 0"):
         Actuator(SLIP, SPRING).physical(**{**constants, "transformer_ratio": 0})

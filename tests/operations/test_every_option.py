@@ -652,8 +652,12 @@ def test_every_key_of_columns_has_an_effect_somewhere():
     assert {key.removeprefix("columns:") for key in _KEYS} >= {*RECORD, "wanted", "axes"}
 
 
-def test_all_commands_are_walked_and_are_repeatable(bench, tmp_path, monkeypatch):
+def test_all_commands_are_walked():
     assert {*ENTRIES, "workbench"} == {*CASES}
+
+
+@pytest.mark.nightly
+def test_all_commands_are_repeatable(bench, tmp_path, monkeypatch):
     for command, cases in CASES.items():
         words = words_of(f"{command} {cases[0].words}")
         first, second = (Walk(bench, tmp_path / "run", monkeypatch).outcome(words, cases[0].caught) for _ in range(2))

@@ -238,6 +238,11 @@ def test_joined_by_time(tmp_path):
         1
     ].data == pytest.approx(V[inside], abs=1e-6)
 
+    # Where both have a displacement, the first file keeps its times.
+    both = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM), "c.csv")
+    found = joined(read_table(both), read_table(tmp_path / "b.csv"), Choice())
+    assert found.columns[0].data == pytest.approx(T[inside], abs=1e-6)
+
 
 def test_joined_by_sample(tmp_path):
     drive = text(tmp_path, "voltage_V\n" + laboratory_files.rows(V))

@@ -61,6 +61,14 @@ def test_every_innocent_twin_is_read(name, tmp_path, monkeypatch):
 # The decimal sign
 
 
+@pytest.mark.parametrize("decimal", [";", "", ",."])
+def test_another_decimal_sign_is_refused(decimal, tmp_path):
+    (tmp_path / "a.csv").write_text("time_s,voltage_V,displacement_um\n0,1,2\n1,2,3\n")
+    with pytest.raises(FileFormatError) as caught:
+        read(tmp_path / "a.csv", decimal=decimal)
+    assert caught.value.argument == "decimal"
+
+
 @pytest.mark.parametrize(
     ("name", "decimal"),
     [

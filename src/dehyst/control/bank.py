@@ -1,4 +1,4 @@
-"""Many actuators in one call: inverse control and simulation, with the bits of a `Compensator` for each."""
+"""Many actuators in one call: inverse control and simulation, bit for bit as with one `Compensator` for each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _COLUMNS = ("displacement", "carts", "creep", "voltage")
 class BankClamps(NamedTuple):
     """Clamped samples of each actuator.
 
-    `limited` (M,): number of samples cut at a limit. `slewed` (M,): number held back by the slew rate.
+    `limited` (M,): number of samples clamped at a limit. `slewed` (M,): number of samples held back by the slew rate.
     """
 
     limited: NDArray[np.int64]
@@ -38,22 +38,22 @@ class BankClamps(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class BankState:
-    """The memory of the M actuators of a bank, an actuator a column.
+    """The memory of the M actuators of a bank, one column for each actuator.
 
     Attributes
     ----------
     displacement : (M,) array
-        [m].
+        Displacement of each actuator [m].
     carts : (N, M) array
-        Position of each cart [m]; an actuator with fewer than N elements has no use for the last ones.
+        Position of each cart [m]; the last rows are unused by an actuator with fewer than N elements.
     creep : (J, M) array
         Strain of each creep branch [m].
     voltage : (M,) array
-        The last voltage [V].
+        Last voltage of each actuator [V].
     alone : mapping of int to array
-        Of each actuator that the bank computes by itself, all numbers that decide what comes next.
+        Complete memory of each actuator that is computed one by one, see `Bank.alone`.
     actuators : str
-        A digest of the actuators, by which a state of others is refused; empty: not checked.
+        Digest of the actuators; a bank of other actuators refuses the state. Empty: not checked.
     """
 
     displacement: Array
@@ -72,15 +72,15 @@ class BankState:
 class Bank:
     """Many actuators: wanted displacements in, voltages within limits out, or voltages in and displacements out.
 
-    A row of an array is a sample, a column an actuator. Every actuator has its own memory, limits and slew rate, and
-    gets the bits that its own `Compensator` would compute::
+    In arrays, each row is a sample and each column an actuator. Every actuator has its own memory, limits and slew
+    rate. Its voltages are bit for bit those of a `Compensator` of its own::
 
         bank = dehyst.Bank(actuators, (0, 100), slew_rate=2e4, period=1e-3)
         for wanted in path:          # (n, M) [m]
             dac.write(bank.step(wanted))
 
     Plain elements, a transformer and creep are computed several actuators at a time. An actuator with graded or smooth
-    elements, a mass or an amplifier that lags is computed alone, which takes longer; `alone` says which, and why.
+    elements, a mass or a lagging amplifier is computed alone, which takes longer; `alone` holds these and the reasons.
 
     Parameters
     ----------
@@ -94,13 +94,13 @@ class Bank:
     states : State or sequence of M State, optional
         Where each actuator starts; default: its own state.
     threads : int, optional
-        Actuators are shared among so many threads; default 1.
+        Number of threads among which the actuators are divided; default 1.
 
     Attributes
     ----------
     actuators : tuple of Actuator
     alone : dict of int to str
-        The actuators that are computed one by one, and the part of each that is the reason.
+        The actuators that are computed one by one, and for each the part that is the reason.
     period, threads
         As given.
 
@@ -108,7 +108,7 @@ class Bank:
     ------
     ModelError
         If there is no actuator, a list has another length than the actuators, or one of them cannot have a
-        `Compensator` like this; the error names it.
+        `Compensator` with these arguments; the error names this actuator.
     """
 
     def __init__(
@@ -165,9 +165,9 @@ class Bank:
         Parameters
         ----------
         displacement : (M,) array
-            [m].
+            Wanted displacements [m].
         out : (M,) array, optional
-            Where the result is written, so that no memory is taken.
+            Array for the result, so that no memory is allocated.
 
         Raises
         ------
@@ -177,7 +177,7 @@ class Bank:
         Warns
         -----
         ClampWarning
-            Once for limits and once for the slew rate; `clamps` counts all.
+            Once for limits and once for the slew rate; `clamps` counts all clamped samples.
         """
         row = np.asarray(displacement)
         if row.shape != (len(self),):
@@ -194,18 +194,18 @@ class Bank:
         return result
 
     def compensate(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (n, M) [V] of n steps to wanted displacements, and commit them.
+        """Return the voltages (n, M) [V] to send for n samples of wanted displacements, and commit them.
 
         Parameters
         ----------
         displacement : (n, M) array
-            [m].
+            Wanted displacements [m].
 
         Raises
         ------
         ModelError
-            If the shape is wrong, a value is not finite, or a displacement lies strokes outside of its model: the
-            memory is unchanged.
+            If the shape is wrong, a value is not finite, or a displacement lies more than a stroke outside of its
+            model's reach: the memory is unchanged.
 
         Warns
         -----
@@ -220,37 +220,37 @@ class Bank:
         return result
 
     def simulate(self, voltage: ArrayLike) -> Array:
-        """Return the displacements (n, M) [m] that voltages lead to, limits left aside; the actuators move on.
+        """Return the displacements (n, M) [m] that voltages cause, without regard to limits, and update the memory.
 
         Parameters
         ----------
         voltage : (n, M) array
-            [V].
+            Voltages [V].
 
         Raises
         ------
         ModelError
-            If the shape is wrong or a value not finite: the memory is unchanged. If a voltage leads farther than can
-            be computed with: it moved nothing.
+            If the shape is wrong or a value not finite: the memory is unchanged. If a displacement would be too large
+            to compute with: this voltage has no effect.
         """
         played = _table(voltage, "voltage", len(self))
         result = np.empty(played.shape)
         before = self._memory.counts[2].sum()
         self._run(played, result, plays=True)
         if refused := self._memory.counts[2].sum() - before:
-            raise ModelError(f"voltage: {refused} of {played.size} lead farther than can be computed with")
+            raise ModelError(f"voltage: {refused} of {played.size} cause displacements too large to compute with")
         return result
 
     @property
     def state(self) -> BankState:
-        """A copy of the present memory, to be given to `restore` later."""
+        """A copy of the present memory, for a later `restore`."""
         return self.memory.copy() if self._whole else self._scattered()
 
     @property
     def memory(self) -> BankState:
-        """The memory itself, without a copy: it changes with the next step, and to write into it sets the state.
+        """The memory itself, without a copy: it changes with the next step, and writing into it sets the state.
 
-        Raise `ModelError` if an actuator is computed alone: its memory is no column of these arrays.
+        Raise `ModelError` if an actuator is computed alone, because its memory is not a column of these arrays.
         """
         if not self._whole:
             raise ModelError(f"memory: {counted(len(self.alone), 'actuator')} computed alone; take state, a copy")
@@ -258,9 +258,9 @@ class Bank:
         return BankState(one.w, one.carts, one.strains, one.sent, {}, self._digest)
 
     def restore(self, state: BankState) -> None:
-        """Set the memory to a `state` of this bank, or of one of the same actuators.
+        """Set the memory to a `state` of this bank, or of another bank of the same actuators.
 
-        Raise `ModelError` if it does not fit: the memory is unchanged.
+        Raise `ModelError` if the state does not fit: the memory is unchanged.
         """
         self._demand_fitting(state)
         before = {i: loop.row() for i, loop in self._loops.items()}
@@ -287,7 +287,7 @@ class Bank:
             if not np.isfinite(given).all():
                 raise ModelError(f"state: {name} holds a value that is not finite")
         if set(state.alone) != set(own.alone) or state.actuators not in ("", own.actuators):
-            raise ModelError("state: it is of a bank of other actuators; take the state of a bank made in the same way")
+            raise ModelError("state: belongs to a bank of other actuators; take the state of a bank made the same way")
         for i in self._laned:
             rho, y = self.actuators[i].slip.breakaway, state.displacement[i]
             if np.any(np.abs(y - state.carts[: rho.size, i]) - rho > 1e-12 * rho + 1e-14 * abs(y)):
@@ -296,7 +296,7 @@ class Bank:
                 )
 
     def reset(self) -> None:
-        """Go back to the states of the construction, with no clamps counted."""
+        """Return to the initial states and set the counts of clamped samples to 0."""
         elements, branches = self._core.rows if self._core else (0, 0)
         m = self._laned.size
         self._memory = BankMemory(
@@ -347,7 +347,7 @@ class Bank:
 
     @cached_property
     def _digest(self) -> str:
-        """Key that distinguishes the actuators of this bank from others."""
+        """Return a key that distinguishes the actuators of this bank from others."""
         digest = hashlib.sha256()
         for one in self.actuators:
             for numbers in (one.slip.breakaway, one.slip.stiffness, one.spring.displacement, one.spring.voltage):
@@ -355,7 +355,7 @@ class Bank:
         return digest.hexdigest()
 
     def _scattered(self) -> BankState:
-        """Return the state in copies, with the columns of actuators that are computed alone."""
+        """Return a copy of the state that includes the columns of actuators that are computed alone."""
         rows = {i: loop.row() for i, loop in self._loops.items()}
         m, alone = len(self), {i: CoreState(*loop.state()) for i, loop in self._loops.items()}
         elements = max([self._memory.carts.shape[0], *(one.carts.size for one in alone.values())])
@@ -382,12 +382,12 @@ class Bank:
 
     @cached_property
     def _plausible(self) -> tuple[Array, Array]:
-        """Displacements (M,) beyond which a model is not meant."""
+        """Lowest and highest accepted displacement (M,) [m]: each plausible range, extended by its width."""
         low, high = np.array([(one.plausible.low, one.plausible.high) for one in self.actuators]).T
         return low - (high - low), high + (high - low)
 
     def _report(self, wanted: Array) -> None:
-        """Warn of the first clamped samples of each kind; those of `wanted` (n, M) are not yet reported."""
+        """Warn of the first clamped samples of each kind; the samples of `wanted` (n, M) [m] are not yet reported."""
         limited, slewed = (int(n) for n in self._memory.counts[:2].sum(axis=1))
         for loop in self._loops.values():
             counts = loop.counts()
@@ -434,7 +434,7 @@ def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
 
 
 def _table(values: ArrayLike, what: str, count: int) -> Array:
-    """Return samples (n, count); raise `ModelError` if they have another shape, or one is no finite number."""
+    """Return samples (n, count); raise `ModelError` if they have another shape, or one is not a finite number."""
     given = np.asarray(values)
     if given.dtype.kind not in "iuf":
         raise ModelError(argument=what, got=f"an array of {given.dtype}", need="numbers")

@@ -1,4 +1,4 @@
-"""The compensator: from a wanted displacement to the voltage, sample by sample or a whole path, within limits."""
+"""The compensator: the voltage for a wanted displacement, sample by sample or for a whole path, within limits."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _NEARLY = 1 - 1e-9
 
 
 class Compensator(ReadOnly):
-    """Inverse control within limits (Eqs. 11-12), the hysteresis cancelled.
+    """Inverse control of the hysteresis within voltage limits (Eqs. 11-12).
 
-    In a loop, `step` takes the displacement wanted now and returns the voltage to send. A voltage beyond the limits is
-    clamped and counted, with a warning, and the memory follows the voltage that is really sent::
+    In a loop, `step` takes the presently wanted displacement and returns the voltage to send. A voltage beyond the
+    limits is clamped and counted, with a warning, and the memory follows the voltage that is really sent::
 
         compensator = dehyst.Compensator(actuator, (0, 100), slew_rate=2e4, period=1e-4)
         for wanted in path:
             dac.write(compensator.step(wanted))
 
-    With ``units="um"``, displacements are in micrometres wherever it takes or returns them.
+    With ``units="um"``, all displacements that the compensator takes or returns are in micrometres.
 
     If writing may fail or change the voltage, use `offer` and `commit` instead of `step`.
 
@@ -45,20 +45,21 @@ class Compensator(ReadOnly):
     ----------
     actuator : Actuator
     limits : (float, float), optional
-        Lowest and highest voltage [V]; default: the actuator's, which are those of its training records.
+        Lowest and highest voltage [V]; default: the actuator's, usually the range of its training records.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s] between samples; default: not limited.
     period : float, optional
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
     state : State, optional
-        State of the actuator, e.g. after a homing; default the actuator's own. If its voltage lies outside the limits,
-        the actuator is assumed to have moved to the nearest limit.
+        Initial state of the actuator, e.g. after a homing; default: the actuator's own. If its voltage lies outside the
+        limits, the actuator is assumed to have moved to the nearest limit.
     units : str, optional
         Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
         Velocities and accelerations follow. A `state` is in SI units always.
     preview : bool, optional
-        Compensate the actuator's delay and inertia too. The displacement given to a step is then the one wanted
-        `samples_ahead` samples later. By default it is the one wanted now, and delay and inertia are not compensated.
+        Compensate the actuator's delay and inertia too. A step then takes the displacement that is wanted
+        `samples_ahead` samples later. By default it takes the presently wanted displacement, and delay and inertia are
+        not compensated.
     warns : bool, optional
         Whether steps and offers warn `ClampWarning`; clamped samples are counted in any case.
 
@@ -69,7 +70,7 @@ class Compensator(ReadOnly):
     bounds : VoltageLimits
         Limits and slew rate.
     initial_state : State
-        As given at the construction or the last reset, before it was moved within the limits.
+        The state given at the construction or the last reset, before it was moved within the limits.
 
     Raises
     ------
@@ -135,8 +136,8 @@ class Compensator(ReadOnly):
     def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
 
-        `temperature` [degrees Celsius], of an actuator with the part `thermal`: from this step on, until another one is
-        given; the reference at first. It sets `scaling`.
+        `temperature` [degrees Celsius], for an actuator with the part `thermal`: it holds from this step until another
+        temperature is given; before, the reference temperature holds. It sets `scaling`.
 
         Raises
         ------
@@ -158,7 +159,7 @@ class Compensator(ReadOnly):
             raise _refusal(displacement) from error
 
     def offer(self, displacement: float) -> float:
-        """Return the voltage [V] for a `displacement` [m, or `units`], not committed. Raises and warns as `step`."""
+        """Return the voltage [V] for a `displacement` [m, or `units`], without commit. Raises and warns as `step`."""
         try:
             return self._loop.offer(displacement)
         except TypeError:
@@ -167,9 +168,10 @@ class Compensator(ReadOnly):
             raise _refusal(displacement) from error
 
     def offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
-        """Return what `offer` returns and, if it is clamped, the displacement [m, or `units`] that it leads to.
+        """Return the voltage [V] of `offer` and, if it is clamped, the displacement [m, or `units`] that it causes.
 
-        None if it is not clamped. A mass is taken to be at rest. Raises and warns as `offer`.
+        The displacement is None if the voltage is not clamped. A mass is assumed to be at rest. Raises and warns as
+        `offer`.
 
         `displacement`: [m, or `units`].
         """
@@ -187,9 +189,9 @@ class Compensator(ReadOnly):
         return self.offer(displacement), reached if clamped else None
 
     def commit(self, voltage: float) -> None:
-        """Commit `voltage` [V] as sent: the one on offer, or another to which a converter has rounded it.
+        """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.
 
-        Raise `ModelError` if it is not finite, or farther outside the limits than they are apart: the memory is
+        Raise `ModelError` if it is not finite, or outside the limits by more than their distance: the memory is
         unchanged.
         """
         try:
@@ -206,7 +208,7 @@ class Compensator(ReadOnly):
         self._loop.commit(self._loop.sent())
 
     def run(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
+        """Return the voltages (n,) [V] of n steps for displacements (n,) [m, or `units`], and commit them.
 
         Raises
         ------
@@ -243,11 +245,11 @@ class Compensator(ReadOnly):
         present: float | None = None,
         extrapolate: bool = False,
     ) -> Command:
-        """Compute the voltages of a whole path, known ahead and perhaps uneven in time; the loop's memory is unchanged.
+        """Compute the voltages of a whole path that is known ahead, with even or uneven time steps.
 
-        Each voltage is clamped, and the state follows the voltage that is really sent. The slew rate holds from the
-        present voltage on: the first sample comes a `period` after it, or the first interval of `time` if that is
-        shorter.
+        The loop's memory is unchanged. Each voltage is clamped, and the state follows the clamped voltage. The slew
+        rate also limits the change from the present voltage to the first sample, which comes one `period`, or the first
+        interval of `time` if that is shorter, later.
 
         Parameters
         ----------
@@ -257,20 +259,20 @@ class Compensator(ReadOnly):
             [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag.
             Default: a sample every `period`, if the compensator has one.
         load, velocity, acceleration : (n,) array_like, optional
-            As in `Actuator.compensate`; the last two in `units` a second, and a second squared.
+            As in `Actuator.compensate`; velocity in `units` / s, acceleration in `units` / s^2.
         state : State, optional
-            State of the actuator; default: `self.state`, before any step as it was given.
+            State of the actuator before the path; default: `self.state`.
         present : float, optional
-            Voltage [V] before the first sample; default: the one that holds `state`, or without a state the last one
-            sent.
+            Voltage [V] before the first sample; default: the voltage that holds `state`, or without `state` the last
+            sent voltage.
         extrapolate : bool, optional
-            Allow a path more than one stroke outside the actuator's reach, which is usually in micrometres; it is
-            followed as far as the limits allow.
+            Allow a path more than one stroke outside the actuator's reach, and follow it as far as the limits allow. By
+            default it is an error, because such a path is usually in micrometres instead of metres.
 
         Raises
         ------
         ModelError
-            If the arrays do not fit, the path lies more than one stroke outside, the present voltage outside the
+            If the arrays do not fit, the path lies more than one stroke outside, the present voltage lies outside the
             limits, or a time is needed and neither `time` nor `period` is given.
         """
         wanted = self.in_metres(displacement)
@@ -311,21 +313,21 @@ class Compensator(ReadOnly):
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
     def in_metres(self, values: ArrayLike, what: str = "displacement", per: str = "") -> Array:
-        """Return the `values` (n,) of a path in `units`, or a quantity with a unit of its own, in metres.
+        """Return the `values` (n,) of a path, in `units` or with a unit of their own, in metres.
 
-        `what` names them in errors; `per`: "/s" of a velocity, "/s**2" of an acceleration. Raise `ModelError` if
-        a value is not finite, or has a unit that cannot be converted.
+        `what`: name of the values in errors. `per`: "/s" for a velocity, "/s**2" for an acceleration. Raise
+        `ModelError` if a value is not finite, or has a unit that cannot be converted.
         """
         plain = vector(values, what, f"{self.units}{per}")
         return plain if self._per_metre == 1 else plain / self._per_metre
 
     @property
     def voltage(self) -> float:
-        """The last voltage sent [V]; before any step the one that holds the actuator in its state."""
+        """The last voltage sent [V]; before any step, the voltage that holds the actuator in its state."""
         return self._loop.sent() if self._running else self.held(self._start)
 
     def held(self, state: State) -> float:
-        """Return the voltage [V] within the limits that holds the actuator in a `state`, or comes nearest."""
+        """Return the voltage [V] within the limits that holds the actuator in a `state`, or the nearest limit."""
         return self.bounds.nearest(self.actuator.voltage(state))
 
     @property
@@ -335,22 +337,22 @@ class Compensator(ReadOnly):
 
     @property
     def clamps(self) -> Clamps:
-        """Numbers of samples clamped so far."""
+        """Number of samples clamped so far, by kind."""
         return Clamps(*self._loop.counts()[:2]) if self._running else Clamps(0, 0)
 
     @property
     def samples_ahead(self) -> int:
-        """Number of samples before its time at which `step` needs a displacement; 0 without `preview`."""
+        """Number of samples by which `step` needs displacements in advance; 0 without `preview`."""
         return self._preview[1]
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Displacements [m, or `units`] at both limits, after both have been visited and with creep at rest."""
+        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest."""
         low, high = self.actuator.major_loop(self.limits)
         return low * self._per_metre, high * self._per_metre
 
     def reset(self, state: State | None = None) -> None:
-        """Start again in a `state`, by default that of the construction; counts restart at 0.
+        """Start again in a `state`, by default the state at construction; counts restart at 0.
 
         Raise `ModelError` if it does not fit the actuator.
         """
@@ -359,18 +361,18 @@ class Compensator(ReadOnly):
         self.__dict__.pop("_loop", None)
 
     def clone(self, units: str | None = None) -> Compensator:
-        """Return another compensator like this one, as it was when made or last reset, perhaps with other `units`."""
+        """Return a copy in the state at construction or the last reset, by default with the same `units`."""
         return Compensator(**self._options() | ({} if units is None else {"units": units}))
 
     def snapshot(self) -> Snapshot:
-        """Return the loop's whole memory, to be saved; `restore` continues from it bit for bit."""
+        """Return the loop's whole memory for saving; `restore` continues from it bit for bit."""
         return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts(), f"{self.model_ids()[0]:08x}")
 
     def restore(self, snapshot: Snapshot) -> bool:
-        """Continue from a `snapshot`; return whether it was of this very model, not only of one of the same shape.
+        """Continue from a `snapshot`; return whether its model is exactly this one, not only one of the same shape.
 
-        Raise `ModelError` if it is of an actuator of another shape (see `exchange`), another period or preview, or
-        damaged: the loop is as before then.
+        Raise `ModelError` if it belongs to an actuator of another shape (see `exchange`), another period or preview, or
+        is damaged: the loop is unchanged.
         """
         if not isinstance(snapshot, Snapshot):
             got = type(snapshot).__name__
@@ -379,14 +381,14 @@ class Compensator(ReadOnly):
         return snapshot.model == f"{self.model_ids()[0]:08x}"
 
     def exchange(self, actuator: Actuator) -> None:
-        """Go on with `actuator`, another model of the same actuator, e.g. with adapted weights; the memory stays.
+        """Continue with another model of the same actuator, e.g. with adapted weights; the memory stays.
 
-        Limits, slew rate and preview stay as they are. Models of one shape may be exchanged at any sample: those that
-        agree in breakaway elongations, time constants of creep, lengths of smooth elements, resonance and lag, and with
-        `preview` in the samples that it needs. Stiffnesses, spring and transformer may differ. The next voltages follow
-        the new model as fast as the slew rate allows. What is on offer is withdrawn.
+        Limits, slew rate and preview stay. Models of the same shape may be exchanged at any sample. They have the same
+        shape if breakaway elongations, time constants of creep, lengths of smooth elements, resonance and lag agree,
+        and with `preview` also the number of samples ahead. Stiffnesses, spring and transformer may differ. The next
+        voltages follow the new model as fast as the slew rate allows. A pending offer is withdrawn.
 
-        Raise `ModelError` if the shape differs: the loop is as before then.
+        Raise `ModelError` if the shape differs: the loop is unchanged.
         """
         if not isinstance(actuator, Actuator):
             raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
@@ -405,13 +407,13 @@ class Compensator(ReadOnly):
         )
 
     def scale(self, gain: float, offset: float = 0.0) -> None:
-        """Set a `gain` and an `offset` [m, or `units`] of the displacement, between two steps.
+        """Set a `gain` and an `offset` [m, or `units`] of the displacement between two steps.
 
-        The displacement that is wanted is then offset + gain times that of the model, for instance as a temperature or
-        an aged sensor changes it. It was 1 and 0 at the construction or the last reset. The next voltages follow as
-        fast as the slew rate allows; what is on offer is withdrawn.
+        The wanted displacement is then offset + gain times the model's displacement, for instance for another
+        temperature or an aged sensor. A construction or a reset sets gain 1 and offset 0. The next voltages follow as
+        fast as the slew rate allows; a pending offer is withdrawn.
 
-        Raise `ModelError` if the gain is not positive, or a number is not finite: the scale is as before then.
+        Raise `ModelError` if the gain is not positive, or a number is not finite: gain and offset are unchanged.
         """
         values = number(gain, "gain"), number(offset, "offset", self.units) / self._per_metre
         try:
@@ -420,7 +422,7 @@ class Compensator(ReadOnly):
             raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
 
     def set_temperature(self, temperature: float) -> None:
-        """Set gain and offset to those of a `temperature` [degrees Celsius], for steps and offers from now on.
+        """Set gain and offset for a `temperature` [degrees Celsius], for all further steps and offers.
 
         Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
         """
@@ -440,20 +442,21 @@ class Compensator(ReadOnly):
         return gain, offset * self._per_metre
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
-        """Return a python-control block: displacement wanted [m] in, voltage [V] out, from the present memory on.
+        """Return a python-control block: wanted displacement [m] in, voltage [V] out, starting from the present memory.
 
         The displacement is in metres, whatever `units` is.
-        It equals this compensator bit for bit and does not change it. All memory is in the block's state; its `start`
-        is the present memory, to be given as initial state. The voltage of a sample depends on the displacement of the
-        same sample (direct feedthrough). Clamping gives one warning of each kind and is not counted.
+        The block computes the same bits as this compensator and does not change it. All memory is in the block's state;
+        pass the block's `start`, the present memory, as initial state. The voltage of a sample depends on the
+        displacement of the same sample (direct feedthrough). Clamping gives one warning of each kind and is not
+        counted.
 
-        `name`: of the block; its input is called "wanted", its output "voltage". Raise `MissingExtraError` if
+        `name`: name of the block; its input is called "wanted", its output "voltage". Raise `MissingExtraError` if
         python-control is not installed.
 
         Returns
         -------
         control.NonlinearIOSystem
-            In discrete time, of `period`; without one, of an unspecified period.
+            In discrete time with `period`, or with an unspecified period if there is none.
         """
         loop = self.new_loop()
         set_memory(loop, *memory_of(self._loop))
@@ -466,13 +469,13 @@ class Compensator(ReadOnly):
     def model_block(self) -> bytes:
         """Return actuator, limits, period and start as the block of bytes that `dehyst_model_load` reads in C.
 
-        It is the same for every processor and number type, has a checksum, and begins with the start of the
+        The block is the same for every processor and number type and has a checksum. Its start is the state at the
         construction or the last reset.
         """
         return self._loop.block(*self.start(), self.period or 0.0, self.samples_ahead)
 
     def model_ids(self) -> tuple[int, int]:
-        """Return the checksums `id` and `shape` that the model has in C; limits and start do not count."""
+        """Return the checksums `id` and `shape` of the model in C; limits and start have no effect on them."""
         self.model_block()
         return self._loop.ids()
 
@@ -484,13 +487,13 @@ class Compensator(ReadOnly):
     def restore_block(self, block: bytes) -> None:
         """Continue from a `block` that `dehyst_loop_save` wrote in C, or `snapshot_block`.
 
-        Raise `ModelError` if it is of another model, or damaged: the loop is as before then.
+        Raise `ModelError` if the block belongs to another model or is damaged: the loop is unchanged.
         """
         self.model_block()
         checked(self._loop.restore, block)
 
     def start(self) -> CoreState:
-        """Return the state of the construction or the last reset, in the core's numbers."""
+        """Return the state at the construction or the last reset, as numbers of the C core."""
         return self.actuator.model.core_state(self._start)
 
     @property
@@ -503,23 +506,23 @@ class Compensator(ReadOnly):
 
     @cached_property
     def _preview(self) -> tuple[Array, int]:
-        """Taps of the preview filter, and the samples that it looks ahead."""
+        """Taps of the preview filter, and the number of samples that it looks ahead."""
         return preview_filter(self.actuator, self.period) if self.preview and self.period else (np.ones(1), 0)
 
     @cached_property
     def _loop(self) -> Loop:
-        """The loop in C, made when it is first needed: a trajectory needs none."""
+        """The loop in C, made when first needed, because a trajectory does not need it."""
         return self.new_loop()
 
     def new_loop(self) -> Loop:
-        """Return a loop in C that is in the state of the construction or the last reset."""
+        """Return a loop in C in the state at the construction or the last reset."""
         loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
         loop.per_metre = self._per_metre
         return loop
 
 
 def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
-    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none, or they are no interval."""
+    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none or they are no interval."""
     chosen = actuator.limits if limits is None else limits
     if chosen is None:
         raise ModelError(

@@ -1,4 +1,4 @@
-"""Voltage limits and slew rate, and the warnings about voltages that were clamped to them."""
+"""Voltage limits and slew rate, and the warnings about clamped voltages."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class VoltageLimits:
         return min(max(voltage, self.low), self.high)
 
     def within(self, voltage: float, what: str, *, error: type[DehystError] = ModelError) -> float:
-        """Return a present `voltage` [V]; raise `error`, which names it by `what`, if it lies outside the limits."""
+        """Return a present `voltage` [V]; raise `error` if it lies outside the limits; `what` is its name."""
         now = number(voltage, what, "V", error=error)
         if not self.low <= now <= self.high:
             raise error(
@@ -66,7 +66,7 @@ class VoltageLimits:
         return now
 
     def towards(self, target: float, present: float, period: float) -> float:
-        """Return the voltage [V] a `period` [s] after the `present` one [V], on the way to a `target` [V]."""
+        """Return the voltage [V] one `period` [s] after the `present` voltage [V], on the way to a `target` [V]."""
         end, largest = self.nearest(target), self.largest_step(period)
         return end if abs(end - present) <= largest else present + math.copysign(largest, end - present)
 
@@ -77,8 +77,8 @@ class VoltageLimits:
     def steps(self, size: int, time: ArrayLike | None, period: float | None = None) -> Array:
         """Return the largest voltage step [V] before each of `size` samples at `time` (n,) [s].
 
-        The first sample counts as one step after the voltage that was sent before: `period` [s] or the first interval
-        of the time, whichever is shorter.
+        The first sample follows the last voltage sent by `period` [s] or by the first interval of `time`, whichever is
+        shorter.
         """
         if self.slew_rate is None:
             return np.full(size, np.inf)
@@ -100,9 +100,9 @@ class VoltageLimits:
         return self.slew_rate * np.concatenate([[min(first, default=0.0)], intervals])[:size]
 
     def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """Return a wanted `voltage` (n,) [V], clipped; correct up to and including the first sample that is changed.
+        """Return a wanted `voltage` (n,) [V], clipped; it is correct up to and including the first changed sample.
 
-        `before` is the voltage [V] sent before, `steps` (n,) [V] the largest step before each sample.
+        `before`: last voltage sent [V]. `steps` (n,): largest allowed step before each sample [V].
         """
         previous = np.concatenate([[before], voltage[:-1]])
         # Limits come last: the slew rate must not push a voltage out of them.
@@ -126,11 +126,11 @@ def outside_identified(
     name: str = "",
     refuse: bool = True,
 ) -> Outside:
-    """Return which voltages (n,) [V] lie outside of the range that a model was identified from.
+    """Find which voltages (n,) [V] lie outside of the identified range of a model.
 
-    One lies far outside if that is by more than a tenth of the range: there the model is a straight line without any
-    measurement behind it. With `refuse`, raise `ModelError` if one lies farther outside of that range and of `limits`
-    than they are wide. `name`: of the voltages, before the sentences.
+    A voltage is far outside if it exceeds the range by more than a tenth of its width: there the model is a straight
+    line without measurements. With `refuse`, raise `ModelError` if a voltage lies outside of the range and `limits` by
+    more than their width. `name`: name of the voltages, before the warnings.
     """
     head = f"{name}: " if name else ""
     if actuator.limits is None or not voltage.size:
@@ -159,11 +159,11 @@ def outside_identified(
 
 
 class ClampWarning(UserWarning):
-    """A wanted displacement was not followed: its voltage was cut at a limit or held back by the slew rate."""
+    """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate."""
 
 
 class Clamps(NamedTuple):
-    """Number of samples whose voltage was cut at a limit, and held back by the slew rate."""
+    """Number of samples whose voltage was clamped at a limit, and held back by the slew rate."""
 
     limited: int
     slewed: int
@@ -179,9 +179,9 @@ def warn_of_sample(
     axis: str = "",
     target: float | None = None,
 ) -> None:
-    """Warn the caller of a step or an offer that the voltage [V] of a displacement [m] is clamped.
+    """Warn the caller of a step or an offer that the `voltage` [V] for a `displacement` [m] is clamped.
 
-    Of several axes: that of an `axis`, for which its actuator alone would move to a `target` [m].
+    With several axes: `axis` is the name, and `target` [m] the displacement of its actuator alone.
     """
     head = f"axis {axis}: " if axis else ""
     reason = "the slew rate allows no more" if slewed else "that is a limit"
@@ -202,7 +202,7 @@ def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displ
 def stray_sentence(
     actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None
 ) -> str:
-    """Return why displacements (n,) [m] are implausible; those in reach of the limits are not."""
+    """Return why displacements (n,) [m] are implausible, or "" if they are within reach of the limits."""
     sentence = actuator.implausibility(displacement, load)
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence
@@ -213,7 +213,7 @@ def stray_sentence(
 
 
 def unit_hint(units: str, reach: tuple[float, float], displacement: Array) -> tuple[str, ...]:
-    """Return the hint for displacements (n,) in `units`, as is the reach, that are too small for them by far."""
+    """Return a hint if displacements (n,) [`units`] are far too small for the reach [`units`]."""
     largest = float(np.abs(displacement).max(initial=0.0))
     if units == "m" or not 0 < largest <= _TINY * max(map(abs, reach)):
         return ()
@@ -224,7 +224,7 @@ def unit_hint(units: str, reach: tuple[float, float], displacement: Array) -> tu
 
 
 def _caller() -> int:
-    """Return the level of the first frame outside of the package, seen from the function that calls this one."""
+    """Return the stack level of the first frame outside of the package, relative to the calling function."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("dehyst."):
         level, frame = level + 1, frame.f_back

@@ -37,7 +37,7 @@ _FARTHEST = 1e6
 
 
 class ReadOnly:
-    """An object whose attributes are set by its own methods alone, with `keep`."""
+    """An object whose attributes only its own methods set, with `keep`."""
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(f"{name} cannot be set; make another {type(self).__name__}")
@@ -46,7 +46,7 @@ class ReadOnly:
 def step_numbers(
     actuator: Actuator, limits: VoltageLimits, period: float | None
 ) -> tuple[StepCoefficients, tuple[float, float, float, float, float, float, float]]:
-    """Return the coefficients of a step, and the limits, the largest change [V] and the amplifier's numbers.
+    """Return the coefficients of a step, the limits [V], the largest change [V] and the coefficients of the amplifier.
 
     Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
     """
@@ -71,7 +71,7 @@ def step_numbers(
 def make_loop(
     actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState, warns: bool = True
 ) -> Loop:
-    """Return a loop that starts in a state and may warn of clamped samples; raise `ModelError` as `step_numbers`."""
+    """Return a loop that starts in a given state; raise `ModelError` as `step_numbers`."""
     coefficients, numbers = step_numbers(actuator, limits, period)
     warn = partial(warn_of_sample, actuator, limits) if warns else lambda *_: None
     return actuator.model.core.loop(coefficients, taps, np.array(numbers), warn, start)
@@ -84,16 +84,16 @@ class Snapshot(files.JsonFile):
     Attributes
     ----------
     key : str
-        Checksum of what the memory depends on, the shape of the model: the snapshot fits no other loop.
+        Checksum of the shape of the model, on which the memory depends: the snapshot fits no other loop.
     state : State
         State of the actuator.
     rest : (8 + M,) array
-        The remaining memory: the last voltage, the output of the amplifier, its two inputs before, the velocity of the
-        mass, gain and offset, the displacement that drives creep behind the elements, and those fed, newest first.
+        The remaining memory: the last voltage, the amplifier's output, its last two inputs, the velocity of the mass,
+        gain, offset, the displacement before displacement creep, and the M last inputs of the preview, newest first.
     counts : (int, int, int)
-        Numbers of samples limited, slewed and refused.
+        Numbers of samples clamped at a limit, held back by the slew rate, and refused.
     model : str, optional
-        Checksum of all numbers of the model in use, of which there may be several of one shape.
+        Checksum of all numbers of the model in use, because several models may have the same shape.
     """
 
     key: str
@@ -126,14 +126,14 @@ class Snapshot(files.JsonFile):
         return cls(str(data["key"]), files.state(data), rest, data["counts"], str(data["model"]))
 
     def resume(self, loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str) -> None:
-        """Set the memory of a `loop` that `key` identifies; after an error it is as before.
+        """Set the memory of a `loop` that `key` identifies; after an error it is unchanged.
 
-        Raise `ModelError` if the snapshot is of an `actuator` of another shape, another period or preview, outside of
-        the `limits`, or damaged.
+        Raise `ModelError` if the snapshot belongs to an `actuator` of another shape, another period or preview, lies
+        outside of the `limits`, or is damaged.
         """
         if self.key != key:
             raise ModelError(
-                "it is of an actuator of another shape, another period or preview",
+                "it belongs to an actuator of another shape, another period or preview",
                 argument="snapshot",
                 hint="make the compensator as it was",
             )
@@ -153,7 +153,7 @@ class Snapshot(files.JsonFile):
 
 
 def differences(one: Actuator, other: Actuator) -> list[str]:
-    """Return in what two actuators differ that the memory of a loop depends on; empty if they have one shape."""
+    """Return the differences of two actuators that affect the memory of a loop; empty if both have the same shape."""
     rows = [
         ("breakaway elongations", one.slip.breakaway, other.slip.breakaway),
         *(
@@ -179,16 +179,16 @@ def set_memory(loop: Loop, state: CoreState, rest: Array, counts: tuple[int, int
 def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
     """Return an FIR filter from the wanted displacement y to w, the displacement that the elements follow.
 
-    ``w(t) = Y(t + delay)``, with inertia ``Y = y + 2 zeta/omega y' + y''/omega^2``; between samples y is the polynomial
-    through the nearest samples. Raise `ModelError` if the delay, or a radian of the resonance, takes more than a
-    million steps of a `period` [s].
+    ``w(t) = Y(t + delay)``, with inertia ``Y = y + 2 zeta/omega y' + y''/omega^2``; between samples, y is the
+    polynomial through the nearest samples. Raise `ModelError` if the delay, or one radian of the resonance, takes more
+    than a million steps of `period` [s].
 
     Returns
     -------
     taps : (M,) array
-        w is the sum of taps[m] times the displacement fed m samples ago.
+        w is the sum of taps[m] times the input displacement m samples ago.
     ahead : int
-        Number of samples by which the displacement that is fed is ahead.
+        Number of samples by which the input displacement is ahead.
     """
     delay, dynamics = actuator.delay / period, actuator.dynamics
     if delay > _FARTHEST or (dynamics is not None and dynamics.frequency * period < 1 / _FARTHEST):

@@ -1,4 +1,4 @@
-"""The compensator of a stage: wanted displacements of all axes to their voltages, within limits of each axis."""
+"""The compensator of a stage: voltages of all axes for their wanted displacements, within the limits of each axis."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _SETTLED = 1e-12
 class StageCompensator(ReadOnly):
     """Inverse control of a stage: ``w = coupling^-1 y``, then a `Compensator` for each axis.
 
-    A clamped axis does not falsify the others. If the voltage of axis k is clamped, the displacement w_k that its
-    actuator reaches is known. Axis k then misses its wanted displacement, and every other axis gets the target with
-    which it reaches its own: the rows of ``w = coupling^-1 y`` are solved for y_k and the targets of the free axes. If
-    a corrected target is clamped too, that axis joins the clamped ones and the others are corrected again.
+    A clamped axis does not disturb the others. If the voltage of axis k is clamped, the displacement w_k of its
+    actuator is known, and axis k misses its wanted displacement. All other axes still reach theirs: ``w = coupling^-1
+    y`` is solved for y_k and for the targets w of the free axes. If a corrected target is clamped too, that axis joins
+    the clamped ones, and the others are corrected again.
 
     Parameters
     ----------
@@ -39,25 +39,26 @@ class StageCompensator(ReadOnly):
     period : float, optional
         Seconds between steps; needed with a slew rate, and by actuators with creep, dynamics or a lag.
     limits : sequence of (float, float), optional
-        Lowest and highest voltage [V] of each axis; None for an axis, or by default: the actuator's own.
+        Lowest and highest voltage [V] of each axis. None, for one axis or (default) for all, means the actuator's own.
     slew_rate : sequence of float, optional
-        Largest abs(dv/dt) [V/s] of each axis; None for an axis, or by default: not limited.
+        Largest abs(dv/dt) [V/s] of each axis. None, for one axis or (default) for all, means not limited.
     states : sequence of State, optional
-        State of each actuator; default: its own, or if the limits do not reach it, that after major loops between them.
+        State of each actuator. Default: its own state, or if this is outside the limits, the state after major loops
+        between the limits.
 
     Attributes
     ----------
     stage, period, limits, slew_rate
-        As given, the last two as tuples with an entry an axis.
+        As given; limits and slew rate are tuples with one entry for each axis.
     compensators : tuple of Compensator
-        Of each actuator.
+        Compensator of each actuator.
     clamped : tuple of bool
         Which axes were clamped in the last step or offer.
 
     Raises
     ------
     ModelError
-        As `Compensator`, the axis named, or if a list has another length than there are axes.
+        As `Compensator`, with the name of the axis; or if the length of a list is not the number of axes.
     """
 
     stage: Stage
@@ -119,7 +120,7 @@ class StageCompensator(ReadOnly):
 
     @property
     def displacement(self) -> Array:
-        """Displacement (axes,) [m] of the model after all voltages sent; without the delay of a mass."""
+        """Displacement (axes,) [m] of the model after all voltages sent; a mass is assumed to follow at once."""
         axes = zip(self.compensators, self.states, strict=True)
         moved = np.array([[one.actuator.model.displacement(state, of_mass=False) for one, state in axes]])
         return np.asarray(apply(self.stage.coupling, moved)[0])
@@ -128,7 +129,7 @@ class StageCompensator(ReadOnly):
         """Return the voltages (axes,) [V] to send for a `displacement` (axes,) [m], and commit them.
 
         Raise `ModelError` if it is not finite or has another size: the memory is unchanged. Warn `ClampWarning` as
-        `Compensator.step`, with the axis and the displacement that is wanted of it.
+        `Compensator.step`, with the axis and its wanted displacement.
         """
         voltage = self._offered(displacement)
         for one, value in zip(self.compensators, voltage, strict=True):
@@ -145,7 +146,7 @@ class StageCompensator(ReadOnly):
             return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
     def offer(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (axes,) [V] for a `displacement` (axes,) [m], not committed.
+        """Return the voltages (axes,) [V] for a `displacement` (axes,) [m] without committing them.
 
         Raises and warns as `step`.
         """
@@ -176,9 +177,10 @@ class StageCompensator(ReadOnly):
         return voltage
 
     def commit(self, voltage: ArrayLike) -> None:
-        """Commit `voltage` (axes,) [V] as sent: the one on offer, or another to which a converter has rounded it.
+        """Commit `voltage` (axes,) [V] as sent: the offered voltages, perhaps rounded by a converter.
 
-        Raise `ModelError` if one is not finite, or farther outside its limits than they are apart: no axis has moved.
+        Raise `ModelError` if a voltage is not finite, or outside its limits by more than their distance: no memory
+        changes.
         """
         values = self._values(voltage, "voltage")
         with self._unchanged_by_errors():
@@ -191,14 +193,14 @@ class StageCompensator(ReadOnly):
             one.hold()
 
     def clone(self) -> StageCompensator:
-        """Return another compensator like this one, as it was when made or last reset."""
+        """Return a copy in the state at construction or the last reset."""
         options: dict[str, Any] = {name: getattr(self, name) for name in ("period", "limits", "slew_rate")}
         return StageCompensator(self.stage, **options, states=[one.initial_state for one in self.compensators])
 
     def reset(self, states: Sequence[State | None] | None = None) -> None:
-        """Start again in `states`, by default those of the construction; counts restart at 0.
+        """Start again in `states`, by default the states at construction; counts restart at 0.
 
-        Raise `ModelError` if one does not fit: the memory is unchanged.
+        Raise `ModelError` if a state does not fit: the memory is unchanged.
         """
         given = for_each(states, len(self.compensators), "states")
         with self._unchanged_by_errors():
@@ -206,13 +208,13 @@ class StageCompensator(ReadOnly):
                 one.reset(state)
 
     def snapshot(self) -> tuple[Snapshot, ...]:
-        """Return the whole memory, a snapshot an axis."""
+        """Return the whole memory, one snapshot for each axis."""
         return tuple(one.snapshot() for one in self.compensators)
 
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
-        """Continue from `snapshots`, one an axis.
+        """Continue from `snapshots`, one for each axis.
 
-        Raise `ModelError` as `Compensator.restore`, or if it is another number: the memory is unchanged.
+        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
         """
         count = len(self.compensators)
         if len(snapshots) != count:
@@ -223,7 +225,7 @@ class StageCompensator(ReadOnly):
 
     @contextmanager
     def _unchanged_by_errors(self) -> Iterator[None]:
-        """Put the memory of all axes back if one of them refuses what is done within."""
+        """Restore the memory of all axes if an error occurs in the block."""
         before = self.snapshot()
         try:
             yield
@@ -240,9 +242,9 @@ class StageCompensator(ReadOnly):
         present: ArrayLike | None = None,
         extrapolate: bool = False,
     ) -> tuple[Command, ...]:
-        """Compute the voltages of a whole path, known ahead; the loop's memory is unchanged.
+        """Compute the voltages of a whole path that is known ahead; the loop's memory is unchanged.
 
-        Each voltage is clamped, the free axes are corrected, and the states follow the voltages that are really sent.
+        Each voltage is clamped, the free axes are corrected, and the states follow the clamped voltages.
 
         Parameters
         ----------
@@ -258,13 +260,13 @@ class StageCompensator(ReadOnly):
         Returns
         -------
         tuple of Command
-            One an axis: its displacement is that of the axis, with all coupling, `state` that of its actuator, and
-            `followed` whether all axes follow.
+            One for each axis: `displacement` of the axis, with all coupling; `state` of its actuator; `followed`:
+            whether all axes follow.
 
         Raises
         ------
         ModelError
-            As `Compensator.trajectory`, the axis named.
+            As `Compensator.trajectory`, with the name of the axis.
         """
         wanted = self.stage.columns(displacement, "displacement", "m")
         if not len(wanted):
@@ -300,7 +302,7 @@ class StageCompensator(ReadOnly):
         )
 
     def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
-        """Return targets with which the axes that are free reach what is wanted of them."""
+        """Return targets with which the free axes reach their wanted displacements."""
         corrected = targets.copy()
         for i in np.flatnonzero(clamped.any(axis=1)).tolist():
             known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
@@ -323,7 +325,7 @@ def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, .
 
 
 def for_each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
-    """Return what is given for each axis, None for all by default; raise `ModelError` if it is another number."""
+    """Return one entry for each axis, by default None; raise `ModelError` if the number of entries is wrong."""
     if values is None:
         return [None] * count
     if isinstance(values, int | float | str) or len(values) != count:

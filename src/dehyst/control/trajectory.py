@@ -1,4 +1,4 @@
-"""A whole path to voltages that may leave the program: within limits and slew rate, with a warning if clamped."""
+"""Voltages of a whole path, within limits and slew rate, with a warning if they are clamped."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Command:
     Attributes
     ----------
     voltage : (n,) array
-        [V], within limits and slew rate.
+        Voltage [V], within limits and slew rate.
     displacement : (n,) array
         The displacement of the model [m]: the wanted path, except where the voltage was clamped; simulated for an
         actuator with dynamics or a lag.
@@ -49,17 +49,17 @@ class Command:
     state : State
         State after the clamped voltage.
     warnings : tuple of str
-        What was clamped, and whether the path is missed for another reason, in sentences; empty if neither.
+        Sentences on clamped voltages, and on other reasons why the path is missed; may be empty.
     missed : float
         Largest distance [m] of `displacement` from the wanted path.
     units : str
-        Of `displacement` and `missed`: those of the compensator, "m" by default.
+        Unit of `displacement` and `missed`, as in the compensator, by default "m".
     followed : bool
-        Whether nothing was clamped, and the path is missed by no more than a thousandth of the range of the spring.
+        Whether nothing was clamped and `missed` is at most a thousandth of the range of the spring's knots.
     time : (n,) array or None
-        Of the samples [s], if it was given.
+        Time of the samples [s], if it was given.
     validity : Validity or None
-        What the records of the model tested, if it holds that.
+        What the records of the model tested, if the model holds it.
     """
 
     voltage: Array
@@ -75,11 +75,11 @@ class Command:
 
     @cached_property
     def promise(self) -> Promise | None:
-        """How far the stage will miss the path [m], beside what is `missed`; None without `validity`."""
+        """Promised error of the path [m], in addition to `missed`; None without `validity`."""
         return None if self.validity is None else promise(self.validity, self.voltage, self.time)
 
     def in_units(self, units: str) -> Command:
-        """Return the command with its displacements, now in metres, in `units`, such as "um"."""
+        """Return the command with its displacements converted from metres to `units`, such as "um"."""
         counts = per_metre(units)
         return replace(self, displacement=self.displacement * counts, missed=self.missed * counts, units=units)
 
@@ -99,7 +99,7 @@ class Command:
 
     @property
     def _um(self) -> float:
-        """How many micrometres make one of `units`."""
+        """Number of micrometres in one of `units`."""
         return 1e6 / per_metre(self.units)
 
     def _clamps(self) -> str:
@@ -203,7 +203,7 @@ def follow(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A wanted path, followed in pieces. If time matters, a piece begins with the last sample of the one before."""
+    """A wanted path, followed in pieces. If time matters, pieces overlap by one sample."""
 
     actuator: Actuator
     wanted: Array
@@ -219,7 +219,7 @@ class _Path:
 
     @cached_property
     def data(self) -> dict[str, Array]:
-        """Those of time, load and derivatives of the path that count and are given, one value a sample each."""
+        """The given values of time, load and derivatives that have an effect, one for each sample."""
         columns = {"load": self.load} | ({"time": self.time} if self.actuator.needs_time else {})
         if self.actuator.dynamics is not None:
             data = PathData(self.time, self.load, self.velocity, self.acceleration)
@@ -232,7 +232,7 @@ class _Path:
         return self.actuator.model.lead(self.wanted, PathData(**self.data))
 
     def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
-        """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the state at the last."""
+        """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the final state."""
         motion = self._piece(i, stop, start)
         voltage = motion.voltage
         if self.actuator.lag and stop < self.wanted.size:
@@ -250,7 +250,7 @@ class _Path:
         return self.actuator.compensate(path, **data, state=start, extrapolate=True)
 
     def _first(self, i: int) -> int:
-        """Return the first sample of a piece from sample i on."""
+        """Return the first sample of a piece that starts at sample i."""
         return max(i - 1, 0) if self.actuator.needs_time else i
 
     def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
@@ -261,7 +261,7 @@ class _Path:
         return float(motion.displacement[-1]), motion.state
 
     def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
-        """Step through the samples from `first` on; return voltages, displacements, clamped samples and the state."""
+        """Step through the samples from `first`; return voltages, displacements, clamped samples and the state."""
         model, n, state = self.actuator.model, self.wanted.size, start
         bounds, durations = self.clock
         voltage, reached_by, offers = np.empty(n), np.empty(n), np.empty(n)

@@ -13,7 +13,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import plotted
 from dehyst.identification.expectation import Expectation, Readiness
-from dehyst.identification.results import Check, RecordErrors, RemainingError, Trace
+from dehyst.identification.results import Check, HeldOutHolds, RecordErrors, RemainingError, Trace
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Outcome, State, parts_of
 
@@ -53,6 +53,8 @@ class Fit:
         How well a path will be followed, and the verdict; None when the outcome is `Outcome.FAILED`.
     remaining : tuple of RemainingError
         Where the error of each record comes from.
+    holds : HeldOutHolds or None
+        How far held-out holds were missed with each form of creep, if the records tell; None otherwise.
     """
 
     actuator: Any
@@ -68,6 +70,7 @@ class Fit:
     trials: tuple[Any, ...] = ()
     expectation: Expectation | None = None
     remaining: tuple[RemainingError, ...] = ()
+    holds: HeldOutHolds | None = None
 
     def __repr__(self) -> str:
         records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
@@ -141,7 +144,7 @@ class Fit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
-        keys = "outcome sentence=outcome.value good verdict=expectation remaining errors checks repairs remarks"
+        keys = "outcome sentence=outcome.value good verdict=expectation remaining errors checks repairs remarks holds"
         return {
             **json_values(self, keys),
             "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
@@ -173,6 +176,7 @@ def _brief(fit: Fit) -> Iterator[str]:
     else:
         yield f"{verdict.headline}."
         yield verdict.origin
+        yield from _creep(fit)
         ended = [] if fit.outcome.good else [fit.outcome.value]
         # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
         usable = verdict.readiness is not Readiness.NOT_USABLE
@@ -193,12 +197,19 @@ def _lines(fit: Fit) -> Iterator[str]:
             chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
             yield f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}"
         yield "  (A part is kept only if it lowers this error by at least 3 %.)"
+    yield from _creep(fit)
     if parts := _parts_of(fit.actuator):
         yield from ("", "The model is made of:", *(f"  {name + ':':<18}{sentence}" for name, sentence in parts))
     for title, sentences in _lists(fit):
         if sentences:
             yield from ("", f"{title}:", *(f"  - {sentence}" for sentence in sentences))
     yield from ("", f"Solver: {fit.status}, duality gap {fit.gap:.1g}")
+
+
+def _creep(fit: Fit) -> Iterator[str]:
+    """Yield which form of creep held-out holds have, if the records tell."""
+    if fit.holds is not None:
+        yield fit.holds.sentence(fit.actuator)
 
 
 def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
@@ -244,6 +255,7 @@ def _as_html(fit: Fit) -> str:
         "Fit" if verdict is None else f"Fit: {verdict.readiness.value}",
         html.line(_one_line(fit)),
         html.line(fit.outcome.value) if verdict is not None else "",
+        *map(html.line, _creep(fit)),
         html.table(head, rows) if rows else "",
         html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator)]),
         html.folded("Assumptions", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in fit.checks]),

@@ -21,13 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask, Progress
+from dehyst.identification.creep_search import CreepSearch
 from dehyst.identification.expectation import new_legs
+from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.regression.fold_sums import FoldSums, equally_weighted, least_squares_of_sums
 from dehyst.identification.regression.regression import Regression
+from dehyst.identification.results import HeldOutHolds
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import StructureTrial
-from dehyst.identification.training_data import FEW_STEPS, TrainingData
+from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
 from dehyst.model import Actuator, legs
 from dehyst.records import rms
@@ -59,7 +62,7 @@ def block_error(frame: TrainingData, regression: Regression, *, detrended: bool 
     The median RMS error of the parts: one with the only loops of their size says little of the others.
     """
     errors = []
-    for time, residual, held_out in _residuals(frame, regression.thinned(_ROWS)):
+    for _, time, residual, held_out in _residuals(frame, regression.thinned(_ROWS)):
         off, line = time - time.mean(), 0.0
         if detrended:
             line = residual.mean() + off * float(off @ residual) / max(float(off @ off), 1e-300)
@@ -84,29 +87,29 @@ def followed_at_once(frame: TrainingData, structure: Structure) -> float:
     if not structure.creep:
         return 0.0
     regression = frame.regression(structure, _ROWS)
-    tau = regression.grid.time_constants
-    stiffness = least_squares_of_sums(regression).internal[: tau.size]
-    at_once = 1 - np.exp(-frame.fastest_creep * FEW_STEPS / tau)
-    followed = float(stiffness @ at_once) / regression.mean_slope
-    return followed if followed > RULES.creep_at_once else 0.0
+    stiffness = least_squares_of_sums(regression).internal[: regression.grid.time_constants.size]
+    return frame.followed_at_once(stiffness / regression.mean_slope, regression.grid.time_constants)
 
 
-def _residuals(frame: TrainingData, regression: Regression) -> Iterator[tuple[Array, Array, Mask]]:
-    """Yield time and residual of a record under a model that lacks two sixths of the time, and which those samples are.
+def _part_of(item: Prepared, time: Array) -> NDArray[np.intp]:
+    """Return the part of the time of a record in which times (n,) [s] are."""
+    first, last = item.record.time[[0, -1]]
+    return np.asarray(np.clip((_PARTS * (time - first) / (last - first)).astype(np.intp), 0, _PARTS - 1))
+
+
+def _residuals(
+    frame: TrainingData, regression: Regression, folds: Sequence[int] = range(_PARTS // 2)
+) -> Iterator[tuple[int, Array, Array, Mask]]:
+    """Yield number, time and residual of a record under a model that lacks two sixths of the time, and those samples.
 
     Samples beyond the displacements of the rest do not count: there nothing is known.
     """
-
-    def part_of(q: int, time: Array) -> NDArray[np.intp]:
-        first, last = frame.training[q].record.time[[0, -1]]
-        return np.asarray(np.clip((_PARTS * (time - first) / (last - first)).astype(np.intp), 0, _PARTS - 1))
-
     rows = regression.rows
     part = np.zeros(len(rows), dtype=np.intp)
-    for q in range(len(frame.training)):
-        part[rows.record == q] = part_of(q, rows.time[rows.record == q])
+    for q, item in enumerate(frame.training):
+        part[rows.record == q] = _part_of(item, rows.time[rows.record == q])
     weights = equally_weighted(regression).inverse_slopes
-    for k in range(_PARTS // 2):
+    for k in folds:
         group = k, k + _PARTS // 2
         out = np.isin(part, group)
         fitted = FoldSums(regression, weights, folds=2, given=out.astype(np.intp)).without(1)
@@ -118,7 +121,7 @@ def _residuals(frame: TrainingData, regression: Regression) -> Iterator[tuple[Ar
             compared = compare(actuator, item, frame.stroke, datum=datum, drifting=drifting)
             time, measured, simulated = _played(actuator, compared)
             inside = (measured >= known.min()) & (measured <= known.max())
-            yield time, measured - simulated, np.isin(part_of(q, time), group) & inside
+            yield q, time, measured - simulated, np.isin(_part_of(item, time), group) & inside
 
 
 def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Array, Array]:
@@ -206,3 +209,30 @@ def disagreement(
             distances.append(float(np.std(played(frame.actuator_of(regression, found)) - mine)))
     distances = [one for one in distances if one < RULES.failed_fit * frame.stroke]
     return float(np.median(distances)) if distances else 0.0
+
+
+def held_out_holds(frame: TrainingData, search: CreepSearch) -> HeldOutHolds | None:
+    """Return how far the drift of held-out holds is missed; None if none can be held out.
+
+    Creep in displacement is found anew without the time that is held out.
+    """
+    forced = replace(_STEADY, creep=_BRANCHES)
+    still = replace(frame, creepless=True)
+    fixed = [(one, one.regression(own, _ROWS)) for one, own in ((still, _STEADY), (frame, forced))]
+    squares: tuple[list[float], ...] = ([], [], [])
+    for fold in range(_PARTS // 2):
+
+        def is_out(item: Prepared, time: Array, fold: int = fold) -> Mask:
+            return np.asarray(_part_of(item, time) % (_PARTS // 2) == fold)
+
+        part = search.find(is_out)
+        if part is None:
+            continue
+        before = frame.without_creep(part)
+        for kind, (one, regression) in enumerate((*fixed, (before, before.regression(_STEADY, _ROWS)))):
+            for q, time, residual, _ in _residuals(one, regression, (fold,)):
+                crept = part.added(time, residual, np.zeros(len(part)))[0] if one is before else residual
+                holds = [ends for ends in search.held(q) if is_out(frame.training[q], np.array(ends)).all()]
+                inside = [(time >= begin) & (time <= end) for begin, end in holds]
+                squares[kind].extend(float(np.var(crept[which])) for which in inside if which.any())
+    return HeldOutHolds(*(float(np.sqrt(np.median(one))) for one in squares)) if all(squares) else None

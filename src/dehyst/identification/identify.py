@@ -14,10 +14,11 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst.identification import paper_methods
+from dehyst.identification.creep_search import CreepSearch
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.identifiability import identifiability, probed
 from dehyst.identification.fit import Fit
-from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, unsupported
+from dehyst.identification.held_out import Dropped, drift_and_creep, followed_at_once, held_out_holds, unsupported
 from dehyst.identification.preprocessing.denoising import left_of
 from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared, as_list, prepare
 from dehyst.identification.regression.fold_sums import least_squares_of_sums
@@ -225,14 +226,32 @@ def _identify_structure(
                 frame = replace(frame, can_drift=())
             elif creep_too:
                 run.remarks.append(messages.DRIFT_OR_CREEP.format(hold=messages.hold(run.drive)))
+        frame = run.deadline.attempt(partial(_before_creep, run, frame), frame, "the search for creep in displacement")
         frame, structure = _chosen(run, frame)
         moves = frame.lagging.dynamics is not None or frame.lagging.lag
-        if structure.is_maxwell_slip and not moves and not refine:
+        if structure.is_maxwell_slip and not (moves or run.creep or refine):
             rho = None if structure.spacing == 1 else structure.grid(run.span, frame.voltages, frame.times).breakaway
             elements = structure.elements if rho is None else None
             run.settings = replace(run.settings, elements=elements, breakaway=rho, knots=structure.knots)
             return _maxwell_slip(run, run.data(run.delay))
     return _structured(run, frame, structure, refine)
+
+
+def _before_creep(run: IdentificationRun, frame: TrainingData) -> TrainingData:
+    """Return the records before their creep in displacement, if held-out holds have that form of creep."""
+    search = None if frame.creepless else CreepSearch.of(frame)
+    if search is None:
+        return frame
+    run.report("looking for creep in displacement")
+    part = search.find()
+    if part is None or not search.flattens(part) or frame.followed_at_once(part.gains, part.time_constants):
+        return frame
+    run.report("predicting holds that were not trained on")
+    run.holds = held_out_holds(frame, search)
+    if run.holds is None or not run.holds.in_displacement:
+        return frame
+    run.creep = part
+    return frame.without_creep(part)
 
 
 def _structured(run: IdentificationRun, frame: TrainingData, structure: Structure, refine: bool) -> Fit:
@@ -335,13 +354,13 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
     """Return the records with inertia if they have it, and the structure that they support."""
     run.report("looking for inertia")
     frame = run.deadline.attempt(lambda: still.with_inertia(run.deadline), still, "the search for inertia")
-    structure, run.trials = run.search(frame, Structure())
+    fixed: tuple[str, ...] = ("creep",) if run.creep else ()
+    structure, run.trials = run.search(frame, Structure(), fixed)
     if (followed := followed_at_once(frame, structure)) and frame.lagging.dynamics is None:
         run.remarks.append(messages.FALSE_CREEP.format(percent=100 * followed))
         found = run.lagging if run.settings.delay is not None else run.lag_of(replace(run.data(0.0), creepless=True))
         still = frame = replace(still, creepless=True, lagging=found)
         structure = _chosen_again(run, frame, replace(structure, creep=0), ("creep",), "creep") or Structure()
-    fixed: tuple[str, ...] = ()
     while dropped := _unsupported(run, frame, still, structure):
         run.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, run.stroke, run.drive))
         frame = still if dropped.part == "inertia" else frame

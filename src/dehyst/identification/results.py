@@ -21,7 +21,7 @@ from dehyst._views import tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
-from dehyst.model import State
+from dehyst.model import Actuator, State
 from dehyst.records import turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -355,6 +355,40 @@ class Check:
 # Name of the first array of traces.
 _HEADS = "dehyst-output"
 _COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", "simulated_m": "simulated"}
+
+
+@dataclass(frozen=True)
+class HeldOutHolds:
+    """RMS errors [m] of the drift in held-out holds of the voltage, by form of creep; see `held_out.held_out_holds`.
+
+    `without`: of a model without creep. `force`: with creep as a force beside the elements. `displacement`: with creep
+    in displacement, behind them.
+    """
+
+    without: float
+    force: float
+    displacement: float
+
+    @property
+    def in_displacement(self) -> bool:
+        """Whether creep in displacement predicts held-out holds, and better than creep as a force does."""
+        return self.displacement < self.force and self.displacement < RULES.hold_gain * self.without
+
+    def as_dict(self) -> dict[str, float]:
+        """Return JSON values [m]."""
+        return {f"{name}_m": error for name, error in asdict(self).items()}
+
+    def sentence(self, actuator: Actuator) -> str:
+        """Return which form of creep an `actuator` has, and what each form leaves of the drift."""
+        force, behind = (100 * error / self.without for error in (self.force, self.displacement))
+        forms = {"as a force": (actuator.creep, force), "in displacement": (actuator.displacement_creep, behind)}
+        others = [f"{left:.0f} % {form}" for form, (part, left) in forms.items() if part is None]
+        for form, (part, left) in forms.items():
+            if part is not None:
+                first, last = part.time_constants[[0, -1]].tolist()
+                spread = f"{len(part)} time constants from {first:.3g} to {last:.4g} s"
+                return f"Creep: {form}, {spread}; of the drift in held-out holds {left:.0f} % is left ({others[0]})."
+        return f"Creep: none; of the drift in held-out holds {others[0]} and {others[1]} would be left."
 
 
 def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:

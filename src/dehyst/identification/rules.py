@@ -63,6 +63,9 @@ class DecisionRules:
     least_leg: float = _rule(0.1, "part of the voltage's range", "Smaller legs do not count as legs at two speeds.")
     legs_alike: float = _rule(1.5, "ratio of heights", "Legs are alike up to this ratio of their heights.")
     hold_span: float = _rule(0.005, "part of the voltage's range", "A voltage that stays within it holds.")
+    hold_gain: float = _rule(
+        0.9, "ratio of errors", "Creep in displacement must lower the drift that is left in held-out holds so far."
+    )
     slowest_lag: float = _rule(0.05, "cycles", "What follows sooner than this is a lag, not creep.")
     coarse_voltage: float = _rule(
         0.002, "part of the voltage's range", "Larger steps of the voltage hide holds; no such model is ready."

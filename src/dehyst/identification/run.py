@@ -24,7 +24,7 @@ from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared
 from dehyst.identification.regression import nuisances
 from dehyst.identification.regression.fold_sums import least_squares_of_sums, training_errors
 from dehyst.identification.regression.regression import Regression
-from dehyst.identification.results import RecordErrors, Trace, remaining_error
+from dehyst.identification.results import HeldOutHolds, RecordErrors, Trace, remaining_error
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
@@ -32,7 +32,7 @@ from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial, select
 from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_hold
 from dehyst.identification.validation import MOST_ROWS, compare, errors_of
-from dehyst.model import Actuator, Identification, Outcome
+from dehyst.model import Actuator, DisplacementCreep, Identification, Outcome
 from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 from dehyst.waveforms import Sampling
 
@@ -51,7 +51,8 @@ _FIRST_ROWS = 4000
 class IdentificationRun:
     """One identification: its records, and the remarks on them so far.
 
-    `searched`: the structure that was selected; `structure`: the one that is fitted, None for Maxwell-slip.
+    `searched`: the structure that was selected; `structure`: the one that is fitted, None for Maxwell-slip. `creep`:
+    in displacement; what is fitted are the displacements before it. `holds`: by which it was chosen or not.
     """
 
     settings: Settings
@@ -69,6 +70,8 @@ class IdentificationRun:
     held_out_errors: HeldOutErrors = field(default_factory=HeldOutErrors)
     searched: Structure | None = None
     ringing: bool = False
+    creep: DisplacementCreep | None = None
+    holds: HeldOutHolds | None = None
 
     def __post_init__(self) -> None:
         self.repairs += [sentence for item in (*self.training, *self.held_out) for sentence in item.sentences]
@@ -223,8 +226,12 @@ class IdentificationRun:
         return quickly()
 
     def named(self, actuator: Actuator) -> Actuator:
-        """Return an actuator with its name and what is recorded of it."""
-        return replace(actuator, **self.recorded(), name=self.training[self.widest].record.name)
+        """Return an actuator with its name, creep in displacement, and what is recorded of it."""
+        return replace(self.creeping(actuator), **self.recorded(), name=self.training[self.widest].record.name)
+
+    def creeping(self, actuator: Actuator) -> Actuator:
+        """Return an actuator that was fitted before creep in displacement with that creep."""
+        return actuator if self.creep is None else replace(actuator, displacement_creep=self.creep)
 
     def recorded(self) -> dict[str, Any]:
         """Return the voltages and their slew rate in what was used, and how it was used, as arguments of `Actuator`."""
@@ -273,7 +280,7 @@ class IdentificationRun:
             trained = q < len(self.training)
             # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
-            drifting = q in regression.drifting if trained else drifts and item.can_drift
+            drifting = q in regression.drifting if trained and self.creep is None else drifts and item.can_drift
             compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
             error, trace = errors_of(actuator, compared, "training" if trained else "validation")
             errors.append(error)
@@ -282,16 +289,17 @@ class IdentificationRun:
 
     def whole_error(self, actuator: Actuator, regression: Regression) -> float:
         """RMS error of the training records, simulated whole [m]."""
-        errors, _ = self.simulated(actuator, regression, self.training)
+        errors, _ = self.simulated(self.creeping(actuator), regression, self.training)
         return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
 
     def estimate_heldout_errors(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
         """Find how far the actuator misses what it was not trained on."""
         voltages = [item.record.voltage for item in (*self.training, *self.held_out)]
         self.remarks += messages.of_one_ended_loops(voltages, self.drive)
+        grows = 1.0 if self.creep is None else self.creep.at_rest
         self.held_out_errors = HeldOutErrors(
-            block_error(frame, regression),
-            disagreement(frame, actuator, self.limits, self.trials),
+            grows * block_error(frame, regression),
+            grows * disagreement(frame, actuator, self.limits, self.trials),
             max(item.noise for item in frame.training),
             new_in_time(frame),
         )
@@ -378,4 +386,5 @@ class IdentificationRun:
             self.trials,
             expected,
             remaining,
+            self.holds,
         )

@@ -21,7 +21,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Grid, Structure
-from dehyst.model import Actuator, Dynamics
+from dehyst.model import Actuator, DisplacementCreep, Dynamics
 from dehyst.records import Record, energy_share, resolution, turning_points
 
 # Rows for a trial, and for the final program.
@@ -170,6 +170,13 @@ class TrainingData:
             for q, path in paths
         ]
 
+    def without_creep(self, part: DisplacementCreep) -> TrainingData:
+        """Return the records before creep in displacement: they creep no more."""
+        training = [item.without_creep(part) for item in self.training]
+        low, high = training[self.widest].span()
+        floor, datum = self.floor * self.stroke / (high - low), self.datum / part.at_rest
+        return replace(self, training=training, span=(low, high), floor=floor, datum=datum, creepless=True)
+
     def grows(self) -> bool:
         """Whether most samples of a record come before its range is at its widest."""
         source = self._source(Grid.maxwell_slip(np.array([self.stroke]), np.array(self.span)), drifts=False)
@@ -254,6 +261,14 @@ class TrainingData:
         span, step = self.voltages[1] - self.voltages[0], self.times[0]
         speed = max(_fastest(piece) for item in self.training for piece in item.pieces)
         return max(step, RULES.slowest_lag * 2 * span / speed / FEW_STEPS) if speed else step
+
+    def followed_at_once(self, shares: Array, time_constants: Array) -> float:
+        """Return the part of a step that creep adds within a twentieth of a cycle, where that is a low-pass; else 0.
+
+        `shares` (K,): what each branch adds, as parts of the step. `time_constants` (K,): [s].
+        """
+        followed = float(shares @ -np.expm1(-self.fastest_creep * FEW_STEPS / time_constants))
+        return followed if followed > RULES.creep_at_once else 0.0
 
     def actuator_of(self, regression: Regression, found: Coefficients) -> Actuator:
         """Return the actuator of coefficients, without limits and name."""

@@ -20,7 +20,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.start_state import fit_start
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State
+from dehyst.model import Actuator, DisplacementCreep, Identification, State
 from dehyst.records import Record, largest, rms, turning_points
 
 # Rows in memory: more are gone through in blocks. Of a longer record so many suffice for what is not found by that.
@@ -60,6 +60,9 @@ class RecordComparison:
         The model's, with this record's constants and drift [V].
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
+    creep : DisplacementCreep or None
+        Creep in displacement that was taken out of all displacements here: `pieces`, states and what is played are
+        those before it.
     """
 
     given: Prepared
@@ -70,6 +73,7 @@ class RecordComparison:
     regression: Regression
     found: Coefficients
     base: float
+    creep: DisplacementCreep | None = None
 
     @property
     def record(self) -> Prepared:
@@ -132,7 +136,8 @@ class RecordComparison:
         drift = self.drift * curve
         level = float(drift[first:last].mean())
         # The piece's voltages are those that act, behind the amplifier.
-        model = replace(actuator, lag=0.0) if actuator.lag else actuator
+        model = actuator.before_creep
+        model = replace(model, lag=0.0) if actuator.lag else model
         steady = drifting = state.shifted(self.datum)
         for start, stop, counted in _runs(piece, first, last, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
@@ -218,6 +223,28 @@ class RecordComparison:
             motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
         return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
 
+    def on_model_axis(self, state: State, time: float) -> State:
+        """Return a state of the record's axis at a `time` [s] on the model's, creep in displacement included."""
+        state = state.shifted(self.datum)
+        if self.creep is None:
+            return state
+        return replace(state, displacement_creep=self.given.creep_strains(self.creep, np.array([time]))[0])
+
+    def with_creep(self, runs: Iterator[tuple[Array, ...]], start: State) -> Iterator[tuple[Array, ...]]:
+        """Yield the `runs` of `play` with creep in displacement, from a `start` that includes it."""
+        if self.creep is None:
+            yield from runs
+            return
+        strains, ends = [start.displacement_creep] * 3, [np.zeros(0)] * 4
+        for time, voltage, *paths in runs:
+            columns = [np.append(end, column) for end, column in zip(ends, (time, *paths), strict=True)]
+            crept = []
+            for k, path in enumerate(columns[1:]):
+                y, strains[k] = self.creep.added(columns[0], path, strains[k])
+                crept.append(y[-time.size :])
+            ends = [column[-1:] for column in columns]
+            yield (time, voltage, *crept)
+
     def _split(self, states: Array) -> list[Array]:
         """Return internal states as creep strains, smooth elongations and decays."""
         grid = self.source.grid
@@ -232,6 +259,9 @@ def compare(
     `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
     whether a drift is set aside.
     """
+    creep = actuator.displacement_creep
+    if creep is not None:
+        record, actuator = record.without_creep(creep), actuator.before_creep
     few, whole = record.reduced, record.delayed(0, actuator.delay, actuator.lag)
     measured = whole if record.block == 1 else few.delayed(0, actuator.delay, actuator.lag)
     pieces = [one._replace(path=driving_path(actuator, one.path, few.noise, stroke)) for one in measured]
@@ -250,7 +280,7 @@ def compare(
         datum = find_datum(regression, 0, stroke, given=model)
     regression = replace(regression, datum=np.array([datum]), source=None if regression.strained else source)
     found, samples = regression.fit_nuisances(model), [one.path for one in measured]
-    return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]))
+    return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]), creep)
 
 
 def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
@@ -313,12 +343,23 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     if own:
         number = len(compared.pieces) - 1
         last = replace(own[-1], start=len(compared.measured[number]) - 1)
-        return compared.state_before(actuator, number, last).shifted(compared.datum), compared.last_offsets()[-1]
-    y = lead.displacement
+        state = compared.state_before(actuator, number, last)
+        end = float(compared.measured[number].time[-1])
+        state = compared.on_model_axis(state, end)
+        if compared.creep is not None:
+            # At rest after its motion, which does not count, the record creeps on.
+            rested = np.exp(-(float(lead.time[-1]) - end) / compared.creep.time_constants)
+            state = replace(state, displacement_creep=rested * state.displacement_creep)
+        return state, compared.last_offsets()[-1]
+    behind, y = actuator.displacement_creep, lead.displacement
+    crept: Array | tuple[()] = ()
+    if behind is not None:
+        y = behind.removed(lead.time, y)
+        crept = behind.strains(lead.time, y)[-1]
     _, carts = slip_elongations(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
     creep = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
     smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
-    state = State(float(y[-1]), carts, creep, smooth=smooth)
+    state = State(float(y[-1]), carts, creep, smooth=smooth, displacement_creep=crept)
     held, given = actuator.voltage(state), float(lead.voltage[-1])
     tau = actuator.transformer
     return state, given - held if tau is None else float(tau(given) - tau(held))
@@ -335,8 +376,10 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     compared = compare(actuator, prepare_for(actuator, record), stroke)
-    state, offset = compared.start_of(actuator, 0, _first_sample(compared.pieces[0].path, actuator.delay))
-    return state.shifted(compared.datum), offset
+    piece = compared.pieces[0].path
+    first = _first_sample(piece, actuator.delay)
+    state, offset = compared.start_of(actuator, 0, first)
+    return compared.on_model_axis(state, float(piece.time[first])), offset
 
 
 def _first_sample(piece: Record, delay: float) -> int:
@@ -357,8 +400,9 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     for number, (_, piece, _) in enumerate(compared.pieces):
         first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
-        starts.append(start[0].shifted(compared.datum))
-        for played in compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME):
+        starts.append(compared.on_model_axis(start[0], float(piece.time[first])))
+        runs = compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME)
+        for played in compared.with_creep(runs, starts[-1]):
             columns = counted_of(played, piece)
             drawn.append([column[-samples % step :: step].copy() for column in columns[:4]])
             samples += columns[0].size
@@ -381,8 +425,8 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         rms_with_drift=with_drift,
         stroke=compared.stroke,
         offset=float(np.median(list(found.offsets.values()))) - compared.base,
-        datum=compared.datum,
-        drift=-compared.drift / float(np.median(regression.slope(found))),
+        datum=actuator.at_rest * compared.datum,
+        drift=-actuator.at_rest * compared.drift / float(np.median(regression.slope(found))),
         decades=float(np.ptp(regression.rows.drift)),
         steady=record.steady,
         starts=tuple(starts),

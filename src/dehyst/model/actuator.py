@@ -35,18 +35,18 @@ if TYPE_CHECKING:
 class Actuator(JsonFile, AbstractModel):
     """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
-    With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, s_i the elongation of
-    element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) - psi_i(b_i)] +
-    eta(y) + sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep branch j and q_l
-    the elongation of smooth element l. With dynamics or a load (section 9) w replaces y there. Creep in displacement
-    (section 19) comes behind all of them: y is then the displacement before it.
+    With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, where s_i is the
+    elongation of element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) -
+    psi_i(b_i)] + eta(y) + sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep
+    branch j and q_l the elongation of smooth element l. With dynamics or a load (section 9), w replaces y in this
+    equation. Creep in displacement (section 19) is applied after it: y is then the displacement before this creep.
 
     Parameters
     ----------
     slip, spring : MaxwellSlip or GradedSlip, Spring
         The hysteresis and the curve without memory.
     state : State, optional
-        Start of simulations and compensations that are given no state; default: the upper turning point of a major
+        Default initial state of simulations and compensations; if it is not given: the upper turning point of a major
         loop at the spring's last knot, every cart trailing by its breakaway elongation (Remark 5).
     limits : (float, float), optional
         Least and largest voltage [V] of the actuator; default: no limits.
@@ -54,11 +54,11 @@ class Actuator(JsonFile, AbstractModel):
         Time [s] by which the measured displacement lagged the voltage. Used in comparisons with measurements only.
     name : str, optional
     provenance : Mapping, optional
-        Source of the numbers, for people; JSON values only. Nothing is decided by it.
+        Source of the numbers, for people; JSON values only. It has no effect on any result.
     identification : Identification, optional
-        How the numbers were found, and how wrong they were then; default: not known.
+        How the numbers were identified, and their errors; default: not known.
     transformer : Transformer, optional
-        tau; default: tau(v) = v.
+        The curve tau(v); default: tau(v) = v.
     creep : Creep, optional
         Viscous branches: with them `simulate` and `compensate` need `time`.
     dynamics : Dynamics, optional
@@ -66,16 +66,16 @@ class Actuator(JsonFile, AbstractModel):
     lag : float, optional
         Time constant [s] of the amplifier: the acting voltage v follows the command, ``command = v + lag v'``.
     load_stiffness : float, optional
-        kc [N/m], the stiffness of the actuator against a load. With dynamics that at constant charge, km + ke; without
-        them the one that the load meets, whatever the driver holds constant.
+        kc [N/m], the stiffness of the actuator against a load. With dynamics it is the stiffness at constant charge, km
+        + ke. Without dynamics it is the effective stiffness under the driver in use.
     smooth : SmoothSlip, optional
         Elements that yield gradually, in parallel with the others.
     recorded_slew_rate : float, optional
         Largest abs(dv/dt) [V/s] of the records that the numbers come from, with a margin of 5 %; default: not known.
     displacement_creep : DisplacementCreep, optional
-        Creep in displacement, behind elements and mass: with it `simulate` and `compensate` need `time`.
+        Creep in displacement, applied after elements and mass: with it `simulate` and `compensate` need `time`.
     thermal : Thermal, optional
-        Gain and offset of the displacement by temperature, behind all others.
+        Gain and offset of the displacement by temperature, applied after all other parts.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class Actuator(JsonFile, AbstractModel):
         return as_html(self)
 
     def summary(self) -> str:
-        """Return the parts of the actuator in sentences, a line each, with their numbers."""
+        """Return the parts of the actuator with their numbers, one line for each."""
         from dehyst.model.summary import lines
 
         return "\n".join(lines(self))
@@ -159,7 +159,7 @@ class Actuator(JsonFile, AbstractModel):
 
     @property
     def wide(self) -> bool:
-        """Whether it has more than slip elements of constant stiffness and a spring."""
+        """Whether the actuator has other parts than slip elements of constant stiffness and a spring."""
         creeping = (self.creep, self.displacement_creep)
         further = (self.transformer, *creeping, self.smooth, self.dynamics, self.load_stiffness, self.thermal)
         return isinstance(self.slip, GradedSlip) or self.lag != 0 or any(part is not None for part in further)
@@ -171,9 +171,9 @@ class Actuator(JsonFile, AbstractModel):
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Displacements [m] at the lower and the upper limit of slow major loops, creep at rest.
+        """Displacements [m] at the lower and the upper limit of slow major loops, with creep at rest.
 
-        Without limits, the first and the last knot of the spring.
+        Without limits: the first and the last knot of the spring.
         """
         return self.knots if self.limits is None else self.major_loop(self.limits)
 
@@ -184,18 +184,31 @@ class Actuator(JsonFile, AbstractModel):
         return self.at_rest * first, self.at_rest * last
 
     @property
+    def creep_times(self) -> Array:
+        """Time constants [s] of creep as a force and in displacement; empty without creep."""
+        parts = (part for part in (self.creep, self.displacement_creep) if part is not None)
+        return np.concatenate([EMPTY, *(part.time_constants for part in parts)])
+
+    @property
     def at_rest(self) -> float:
-        """Displacement after creep in displacement has come to rest, over that without this creep."""
+        """Ratio of the displacement after creep in displacement has come to rest to the displacement without it."""
         return 1.0 if self.displacement_creep is None else self.displacement_creep.at_rest
 
+    @cached_property
+    def before_creep(self) -> Actuator:
+        """The actuator without creep in displacement: its displacement is the one before that creep."""
+        if self.displacement_creep is None:
+            return self
+        return replace(self, displacement_creep=None, state=replace(self.state, displacement_creep=EMPTY))
+
     def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
-        """Return the displacements [m] at both `limits` [V] of slow loops between them, creep at rest at both."""
+        """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""
         low, high = checks.slow_loops(self, limits).displacement[-2:].tolist()
         return low, high
 
     @cached_property
     def voltage_range(self) -> tuple[float, float]:
-        """The limits [V]; without limits, the voltages of the largest loop between the ends of the spring's knots."""
+        """The limits [V]; without limits, the voltage range of the largest loop within the spring's knots."""
         if self.limits is not None:
             return self.limits
         low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(self.knots))
@@ -203,7 +216,7 @@ class Actuator(JsonFile, AbstractModel):
 
     @cached_property
     def plausible(self) -> Range:
-        """Displacements [m] within `reach` or the knots of the spring; the knots alone if the reach is not known."""
+        """Range of displacements [m] over `reach` and the spring's knots; the knots alone if the reach is not known."""
         knots = Range(*self.knots)
         try:
             low, high = self.reach
@@ -217,12 +230,12 @@ class Actuator(JsonFile, AbstractModel):
 
     @property
     def core(self) -> Core:
-        """All parts in C."""
+        """The parts as an object of the C core."""
         return self.model.core
 
     @cached_property
     def model(self) -> Evaluator:
-        """All parts and their equations."""
+        """The evaluator of all parts."""
         return Evaluator(**{part.name: getattr(self, part.name) for part in fields(Evaluator)})
 
     def simulate(
@@ -244,8 +257,8 @@ class Actuator(JsonFile, AbstractModel):
             Voltages [V], each reached monotonically from the one before.
         time : (n,) array_like, optional
             [s], strictly increasing; needed with creep, dynamics or a lag. Steps may be uneven, equal ones are fastest.
-            The first sample has no step before it: to continue from a state, begin with the sample at which it was
-            reached. Within a step, w is linear in time; with dynamics the error falls with the step squared.
+            The first sample has no step before it: to continue from a state, begin with the sample at which the state
+            was reached. Within a step, w is linear in time; with dynamics the error falls with the square of the step.
         load : (n,) array_like, optional
             External force [N]; needs `load_stiffness`. Without dynamics it shifts the displacement by F/kc.
         temperature : float or (n,) array_like, optional
@@ -256,7 +269,7 @@ class Actuator(JsonFile, AbstractModel):
             Evaluate on the stack of reversals (default), or clip every element at every sample. The result is the same.
             Graded elements, and simulations with smooth elements, always clip.
         extrapolate : bool, optional
-            Also simulate voltages that lie farther outside of `voltage_range` than it is wide.
+            Also simulate voltages that lie outside of `voltage_range` by more than its width.
 
         Returns
         -------
@@ -300,14 +313,14 @@ class Actuator(JsonFile, AbstractModel):
             Of the path [m/s, m/s^2], used with dynamics; default: those of its cubic spline.
         extrapolate : bool, optional
             Also compute voltages for displacements that lie more than one stroke outside of `reach` and the spring.
-            Such displacements are usually micrometres given for metres.
+            Such displacements are usually micrometres given instead of metres.
 
         Returns
         -------
         Motion
             With `voltage` (n,) [V], not limited (see `dehyst.Compensator`), and the `state` reached. With dynamics the
             voltage is the exact feedforward ``w = y + 2 zeta/omega y' + y''/omega^2 - F_ext/kc``: the path must be
-            smooth, and the motion of `state` should be that of its first sample.
+            smooth, and the motion of `state` should match its first sample.
 
         Raises
         ------
@@ -325,8 +338,8 @@ class Actuator(JsonFile, AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
-        With `extrapolate`, any voltage will do. Raise `ModelError` if the voltage lies farther outside of
-        `voltage_range` and 0 V than that range is wide, unless `extrapolate`.
+        With `extrapolate`, any voltage will do. Raise `ModelError` if the voltage lies outside of `voltage_range`
+        (widened to 0 V) by more than its width, unless `extrapolate`.
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
@@ -354,14 +367,14 @@ class Actuator(JsonFile, AbstractModel):
         return replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=EMPTY))
 
     def voltage(self, state: State | None = None) -> float:
-        """Return the voltage [V] that holds the actuator in `state`; default ``self.state``."""
+        """Return the voltage [V] that holds the actuator in `state`, by default ``self.state``."""
         start = self._start(state)
         v = self.core.voltage(self.model.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
         return v
 
     def displacement(self, state: State | None = None) -> float:
-        """Return the displacement [m] of the actuator in a `state`, without a load; default ``self.state``."""
+        """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
         return self.model.displacement(self._start(state))
 
     def to_control(
@@ -374,7 +387,7 @@ class Actuator(JsonFile, AbstractModel):
     ) -> NonlinearIOSystem:
         """Return a block for python-control: voltage [V] in, displacement [m] out, one sample a period.
 
-        The block computes what `simulate` does. Its state holds all memory; pass the block's `start`, which is `state`,
+        The block computes what `simulate` does. Its state holds all memory; pass the block's `start` (equal to `state`)
         as initial state. The displacement of a sample is reached with the voltage of the same sample (direct
         feedthrough): a controller in a loop with it must use the sample before. `delay` is not part of the block.
 
@@ -434,9 +447,10 @@ class Actuator(JsonFile, AbstractModel):
         return replace(self, identification=replace(self.identification or Identification(), **entries))
 
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
-        """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible here; empty if they are not.
+        """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible; empty if they are plausible.
 
-        A `displacement` is implausible if it lies farther outside of `plausible` and `others` than these are wide.
+        A displacement is implausible if it lies outside of the range over `plausible` and `others` by more than its
+        width.
         """
         ends, displacements = self.plausible.far_ends(displacement), self.plausible.joined(*others)
         if ends is None:

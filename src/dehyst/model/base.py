@@ -1,4 +1,4 @@
-"""What every model shares: its interface, a motion and a state."""
+"""Types shared by all models: their interface, a motion and a state."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class State:
     Attributes
     ----------
     displacement : float
-        [m]; with dynamics or a load, w: that of the electrical side.
+        Displacement [m]; with dynamics or a load, the displacement w of the electrical side.
     carts : (N,) array
-        Position of each cart [m].
+        Position of the cart (sliding end) of each slip element [m].
     creep : (J,) array
         Strain d_j of each creep branch [m]; empty: none is strained.
     motion : (0,) or (2,) array
-        With dynamics, displacement [m] and velocity [m/s] of the mass; empty: at rest at `displacement`.
+        Displacement [m] and velocity [m/s] of the mass, with dynamics; empty: at rest at `displacement`.
     smooth : (L,) array
         Elongation q_l of each smooth element [m]; empty: none is elongated.
     displacement_creep : (K,) array
@@ -67,7 +67,7 @@ class State:
     def unchecked(
         cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
     ) -> State:
-        """Return a state of arrays that a computation has just made from a valid one; they are not copied.
+        """Return a state of arrays that a computation made from a valid state; they are not copied.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class State:
         return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; parts that the actuator does not have are left out."""
+        """Return JSON values, without the parts that the actuator does not have."""
         more = {
             "creep_m": self.creep,
             "motion_m_and_m_per_s": self.motion,
@@ -112,7 +112,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """`voltage` (n,) [V] and `displacement` (n,) [m] that belong together, and the `state` at the last sample."""
+    """`voltage` (n,) [V] and `displacement` (n,) [m] of a motion, and the `state` at its last sample."""
 
     voltage: Array
     displacement: Array

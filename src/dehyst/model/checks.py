@@ -1,4 +1,4 @@
-"""Checks of an actuator: its arguments, its ranges, and whether values lie near them or are in another unit."""
+"""Checks of an actuator: its arguments, its ranges, and values far outside of these, perhaps in another unit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _VISITS = 60
 
 
 def checked_parts(actuator: Actuator) -> dict[str, float]:
-    """Return delay, lag, load stiffness and slew rate as floats, those that are given.
+    """Return delay, lag, load stiffness and slew rate as floats if they are given.
 
     Raise `ModelError` if a part is not of its class, or a number is impossible.
     """
@@ -68,22 +68,22 @@ def checked_parts(actuator: Actuator) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Range:
-    """Displacements [m] or voltages [V] that a model is made for, the lower end first."""
+    """Range of displacements [m] or voltages [V] of a model, the lower end first."""
 
     low: float
     high: float
 
     def joined(self, *others: tuple[float, float]) -> Range:
-        """Return the range that also holds the others."""
+        """Return the smallest range that covers this one and the others."""
         return Range(min([self.low, *(low for low, _ in others)]), max([self.high, *(high for _, high in others)]))
 
     def is_far(self, low: float, high: float) -> bool:
-        """Return whether one of two numbers lies farther outside than the range is wide."""
+        """Return whether one of two numbers lies outside of the range by more than its width."""
         width = self.high - self.low
         return low < self.low - width or high > self.high + width
 
     def far_ends(self, values: Array) -> tuple[float, float] | None:
-        """Return the least and the largest of values (n,) if one lies farther outside than the range is wide."""
+        """Return the least and the largest of values (n,) if one lies outside of the range by more than its width."""
         if not values.size:
             return None
         low, high = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
@@ -91,7 +91,7 @@ class Range:
 
 
 def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
-    """Return the motion of slow loops between limits [V], to the second one last, creep at rest at both."""
+    """Return the motion of slow loops between limits [V] that ends at the second one; creep is at rest at both."""
     slow = actuator.quasistatic()
     voltage = np.tile(limits, _VISITS)
     creeping = [part.time_constants for part in (slow.creep, slow.displacement_creep) if part is not None]
@@ -101,7 +101,7 @@ def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
 
 
 def displacement_error(got: tuple[float, float], displacements: Range) -> str:
-    """Return what is wrong with displacements [m] that lie far outside of those of a model."""
+    """Return the error for displacements [m] far outside of the range of a model."""
     width = displacements.high - displacements.low
     ratio = max(map(abs, got)) / max(abs(displacements.low), abs(displacements.high), width)
     reaches = f"the model reaches {_ends(1e6 * displacements.low, 1e6 * displacements.high, 4)} um"
@@ -115,7 +115,7 @@ def displacement_error(got: tuple[float, float], displacements: Range) -> str:
 
 
 def voltage_error(got: tuple[float, float], identified: Range) -> str:
-    """Return what is wrong with voltages [V] that lie far outside of those that a model was identified from."""
+    """Return the error for voltages [V] far outside of the identified range of a model."""
     return (
         f"voltage: got {_ends(*got)} V, the model was identified from {_ends(identified.low, identified.high)} V; "
         "check the unit, and that the model is of this actuator"

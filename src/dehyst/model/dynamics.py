@@ -1,4 +1,4 @@
-"""Parts that move in time: creep, and the inertia and damping of a mass."""
+"""Parts that depend on time or temperature: creep, the inertia and damping of a mass, and thermal effects."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
-from dehyst._native import steps, strains
+from dehyst._native import StepCoefficients, output_creep, steps, strains
 from dehyst._types import Array
 from dehyst._validation import demand_divisors, demand_magnitudes, demand_result, keep, number, untimely, vector
 from dehyst._views.lines import brief
@@ -24,8 +24,8 @@ _LONGEST = 2.0**40
 class Creep:
     """J viscous branches in parallel: springs in series with dashpots (theory section 8).
 
-    Branch j holds ``c_j d_j``; d_j is the displacement less its low-pass of time constant tau_j, for a displacement
-    linear in time ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
+    Branch j holds ``c_j d_j``; d_j is the displacement minus its low-pass of time constant tau_j. For a displacement
+    linear in time, ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
 
     `time_constants` (J,): tau_j [s], positive. `stiffness` (J,): c_j [V/m], not negative. Raise `ModelError` if lengths
     differ, or a value is impossible or too large to compute with (magnitude over 1e30).
@@ -74,10 +74,10 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class DisplacementCreep:
-    """K branches of creep in displacement, behind the elements and the mass (Kuhnen and Krejci; theory section 19).
+    """K branches of creep in displacement, applied after elements and mass (Kuhnen and Krejci; theory section 19).
 
-    ``y = m + sum_k g_k lowpass_k(m)``, m the displacement without creep and tau_k the time constant of low-pass k. At
-    rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are those of `Creep`.
+    ``y = m + sum_k g_k lowpass_k(m)``, with m the displacement without creep and tau_k the time constant of low-pass k.
+    At rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are defined as in `Creep`.
 
     `time_constants` (K,): tau_k [s], positive. `gains` (K,): g_k, 0 or more. Raise `ModelError` if lengths differ, or
     a value is impossible or too large to compute with (magnitude over 1e30).
@@ -108,19 +108,67 @@ class DisplacementCreep:
 
     @property
     def at_rest(self) -> float:
-        """Displacement at rest over that without creep, 1 + sum_k g_k."""
+        """Ratio of the displacement at rest to the displacement without creep, 1 + sum_k g_k."""
         return sum(self.gains.tolist(), 1.0)
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
         """Return decays and rises (R, K) of steps of `durations` (R,) [s], as `Creep.tables`."""
         return low_pass_tables(self.time_constants, durations)
 
+    def removed(self, time: ArrayLike, displacement: ArrayLike) -> Array:
+        """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s]; all has crept at the first sample.
+
+        Raise `ModelError` if time and displacement do not fit.
+        """
+        y = vector(displacement, "displacement")
+        pace = self._pace(time, y.size)
+        return output_creep(y, pace, self.gains, y[0] / self.at_rest, np.zeros(len(self)), inverse=True)[0]
+
+    def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
+        """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
+
+        At its first sample they are `start`. `time` (n,): [s]. Raise `ModelError` if time and displacement do not fit.
+        """
+        m = vector(displacement, "displacement")
+        return output_creep(m, self._pace(time, m.size), self.gains, float(m[0]), start)
+
+    def steady(self, time: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
+        """Return m (n,) [m] of a cycle (n,) [m] after infinitely many ones, and the strains (K,) [m] it begins with.
+
+        `time` (n,): [s]. The last sample of `displacement` is its first one again. The strains at the end are linear in
+        those at the beginning.
+        """
+        y, size = vector(displacement, "displacement"), len(self)
+        pace = self._pace(time, y.size)
+
+        def played(path: Array, start: Array) -> tuple[Array, Array]:
+            first = (path[0] + float(self.gains @ start)) / self.at_rest
+            return output_creep(path, pace, self.gains, first, start, inverse=True)
+
+        kept = np.column_stack([played(np.zeros(y.size), one)[1] for one in np.eye(size)])
+        begun = np.asarray(np.linalg.solve(np.eye(size) - kept, played(y, np.zeros(size))[1]), dtype=np.float64)
+        return played(y, begun)[0], begun
+
+    def strains(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
+        """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, with `time` (n,) [s].
+
+        They begin with `start` (K,), or 0.
+        """
+        m = vector(displacement, "displacement")
+        bounds, durations = clock(time, m.size)
+        return strains(m, bounds, *self.tables(durations), np.zeros(len(self)) if start is None else start)
+
+    def _pace(self, time: ArrayLike, samples: int) -> StepCoefficients:
+        bounds, durations = clock(time, samples)
+        return StepCoefficients(bounds, *self.tables(durations), np.empty((durations.size, 0)))
+
 
 @dataclass(frozen=True)
 class Thermal:
     """Gain and offset of the displacement that depend on temperature (theory section 22).
 
-    ``y = offset dT + (1 + gain dT) y_r``, dT the temperature less `reference`, y_r the displacement at the reference.
+    ``y = offset dT + (1 + gain dT) y_r``, with dT the temperature minus `reference`, and y_r the displacement at the
+    reference.
 
     Parameters
     ----------
@@ -148,9 +196,9 @@ class Thermal:
             keep(self, **{name: value})
 
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
-        """Return gains and offsets [m] at a `temperature` [degrees Celsius], one for all or one for each of `samples`.
+        """Return gains and offsets [m] at one `temperature` [degrees Celsius], or at one for each of `samples`.
 
-        Raise `ModelError` if their number differs, or a gain is not positive.
+        Raise `ModelError` if there is another number of temperatures, or a gain is not positive.
         """
         each = np.ndim(temperature) > 0
         given = vector(temperature, "temperature") if each else np.array([number(temperature, "temperature")])
@@ -241,18 +289,19 @@ class Dynamics:
         return self.series / (mean + self.series)
 
     def lead(self, velocity: Array, acceleration: Array) -> Array:
-        """Return w - y (n,) [m] that moves the free mass so: 2 zeta/omega y' + y''/omega^2.
+        """Return the lead w - y (n,) [m] that moves the free mass along y: 2 zeta/omega y' + y''/omega^2.
 
         `velocity` [m/s] is y'. `acceleration` [m/s^2] is y''.
         """
         return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
 
     def transitions(self, durations: Array, share: float) -> Array:
-        """Return steps (R, 8) of `durations` (R,) [s] for (y, y'/omega): phi by rows, then gains of q before and after.
+        """Return transitions (R, 8) of (y, y'/omega) over `durations` (R,) [s]: phi by rows, two gains of q.
 
-        ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time: by
-        the exponential of the matrix whose states include q and its slope. `share` is theta. Raise `ModelError` if a
-        step is so many periods of the resonance long that its exponential has no digits.
+        ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time.
+        The gains refer to q before and after the step. All come from the exponential of the matrix whose states include
+        q and its slope. `share` is theta. Raise `ModelError` if a step has so many periods of the resonance that the
+        exponential loses all digits.
         """
         radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
         if radians > _LONGEST:
@@ -276,9 +325,9 @@ class Dynamics:
 
 
 def exponential(matrices: Array) -> Array:
-    """Return the exponentials of many small matrices (R, n, n): Taylor's series of a halved matrix, squared again.
+    """Return the exponentials of small matrices (R, n, n) by scaling and squaring with Taylor's series.
 
-    Each matrix is halved as often as it needs: a halving too many costs one bit.
+    Each matrix is halved only as often as necessary, because an unnecessary halving costs one bit.
     """
     size = np.abs(matrices).sum(axis=2).max(axis=1, initial=0.0)
     halvings = np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Elements without a scale of time: slip elements, the spring, the transformer, and smooth slip."""
+"""Rate-independent elements: slip elements, the spring, the transformer, and smooth slip."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
 
 
 def _elements(breakaway: ArrayLike, stiffness: Array) -> tuple[Array, Array]:
-    """Return breakaway elongations (N,) [m] and stiffnesses (N, ...) [V/m] of slip elements, if they are possible."""
+    """Return breakaway elongations (N,) [m] and stiffnesses (N, ...) [V/m] of slip elements after checking them."""
     rho = vector(breakaway, "breakaway elongations")
     if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
         raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
@@ -51,7 +51,7 @@ def _elements(breakaway: ArrayLike, stiffness: Array) -> tuple[Array, Array]:
 
 
 def _curve(x: ArrayLike, y: ArrayLike, what: str, names: tuple[str, str]) -> tuple[Array, Array]:
-    """Return the points of a curve: at least two, with knots that strictly increase."""
+    """Return the points of a curve after checking that there are at least two and the knots strictly increase."""
     (first, second), (knots, values) = names, (vector(x, f"{what} {names[0]}"), vector(y, f"{what} {names[1]}"))
     if knots.size != values.size or knots.size < 2:
         sizes = f"{knots.size} {what} {first} and {values.size} {second}"
@@ -90,7 +90,7 @@ class MaxwellSlip:
 
     @property
     def friction(self) -> Array:
-        """(N,) breakaway voltages kappa_i rho_i [V]: f_i seen at the terminals."""
+        """(N,) breakaway voltages kappa_i rho_i [V]: the friction forces f_i in terminal coordinates."""
         return self.stiffness * self.breakaway
 
     def stiffest(self) -> MaxwellSlip:
@@ -102,7 +102,7 @@ class MaxwellSlip:
 class GradedSlip:
     """N Maxwell-slip elements whose stiffness depends on the position of their cart (theory section 8).
 
-    Element i holds ``psi_i(y) - psi_i(b_i)``, b_i the position of its cart, dragged along at the distance
+    Element i holds ``psi_i(y) - psi_i(b_i)``, with b_i the position of its cart, which is dragged along at the distance
     ``breakaway_i``; psi_i is piecewise linear on knots that all elements share, with unbounded end segments. With one
     segment this is `MaxwellSlip`.
 
@@ -146,7 +146,7 @@ class GradedSlip:
 
     @property
     def friction(self) -> Array:
-        """(N,) largest voltages [V] that the elements can hold anywhere."""
+        """(N,) largest voltage [V] that each element can hold at any position."""
         bends = np.concatenate([self.knots[:, None] + np.zeros(len(self)), self.knots[:, None] + self.breakaway])
         return np.asarray((self.internal_voltage(bends) - self.internal_voltage(bends - self.breakaway)).max(axis=0))
 
@@ -213,8 +213,8 @@ class Spring:
 class Transformer:
     """A nonlinear transformer: tau(v) drives the elements instead of v (theory section 8).
 
-    Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it charge does not balance
-    power.
+    Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it, the charge q = T x no
+    longer balances power.
 
     `voltage` (K,): knots [V], strictly increasing, K >= 2. `drive` (K,): tau at the knots [V], strictly increasing.
     Raise `ModelError` if lengths differ, a curve does not strictly increase, or a number is too large to compute with
@@ -243,9 +243,9 @@ class Transformer:
         return on_curve(self.voltage, self.drive, voltage)
 
     def inverse(self, drive: ArrayLike) -> Array:
-        """Return the voltages [V] at which tau takes these values [V], of any shape.
+        """Return the voltages [V] at which tau equals `drive`.
 
-        `drive` holds the values of tau [V].
+        `drive`: values of tau [V], of any shape.
         """
         return on_curve(self.drive, self.voltage, drive)
 
@@ -257,7 +257,7 @@ class SmoothSlip:
     Element l holds ``k_l q_l``; its elongation q follows the displacement y as
     ``dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing))`` and tends to the length on a long motion. With
     closing 1 it is P. R. Dahl's element ("A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968); with 1/2
-    it returns on a straight line. Y.-K. Wen's model (J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263) has both. Unlike
+    it returns on a straight line. Y.-K. Wen's model (J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263) covers both. Unlike
     Maxwell-slip elements they do not return to the point at which an inner loop began.
 
     Parameters

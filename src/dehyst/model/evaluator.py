@@ -41,7 +41,8 @@ class PathData:
 class Evaluator:
     """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - m), see `dehyst_model.h`.
 
-    m is the displacement of elements or mass; that of the actuator, y, has creep in displacement behind it.
+    m is the displacement of the elements or the mass. The displacement y of the actuator is m with creep in
+    displacement.
     """
 
     slip: MaxwellSlip | GradedSlip
@@ -67,7 +68,7 @@ class Evaluator:
 
     @cached_property
     def core(self) -> Core:
-        """All parts in C."""
+        """The parts as an object of the C core."""
         slip, tau, dynamics, smooth = self.slip, self.transformer, self.dynamics, self.smooth
         graded = slip if isinstance(slip, GradedSlip) else None
         return Core(
@@ -127,7 +128,7 @@ class Evaluator:
         return voltage, self.state_of(reached, crept)
 
     def _scale(self, temperature: ArrayLike | None, samples: int) -> tuple[Array, Array] | None:
-        """Return gain and offset [m] of the displacement at a temperature, None at the reference."""
+        """Return gain and offset [m] of the displacement at a temperature; None at the reference."""
         if temperature is None:
             return None
         if self.thermal is None:
@@ -141,7 +142,7 @@ class Evaluator:
     def _creep_behind(
         self, path: Array, steps: StepCoefficients, start: State, push: Array, *, inverse: bool = False
     ) -> tuple[Array, Array]:
-        """Return the displacements y of m, or with `inverse` m of y, and the strains of displacement creep after."""
+        """Return the displacements y from m, or with `inverse` m from y, and the final creep strains (K,) [m]."""
         part = self.displacement_creep
         if part is None:
             return path, EMPTY
@@ -150,7 +151,7 @@ class Evaluator:
         return output_creep(path, steps, part.gains, before, start.displacement_creep, inverse=inverse)
 
     def _path_of_mass(self, m: Array, path: PathData, steps: StepCoefficients, start: State) -> PathData:
-        """Return the path with derivatives of m in place of those of y: ``m' = y' - sum_k g_k e_k / tau_k``."""
+        """Return the path with derivatives of m instead of y: ``m' = y' - sum_k g_k e_k / tau_k``."""
         part = self.displacement_creep
         if part is None or path.velocity is path.acceleration is None:
             return path
@@ -167,7 +168,7 @@ class Evaluator:
         return replace(path, velocity=velocity, acceleration=acceleration)
 
     def displacement(self, state: State, *, of_mass: bool = True) -> float:
-        """Return the displacement [m] in a complete state, without a load: that of the mass, or of the elements."""
+        """Return the displacement [m] of the actuator in a complete state, without a load."""
         m, part = (
             float(state.motion[0]) if of_mass and state.motion.size else state.displacement,
             self.displacement_creep,
@@ -180,7 +181,7 @@ class Evaluator:
         return y
 
     def core_state(self, state: State) -> CoreState:
-        """Return the state in the core's numbers."""
+        """Return the state as numbers of the C core."""
         motion = state.motion
         if self.dynamics is not None:
             motion = motion / np.array([1.0, self.dynamics.frequency])
@@ -189,7 +190,7 @@ class Evaluator:
         return CoreState(state.displacement, state.carts, strains, motion)
 
     def state_of(self, core: CoreState, crept: Array | None = None) -> State:
-        """Return the core's numbers as a state, with the strains of displacement creep if they are given."""
+        """Return a state from numbers of the C core, with the strains of displacement creep if they are given."""
         branches = 0 if self.creep is None else len(self.creep)
         end = core.strains.size - len(self.displacement_creep or ())
         creep, smooth = core.strains[:branches], core.strains[branches:end]
@@ -201,10 +202,10 @@ class Evaluator:
     def complete_state(self, start: State) -> State:
         """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
 
-        Raise `ModelError` if it is not a state of these parts.
+        Raise `ModelError` if the state does not fit the parts.
         """
         if not isinstance(start, State):
-            raise ModelError(f"state: got {type(start).__name__}, need a State, such as that of a Motion")
+            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the state of a Motion")
         if start.carts.size != len(self.slip):
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
         rho, length = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length
@@ -250,10 +251,10 @@ class Evaluator:
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
     ) -> tuple[NDArray[np.int64], Array]:
-        """Return runs of equal steps, see `dehyst._native.steps`; without time one run of duration 0.
+        """Return runs of equal steps, see `dehyst._native.steps`; without time, one run of duration 0.
 
-        Raise `ModelError` if time is needed and missing, has another length than the samples, or does not strictly
-        increase.
+        Raise `ModelError` if a required time is missing, or the time has another length than the samples or does not
+        strictly increase.
         """
         if time is not None:
             return clock(time, samples)
@@ -303,7 +304,7 @@ class Evaluator:
         return 1 / steps, keep, mean - keep, 1 - mean
 
     def _demand_solvable(self, dynamics: Dynamics, share: float, steps: StepCoefficients, durations: Array) -> None:
-        """Check that an overshoot within one step, which pulls w back, does not exceed the spring."""
+        """Raise `ModelError` if an overshoot within one step would pull w back by more than the spring allows."""
         after = steps.transition[:, 6]
         slope = least_slope(self.slip, self.spring) + dynamics.series * (1 - after / (1 + share * after))
         if self.creep is not None:
@@ -335,7 +336,7 @@ class Evaluator:
         return push
 
     def _amplified(self, command: Array, time: ArrayLike | None, before: float) -> Array:
-        """Return the output of a lagging amplifier, from its present voltage, to a command straight between samples."""
+        """Return the output of a lagging amplifier, from its present voltage, for a command linear between samples."""
         if not command.size or time is None:
             return command
         bounds, durations = clock(time, command.size)
@@ -343,7 +344,7 @@ class Evaluator:
         return command - difference[:, 0]
 
     def lead(self, displacement: Array, path: PathData) -> Array:
-        """Return w minus a displacement (n,) [m], as inertia, damping and load require it."""
+        """Return the lead w - y (n,) [m] that inertia, damping and load require along a displacement y (n,) [m]."""
         push = self._push(path.load, displacement.size)
         ahead = np.zeros(displacement.size)
         if self.dynamics is not None:
@@ -351,7 +352,7 @@ class Evaluator:
         return ahead - push if push.size else ahead
 
     def derivatives(self, displacement: Array, path: PathData) -> tuple[Array, Array]:
-        """Return velocity and acceleration of a path, of its cubic spline where they are not given."""
+        """Return velocity and acceleration of a path, from its cubic spline if they are not given."""
         self.clock(path.time, displacement.size)
         columns = []
         for order, values, what in ((1, path.velocity, "velocity"), (2, path.acceleration, "acceleration")):
@@ -380,8 +381,8 @@ def _spline_derivative(displacement: Array, path: PathData, order: int) -> Array
 def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
     """Return the least slope [V/m] of any branch in any state.
 
-    Raise `ModelError` if graded elements leave a branch that does not rise. Only the outermost two can: on any other
-    some carts stand still, which adds to the slope.
+    Raise `ModelError` if graded elements leave a branch that does not rise. Only the outermost two branches can fail:
+    on any other branch some carts stand still, which adds to the slope.
     """
     if isinstance(slip, MaxwellSlip) or not len(slip):
         return float(spring.slopes.min())

@@ -1,4 +1,4 @@
-"""What an identification found out about its own result: how the numbers were found, and how wrong they were then."""
+"""The record of an identification: how the numbers were found, and their errors."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Outcome(Enum):
         "the structure does not fit."
     )
     ASSUMPTION_I_IMPOSED = (
-        "Identified, but only with Assumption I imposed: without it the spring would fall somewhere, and one voltage "
-        "would have several displacements."
+        "Identified, but only with Assumption I imposed: otherwise the spring's voltage would fall somewhere, and one "
+        "voltage would have several displacements."
     )
     STIFFNESS_CLIPPED = (
         "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not "
@@ -65,7 +65,7 @@ def _text(value: object, where: str) -> str:
 
 
 def _size(value: object, where: str) -> float:
-    """Return a number of 0 or more."""
+    """Return a number after checking that it is 0 or more."""
     size = number(value, where)
     if not 0 <= size < inf:
         raise ModelError(f"{where}: got {value!r}, need a finite number of 0 or more")
@@ -89,22 +89,22 @@ def _validity(value: object, where: str) -> Validity | None:
 
 
 def _entry(default: Any, read: Callable[[object, str], Any], key: str = "") -> Any:
-    """Return a field with the check of its value and its key in a model file, by default its name."""
+    """Return a dataclass field with the check of its value and its key in a model file, by default its name."""
     return field(default=default, metadata={"read": read, "key": key})
 
 
 @dataclass(frozen=True)
 class Identification:
-    """How an actuator was identified, and how wrong it was then: what later judgements of the model read.
+    """How an actuator was identified, and its errors then; later judgements of the model depend on it.
 
     A number that is not known is None.
 
     Attributes
     ----------
     method, norm : str
-        As `dehyst.identify` takes them, and "fleet" of a prior; empty if not known.
+        As in `dehyst.identify`; method "fleet" for the prior of a fleet; empty if not known.
     slope_floor : float
-        Least slope that the spring was allowed, as a part of the mean slope of the widest loop.
+        Least allowed slope of the spring, as a part of the mean slope of the widest loop.
     shared_datum : bool
         Whether the sensor kept its zero from record to record.
     drift : bool
@@ -112,22 +112,23 @@ class Identification:
     sensor_lag : float
         First-order lag of the sensor [s] that was removed from the records.
     ringing : bool
-        Whether the elements follow what rings after steps of the voltage.
+        Whether the elements follow the ringing displacement after steps of the voltage.
     smoothing : float or None
         `Structure.smoothing`.
     outcome : Outcome or None
     provisional : bool
-        Whether the identification had not ended: a least-squares fit of few samples that was not checked.
+        Whether the model is an early one, before the end of its identification: a least-squares fit of few samples that
+        was not checked.
     largest_error : float or None
         Largest error of the training records, simulated whole [m].
     goal : float or None
         Allowed largest error of a path [% of the stroke].
     expected_rms, expected_largest : float or None
-        Errors of a path like the records that the verdict promised [m].
+        Promised RMS and largest error of a path like the records [m].
     validated : bool
-        Whether they come from validation records.
+        Whether the expected errors come from validation records.
     validity : Validity or None
-        What the records tested: from it follows what to expect of a path.
+        What the records tested; it determines the expected error of a path.
 
     Raises
     ------
@@ -161,7 +162,7 @@ class Identification:
 
     @classmethod
     def keys(cls) -> dict[str, str]:
-        """Return the name of the field of each key in a model file."""
+        """Return the field name of each key in a model file."""
         return {one.metadata["key"] or one.name: one.name for one in fields(cls)}
 
     @classmethod
@@ -171,7 +172,7 @@ class Identification:
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Identification | None:
-        """Return what a model file of version 1 or 2 holds among its free `entries`, which anybody may have written.
+        """Return the identification in the free `entries` of a model file of version 1 or 2, which are not trusted.
 
         Impossible values are left out; None if nothing is known.
         """

@@ -1,4 +1,4 @@
-"""Conversion of the terminals' numbers to the paper's symbols."""
+"""Conversion of terminal coordinates to the paper's symbols."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Physical:
-    """The paper's symbols (Table 1), from the terminals' numbers and a nominal T, km and ke.
+    """The paper's symbols (Table 1), from terminal coordinates and nominal T, km and ke.
 
     `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m]. `rest` [m]: the
     displacement at which the spring alone holds 0 V, where x = 0.
@@ -50,7 +50,7 @@ class Physical:
         if not isinstance(slip, MaxwellSlip):
             raise ModelError("no physical units: graded elements have no single stiffness k_i")
         if actuator.transformer is not None:
-            raise ModelError("no physical units: with a transformer curve T v is no force, and T x no charge")
+            raise ModelError("no physical units: with a transformer curve, T v is not a force, and T x is not a charge")
         names = ("transformer_ratio", "mechanical_stiffness", "electrical_stiffness")
         for value, name in zip((ratio, km, ke), names, strict=True):
             if number(value, name) <= 0:
@@ -70,7 +70,8 @@ class Physical:
     def charge(self, displacement: ArrayLike) -> Array:
         """Return the charge q = T x [C] (theory section 9) at a `displacement` (n,) [m], 0 at `rest`.
 
-        With dynamics or a load, that of w, such as `State.displacement`. Raise `ModelError` if it is not finite.
+        With dynamics or a load, pass the displacement w, such as `State.displacement`. Raise `ModelError` if it is not
+        finite.
         """
         moved = vector(displacement, "displacement") - self.rest
         return np.asarray(self.transformer_ratio * moved * self.mechanical_stiffness / self.equivalent_stiffness)

@@ -1,9 +1,9 @@
-"""The promise: how far a path will be missed, from what the records of an identification tested.
+"""The promise: a bound of the error on a path, from what the records of an identification tested.
 
-A promise is a bound that nine of ten paths should keep (theory section 18). It grows with the error on parts of the
-records that were held out, with how far models disagree that explain the records about as well, and with how far the
-path turns from where the records turned. Its factors were found on virtual actuators of mechanisms that are no instance
-of the model, and are tested on mechanisms that had no part in finding them: `benchmarks/promise.py`.
+A promise is a bound that nine of ten paths should keep (theory section 18). It grows with three errors: the error on
+held-out parts of the records, the disagreement of models that explain the records about as well, and the distance of
+the path's turning points from those of the records. Its factors were tuned on virtual actuators whose mechanisms are
+not instances of the model, and are tested on other mechanisms: `benchmarks/promise.py`.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _TURNS = 60
 
 @dataclass(frozen=True)
 class Factors:
-    """How a promise follows from errors that were measured: the root of the sum of squares.
+    """Factors of a promise, which is the root of a sum of squares of measured errors.
 
-    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`: a part of the stroke; where the held-out
-    error is less than `full`, another part of it, the floor falls in proportion.
+    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
+    falls in proportion if the held-out error is below `full`.
     """
 
     held_out: float
@@ -56,7 +56,7 @@ class Factors:
     full: float = 0.0
 
     def bound(self, validity: Validity, new: Array) -> Array:
-        """Return the bound [m] of legs that are `new` from 0 to 1 (k,)."""
+        """Return the bound (k,) [m] of legs whose newness `new` (k,) is 0 to 1."""
         full = self.full * validity.stroke
         floor = self.floor * validity.stroke * (min(1.0, validity.rms / full) if full else 1.0)
         squares = (self.held_out * validity.rms) ** 2 + floor**2
@@ -76,9 +76,10 @@ def legs(voltage: Array, span: float) -> NDArray[np.intp]:
 
 
 def distances(path: Array, others: Array) -> Array:
-    """Return how far each leg (k, 2) is from the nearest of the `others` (m, 2) that goes the same way, in their unit.
+    """Return the distance (k,) of each leg (k, 2) from the nearest of the `others` (m, 2) in the same direction.
 
-    The distance of the turning points, and how far the leg goes beyond the other one's end; at most its own height.
+    The distance combines, by root of squares, the distance of the first turning points and the overrun beyond the other
+    leg's end. It is at most the leg's own height.
     """
     found = np.abs(path[:, 1] - path[:, 0])
     for sign in (1.0, -1.0):
@@ -95,14 +96,14 @@ def distances(path: Array, others: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Validity:
-    """The domain of validity of a model: what its records tested, and how far it missed what was held out.
+    """The domain of validity of a model: what its records tested, and its error on held-out parts.
 
     Attributes
     ----------
     rms : float
-        RMS error of held-out parts [m], without what the sensor adds.
+        RMS error of held-out parts [m], without sensor noise.
     largest : float
-        Largest error of the records themselves after their second turning point [m], without the sensor's.
+        Largest error of the records themselves after their second turning point [m], without sensor noise.
     disagreement : float
         RMS distance of other structures that explain the records about as well [m].
     stroke : float
@@ -112,9 +113,9 @@ class Validity:
     legs : (k, 2) array
         Voltages between which the records went [V].
     new : (float, float)
-        How far held-out rises, and falls, were from all others, as a part of the range: root mean square.
+        RMS distance of held-out rises, and of held-out falls, from all others, as a part of the voltage range.
     closing : float
-        Share of legs that reach where the leg before began, and so close a loop; 1 if it is not known.
+        Share of legs that reach the beginning of the leg before, and so close a loop; 1 if it is not known.
     speeds : (float, float)
         Lowest and highest mean speed of a leg [V/s].
     hold : float
@@ -150,7 +151,7 @@ class Validity:
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
-        """Return what time [s] and voltage [V] of `records` tested; `numbers`: the errors, by their names."""
+        """Return the validity from time (n,) [s] and voltage (n,) [V] of `records`; `numbers`: the errors by name."""
         given = list(records)
         ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
         limits = min(ends), max(ends)
@@ -169,9 +170,9 @@ class Validity:
         return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, closing=closing, **numbers)
 
     def with_record(self, time: Array, voltage: Array, *, rms: float, largest: float) -> Validity:
-        """Return what is tested after an update by one more record: its errors count where they are larger.
+        """Return the validity after an update by one more record; its errors replace smaller ones.
 
-        `time` (n,) [s], `voltage` (n,) [V]: of the record. `rms`, `largest`: errors [m] of the updated model.
+        `time` (n,) [s] and `voltage` (n,) [V] belong to the record. `rms`, `largest`: errors [m] of the updated model.
         """
         by_it = Validity.by_records([(time, voltage)], rms=rms, largest=largest, disagreement=0.0, stroke=self.stroke)
         pairs = self.speeds, by_it.speeds
@@ -193,7 +194,7 @@ class Validity:
 
     @property
     def telling(self) -> bool:
-        """Whether held-out legs were so unlike the others that they test any path, as random turning points are."""
+        """Whether held-out legs differ enough from the others to test any path, as with random turning points."""
         return min(self.new) >= _TELLING
 
     @cached_property
@@ -233,16 +234,16 @@ class Validity:
 
 @dataclass(frozen=True, eq=False)
 class Promise:
-    """How far a path will be missed, as a bound that nine of ten paths should keep.
+    """Error of a path, as a bound that nine of ten paths should keep.
 
     Attributes
     ----------
     rms, largest : float
-        RMS and largest error of the path, its mean error aside [m].
+        RMS and largest error of the path without its mean error [m].
     half : (n,) array
         The bound along the path [m]: wider on legs that are unlike those of the records.
     untested : tuple of str
-        What the records do not test of this path, each a sentence; the promise does not hold for that.
+        Sentences on the parts of this path that the records do not test; the promise does not hold for these.
     if_actuator_lags : (float, float) or None
         RMS and largest error [m] if the lag in the records is the actuator's; None unless that is open.
     """
@@ -264,16 +265,16 @@ class Promise:
 
 
 def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = None) -> Promise:
-    """Return how far a path will be missed when its voltage is played.
+    """Return the promised error of a path when its voltage is played.
 
     Parameters
     ----------
     validity : Validity
-        Of the model that gave the voltage.
+        Validity of the model that computed the voltage.
     voltage : (n,) array_like
-        That follows the path [V].
+        Voltage that follows the path [V].
     time : (n,) array_like, optional
-        [s]; without it speeds and holds are taken for those of the records.
+        Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
     """
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
@@ -290,15 +291,15 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
     untested = [*_untested(validity, v, clock, at, beyond)]
     if opens:
-        untested.append("Its loops close, those of the records do not: what follows a closed loop was not tested.")
+        untested.append("Its loops close, but those of the records do not: motion after a closed loop was not tested.")
     return Promise(rms, largest, half, tuple(untested), lagging)
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
-    """Return the legs (k, 2) of a voltage (n,) [V], and how far each, and all, go beyond the held-out ones.
+    """Return the legs (k, 2) of a voltage (n,) [V], and the newness of each leg (k,) and of all.
 
-    As parts of the range: the distance from the records' legs less that of the held-out ones. Of all the larger of two
-    root mean squares, of rises and of falls, which have errors of their own.
+    Newness is the distance from the records' legs minus the distance of the held-out legs, as a part of the range. The
+    newness of all legs is the larger of two root mean squares, of rises and of falls.
     """
     at = legs(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
     path = voltage[at]
@@ -309,14 +310,14 @@ def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array
 
 
 def longest_hold(time: Array, voltage: Array, span: float) -> float:
-    """Return the longest time [s] that a voltage stays within a fiftieth of the `span`; a slow one takes some too."""
+    """Return the longest time [s] that a voltage stays within a fiftieth of the `span`, which includes slow motion."""
     place = np.round(voltage / (_BAND * span))
     begins = np.append(0, np.flatnonzero(np.diff(place)) + 1)
     return float(np.max(time[np.append(begins[1:] - 1, len(time) - 1)] - time[begins], initial=0.0))
 
 
 def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
-    """Return the mean speed [V/s] of each of the `legs` (k, 2), the time at rest aside."""
+    """Return the mean speed [V/s] of each of the `legs` (k, 2), without the time at rest."""
     if not len(at):
         return np.zeros(0)
     step, height = np.diff(time), np.abs(np.diff(voltage[at], axis=1)[:, 0])
@@ -328,20 +329,20 @@ def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
 
 
 def _closed(legs_: Array, span: float) -> NDArray[np.bool_]:
-    """Return of all legs (k, 2) [V] but the first whether they reach where the one before began."""
+    """Return for all legs (k, 2) [V] but the first whether they reach the beginning of the leg before."""
     heights = np.abs(np.diff(legs_, axis=1)[:, 0])
     return np.asarray(heights[1:] >= heights[:-1] - _BAND * span)
 
 
 def _bound(factors: tuple[Factors, Factors], validity: Validity, beyond: Array) -> Array:
-    """Return the bound [m] of legs that lie `beyond` the held-out ones by a part of the range (k,)."""
+    """Return the bound (k,) [m] of legs with a newness `beyond` (k,), a part of the range."""
     new = np.clip(beyond / _NEW, 0.0, 1.0)
     inside, outside = (one.bound(validity, new) for one in factors)
     return outside if not validity.telling else np.sqrt((1 - new) * inside**2 + new * outside**2)
 
 
 def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> tuple[float, float]:
-    """Return how far a path moves within the lag: root mean square and largest [m]."""
+    """Return the RMS and the largest displacement [m] of a path within the lag."""
     speed = np.array([validity.speeds[1]])
     if time is not None and time.size > 1:
         speed = np.abs(np.diff(voltage) / np.diff(time))
@@ -352,7 +353,7 @@ def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> tup
 def _untested(
     validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], beyond: Array
 ) -> Iterator[str]:
-    """Yield what the records do not test of a path."""
+    """Yield a sentence for each part of a path that the records do not test."""
     over = max(validity.limits[0] - float(voltage.min()), float(voltage.max()) - validity.limits[1])
     if over > _BEYOND * validity.span:
         yield f"The path goes {over:.3g} V beyond the voltages of the records."
@@ -364,9 +365,9 @@ def _untested(
     speed = speeds_of(time, voltage, at)
     slowest, fastest = validity.speeds
     if speed.size and fastest and float(speed.max()) > _ALIKE * fastest:
-        yield f"Its fastest leg takes {speed.max():.3g} V/s on average, that of the records {fastest:.3g} V/s."
+        yield f"Its fastest leg takes {speed.max():.3g} V/s on average, the fastest of the records {fastest:.3g} V/s."
     if speed.size and float(speed.min()) * _ALIKE < slowest:
-        yield f"Its slowest leg takes {speed.min():.3g} V/s on average, that of the records {slowest:.3g} V/s."
+        yield f"Its slowest leg takes {speed.min():.3g} V/s on average, the slowest of the records {slowest:.3g} V/s."
     hold = longest_hold(time, voltage, validity.span)
     if hold > _ALIKE * validity.hold:
         yield f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."

@@ -1,4 +1,4 @@
-"""Blocks for python-control: an actuator and a compensator, all of whose memory is the block's state."""
+"""Blocks for python-control: an actuator and a compensator; the block's state holds all their memory."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _LINEAR = (
     "linearising and searching for an operating point (control.linearize, control.find_operating_point) are not "
-    "possible: they change one number of the memory alone, which friction would not hold, and the slope of a rise "
-    "differs from that of a fall"
+    "possible: they change a single number of the memory, which gives a state that friction does not allow; and the "
+    "slopes of a rise and of a fall differ"
 )
 _LARGEST = float(np.finfo(np.float64).max)
 
@@ -75,7 +75,7 @@ def _block(
     name: str,
     allowed: Range | None = None,
 ) -> NonlinearIOSystem:
-    """Return a block by functions of the next state and of the output, of the state and the input alone."""
+    """Return a block from functions of state and input: one gives the next state, one the output."""
     try:
         import control
     except ImportError as error:
@@ -117,7 +117,7 @@ def _evaluate(function: Callable[[Array, float], Any], x: Any, u: Any, signal: s
         return function(state, float(signals[0]))
     except CoreError as error:
         raise ModelError(
-            f"block: got {signal} = {float(signals[0])!r} and a state that no history leaves behind: {error}. Give "
+            f"block: got {signal} = {float(signals[0])!r} and a state that no history leads to: {error}. Give "
             f"`start` of the block, or a state that it reached, as the initial state. If you did: {_LINEAR}"
         ) from error
 

@@ -46,7 +46,7 @@ _LIMITS = ("voltage_V", "recorded_slew_rate_V_per_s")
 
 
 class JsonFile(ABC):
-    """What is kept in a file of JSON."""
+    """An object that is saved in a JSON file."""
 
     @abstractmethod
     def as_dict(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
 
 
 def _values(part: Any, keys: tuple[str, ...]) -> dict[str, Any] | None:
-    """Return the fields of a part, in order, as JSON values under these keys; None without the part."""
+    """Return the fields of a part, in order, as JSON values under these keys; None if the part is missing."""
     if part is None:
         return None
     return {key: json_value(getattr(part, field.name)) for key, field in zip(keys, fields(part), strict=True)}
@@ -121,10 +121,10 @@ def state_dict(state: State) -> dict[str, Any]:
 
 
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the arguments of `Actuator`, by name.
+    """Return the arguments of `Actuator` by name from JSON values.
 
-    Version 1 has Maxwell-slip elements and a spring only, versions 1 to 3 neither creep in displacement nor
-    temperature; versions 1 and 2 hold the `Identification` among the entries of "provenance".
+    Version 1 has only Maxwell-slip elements and a spring. Versions 1 to 3 have neither creep in displacement nor
+    temperature. Versions 1 and 2 hold the `Identification` among the entries of "provenance".
 
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
@@ -174,7 +174,7 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
 
 
 def state(data: Mapping[str, Any], version: int = VERSION) -> State:
-    """Read the entry "state" of a model file of a version, strictly; version 1 holds displacement and carts alone.
+    """Read the entry "state" of a model file of a version, strictly; version 1 holds only displacement and carts.
 
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
@@ -190,7 +190,7 @@ def state(data: Mapping[str, Any], version: int = VERSION) -> State:
 
 
 def demand_format(data: Mapping[str, Any], name: str, versions: Sequence[int]) -> int:
-    """Return the version of a file; raise `ModelError` if it is of another format, or none of these versions."""
+    """Return the version of a file; raise `ModelError` if it has another format or another version."""
     found = data.get("version")
     if data.get("format") != name or type(found) is not int or found not in versions:
         *others, last = map(str, versions)

@@ -1,4 +1,4 @@
-"""A stage: several actuators and the matrix by which each moves every axis."""
+"""A stage: several actuators and the coupling matrix by which each actuator moves every axis."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def dot(row: Sequence[float], values: Sequence[float]) -> float:
 
 
 def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: dict[int, float]) -> list[float]:
-    """Return the displacements of all axes if some actuators are clamped and the other axes move as wanted.
+    """Return the displacements (axes,) [m] of all axes if some actuators are clamped and the other axes move as wanted.
 
     With D the inverse coupling `table`, w = D y. For the axes K in `known`, w_k is given and y_k follows:
     ``sum_l in K D_kl y_l = w_k - sum_f not in K D_kf y_f``, solved by elimination without pivoting in the order of the
     axes. The displacement of every other axis stays as wanted.
 
-    `table`: (axes, axes). `wanted` (axes,): displacements y [m]. `known`: the displacement w_k [m] of each actuator
-    that is clamped, by its axis.
+    `table`: (axes, axes). `wanted` (axes,): displacements y [m]. `known`: the displacement w_k [m] of each clamped
+    actuator, by axis.
     """
     axes, result = sorted(known), list(wanted)
     free = [j for j in range(len(result)) if j not in known]
@@ -89,23 +89,24 @@ def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stage(JsonFile):
-    """Several coupled actuators, ``y = coupling @ h(v)`` with h_j the hysteresis of actuator j.
+    """Several coupled actuators, ``y = coupling @ h(v)`` where h_j is the hysteresis of actuator j.
 
     Parameters
     ----------
     actuators : sequence of Actuator
-        One an axis.
+        One for each axis.
     coupling : (axes, axes) array_like, optional
         Displacement of axis i for each metre that actuator j moves; 1 on the diagonal. Default: no coupling.
     axes : sequence of str, optional
         Names of the axes; default: x, y, z.
     name : str, optional
     provenance : Mapping, optional
-        Source of the numbers, for people; JSON values only. Nothing is decided by it.
+        Source of the numbers, for people; JSON values only. It has no effect on any result.
     is_matrix : bool, optional
-        Whether a matrix was all of the coupling as the stage was identified.
+        Whether a constant matrix described the coupling completely at the identification.
     recorded_columns : tuple of str, optional
-        Columns of the records that it was identified from, such as "vx_V:x_um", one entry an axis; default: not known.
+        Columns of the records that the stage was identified from, such as "vx_V:x_um", one entry for each axis;
+        default: not known.
 
     Raises
     ------
@@ -159,7 +160,7 @@ class Stage(JsonFile):
         return inverse(self.coupling)
 
     def alone(self, record: Record, j: int) -> Record:
-        """Return a `record` of all axes as that of actuator `j` alone, without what others move it by the coupling."""
+        """Return a `record` of all axes as a record of actuator `j` alone, without the motion due to coupling."""
         return record.axis(j, apply(self.decoupling, record.displacement)[:, j])
 
     @property
@@ -183,12 +184,12 @@ class Stage(JsonFile):
         states: Sequence[State | None] | None = None,
         extrapolate: bool = False,
     ) -> Motion:
-        """Return the displacements that voltages cause.
+        """Return the displacements (n, axes) [m] that voltages cause.
 
         Parameters
         ----------
         voltage : (n, axes) array_like
-            [V].
+            Voltages [V].
         time : (n,) array_like, optional
             [s]; needed if an actuator needs it.
         states : sequence of State, optional
@@ -199,12 +200,12 @@ class Stage(JsonFile):
         Returns
         -------
         Motion
-            With a column an axis; its `state` is a tuple of one an actuator.
+            With one column for each axis; its `state` is a tuple with the state of each actuator.
 
         Raises
         ------
         ModelError
-            As `Actuator.simulate`, the axis named, or if the columns do not fit the axes.
+            As `Actuator.simulate`, with the name of the axis; or if the columns do not fit the axes.
         """
         v = self.columns(voltage, "voltage", "V")
         motions = self._each("simulate", v, time, states, extrapolate)
@@ -238,7 +239,7 @@ class Stage(JsonFile):
         Raises
         ------
         ModelError
-            As `Actuator.compensate`, the axis named, or if the columns do not fit the axes.
+            As `Actuator.compensate`, with the name of the axis; or if the columns do not fit the axes.
         """
         y = self.columns(displacement, "displacement", "m")
         motions = self._each("compensate", apply(self.decoupling, y), time, states, extrapolate)
@@ -308,7 +309,7 @@ class Stage(JsonFile):
 
 
 def by_axis(axes: Sequence[str], results: Sequence[Any]) -> dict[str, Any]:
-    """Return the JSON values of results, one an axis, by its name."""
+    """Return the JSON values of results, one for each axis, by its name."""
     return {axis: one.as_dict() for axis, one in zip(axes, results, strict=True)}
 
 

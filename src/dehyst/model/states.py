@@ -1,4 +1,4 @@
-"""States with which a motion begins: moved within limits, at a displacement, or before a record's voltage."""
+"""Initial states of a motion: moved within limits, at a displacement, or before the voltage of a record."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NEAR = 0.01
 
 
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
-    """Return the complete state; if its voltage lies outside the limits [V], after a motion to the nearest, at rest.
+    """Return the complete state, moved to the nearest limit [V] and at rest if its voltage lies outside the limits.
 
     Raise `ModelError` if it is not a state of this actuator.
     """
@@ -36,10 +36,10 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
 
 
 def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
-    """Return a state, or if its voltage lies outside the limits [V], the one after slow major loops between them.
+    """Return a state; if its voltage lies outside the limits [V], the state after slow major loops between them.
 
-    The loops end at the limit next to the state. Of a state beyond the limits, the elements have slid farther than any
-    voltage between them makes them slide: no play within the limits leads to it.
+    The loops end at the limit next to the state. In a state beyond the limits, elements have slid farther than voltages
+    within the limits can move them, so the actuator cannot reach this state.
     """
     low, high = limits
     held, near = actuator.voltage(state), NEAR * (high - low)
@@ -47,14 +47,14 @@ def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, flo
 
 
 def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
-    """Return the state after slow major loops between limits [V], at the upper one if `rising`, creep at rest."""
+    """Return the state after slow major loops between limits [V], at the upper one if `rising`, with creep at rest."""
     reached = slow_loops(actuator, limits if rising else (limits[1], limits[0])).state
     # The state of a slow motion has none of a mass.
     return actuator.model.complete_state(replace(reached, motion=EMPTY))
 
 
 def state_at(actuator: Actuator, state: State, displacement: float) -> State:
-    """Return the state after a motion to a displacement [m], too slow for mass and amplifier, too fast for creep.
+    """Return the state after a motion to a displacement [m] that is slow for mass and amplifier but fast for creep.
 
     Raise `ModelError` if it is not a state of this actuator.
     """
@@ -67,20 +67,20 @@ def state_at(actuator: Actuator, state: State, displacement: float) -> State:
 
 
 def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
-    """Return the keywords `time` and `extrapolate` if a model has them: records may exceed those of its fit."""
+    """Return the keywords `time` and `extrapolate` if a model has them; records may exceed its training range."""
     given = {"time": time, "extrapolate": True}
     return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
 
 
 def beginning(model: AbstractModel, voltage: Array) -> Any:
-    """Return the start of a model before a voltage (n,): None for its default, of an actuator the nearest loop end.
+    """Return the initial state before a voltage (n,) [V]: of an actuator the nearest loop end, else None (default).
 
-    A distant start would set a mass swinging. An actuator that creeps starts relaxed, as before the records, because
-    its later motion depends on where it stood.
+    A distant start would set a mass swinging. An actuator with creep starts relaxed, as before the records, because its
+    later motion depends on the initial strain.
     """
     if not isinstance(model, Actuator) or not voltage.size:
         return None
-    if model.creep is not None:
+    if model.creep_times.size:
         return model.relaxed(float(voltage[0]), extrapolate=True)
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
     ends = [model.turned(high), model.turned(low, rising=False)]
@@ -88,5 +88,5 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
 
 
 def simulated(model: AbstractModel, voltage: Array, time: Array) -> Motion:
-    """Return the motion that a `voltage` causes from its `beginning`. `model` is any. `time` (n,) [s]."""
+    """Return the motion of any `model` for a `voltage` (n,) [V] at `time` (n,) [s], from its `beginning`."""
     return model.simulate(voltage, state=beginning(model, voltage), **timed(model, time))

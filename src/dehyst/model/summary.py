@@ -1,4 +1,4 @@
-"""An actuator part by part, in numbers and sentences: its line, its summary, its HTML."""
+"""The parts of an actuator in numbers and sentences: one line, the summary, and HTML."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Slopes of slow motion at each place: voltage (that of tau) over displacement.
+    """Slopes of slow motion at each displacement: of tau(v) over displacement.
 
     `displacement` (n,) [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
     no element slides; on the outermost rising and falling branch, when all slide [V/m].
@@ -102,15 +102,15 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     Returns
     -------
     time, displacement : (n,) array
-        Since the end of the rise [s]; and further displacement over that of the rise (parts of 1).
+        Time since the end of the rise [s], and further displacement as a part of the displacement of the rise.
     """
-    creep = actuator.creep
-    if creep is None or not len(creep):
+    times = actuator.creep_times
+    if not times.size:
         return np.zeros(1), np.zeros(1)
     low, high = actuator.voltage_range
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
     slow = replace(actuator, dynamics=None, lag=0.0, state=begin)
-    shortest, longest = float(creep.time_constants.min()), float(creep.time_constants.max())
+    shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
     # Rest at the lower limit takes as long as creep lasts.
     rest = np.array([0.0, 20 * longest])
@@ -213,7 +213,7 @@ def _ranges(actuator: Actuator, unit: str = "um") -> tuple[str, str, str]:
 
 
 def one_line(actuator: Actuator) -> str:
-    """Return name, parts, voltages and displacements; nothing is computed that could fail."""
+    """Return name, parts, voltages and displacements in one line, without computations that could fail."""
     graded = "graded " if isinstance(actuator.slip, GradedSlip) else ""
     further = [words for name, words in _FURTHER.items() if getattr(actuator, name) is not None]
     parts = ", ".join([f"{graded}{counted(len(actuator.slip), 'slip element')}", *further])

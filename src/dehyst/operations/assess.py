@@ -1,4 +1,4 @@
-"""`insight` and `check`: how far to trust a model, what to record next, and whether it is still true."""
+"""`insight` and `check`: how far to trust a model, what to record next, and whether the model is still true."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ def insight(
     report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Assess a MODEL: what the RECORDS that it was identified from determine, and what they leave open.
+    """Assess a MODEL by the RECORDS that it was identified from: what they determine, and what they leave open.
 
-    The status is 1 if there is a warning, also if a number of the model is not known to a precision that was given.
+    The status is 1 if there is a warning; with --precision, a number that is not known to it causes one.
 
     Parameters
     ----------
     trajectory
         Predict the error along this path: a file with a displacement.
     zero
-        From where the trajectory is counted, as in compensate; default: the sensor's zero.
+        Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.
     start
         State before the trajectory, as in compensate; default: the top of the limits, after a rise through them.
     output
-        Write the trajectory with its band here (CSV).
+        Write the trajectory with its prediction band here (CSV).
     report
         Write a self-contained HTML page here.
     """
@@ -120,7 +120,7 @@ def _path(
     zero: Zero | None,
     run: Run,
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the displacement (n,) [m] of a trajectory in the model's coordinates, and its time column."""
+    """Return the displacement (n,) [m] of a trajectory on the model's axis, and its time column."""
     (actuator,) = known.actuators
     table = columns.plain_table(trajectory)
     try:
@@ -152,7 +152,7 @@ def check(
     history: Folder | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Check whether a MODEL is still true of its actuator, by a new RECORD: the error now, and what has changed.
+    """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
 
     The status is 0 if the model is still true, 1 if not.
 
@@ -161,7 +161,7 @@ def check(
     goal
         Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.
     history
-        Keep the check in this folder, print the earlier ones of this model, and draw them there.
+        Keep the check in this folder, print all earlier checks of this model, and draw them there.
     """
     known = AxesModel.read(run, model)
     (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
@@ -197,7 +197,7 @@ def check(
 
 
 def _drawn(run: Run, history: CheckHistory, picture: Path) -> Path | None:
-    """Draw a history into its folder, if that is possible: a check does not depend on its picture."""
+    """Draw a history into its folder if possible; the check does not depend on this picture."""
     try:
         write_check_history(picture, history)
     except FileFormatError as error:
@@ -207,7 +207,7 @@ def _drawn(run: Run, history: CheckHistory, picture: Path) -> Path | None:
 
 
 def _check_lines(recheck: Recheck) -> Iterator[str]:
-    """Yield the judgement, what may have changed, and the remarks."""
+    """Yield the judgement, possible changes, and the remarks."""
     yield recheck.sentence
     yield from recheck.change_sentences()
     yield ""
@@ -224,7 +224,7 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
 
 
 def _history_lines(history: CheckHistory) -> Iterator[str]:
-    """Yield the last checks with the averages of the scores, then what has left its limits."""
+    """Yield the last checks with the averages of the scores, then the changes that are outside of their limits."""
     charts, count = history.charts(), len(history.checks)
     width = max(6, *(len(escaped(one.record)) for one in history.checks[-_SHOWN:]))
     yield ""
@@ -237,7 +237,7 @@ def _history_lines(history: CheckHistory) -> Iterator[str]:
         yield f"{one.checked:%Y-%m-%d} {escaped(one.record):<{width}}{one.error:>10.3f}{cells}"
     yield from history.sentences()
     if history.others:
-        yield f"The folder also holds {history.others} of other models, which are not compared."
+        yield f"The folder also holds checks of other models ({history.others}), which are not compared."
 
 
 def _cells(chart: ControlChart) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""What a model of one axis and one of several have in common: axes over which an operation loops."""
+"""Models of one axis or several: the axes over which an operation loops."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dehyst.records.tables import AxisColumns, axis_columns
 
 @dataclass(frozen=True)
 class Limit:
-    """Voltages allowed [V] for an axis; for all without a name."""
+    """Allowed voltages [V] of the named axis, or without a name of all axes."""
 
     axis: str
     low: float
@@ -32,7 +32,7 @@ class Limit:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the limits in a text; raise ValueError with what is needed."""
+        """Return the limits in a text; raise ValueError that says what is needed."""
         axis, _, numbers = text.rpartition("=")
         try:
             low, high = map(float, numbers.split())
@@ -47,7 +47,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Slew:
-    """The largest slew rate [V/s] of an axis, None: not limited; of all without a name."""
+    """The largest slew rate [V/s] of the named axis, or without a name of all axes; None: not limited."""
 
     axis: str
     rate: float | None
@@ -56,7 +56,7 @@ class Slew:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the slew rate in a text; raise ValueError with what is needed."""
+        """Return the slew rate in a text; raise ValueError that says what is needed."""
         axis, _, number = text.rpartition("=")
         try:
             return cls(axis, None if number == "none" else float(number))
@@ -69,17 +69,17 @@ class Slew:
 
 
 def limits_of(axes: Sequence[str], given: Iterable[Limit]) -> list[tuple[float, float] | None]:
-    """Return the limits [V] of each axis: its own, those of all, or None."""
+    """Return the limits [V] of each axis: its own, the common ones, or None."""
     return [None if one is None else (one.low, one.high) for one in _by_axis(axes, given, "limits")]
 
 
 def slews_of(axes: Sequence[str], given: Iterable[Slew]) -> list[Slew | None]:
-    """Return the slew rate of each axis: its own, that of all, or None if none was given."""
+    """Return the slew rate of each axis: its own, the common one, or None if none was given."""
     return _by_axis(axes, given, "slew_rate")
 
 
 def rates_of(axes: Sequence[str], given: Iterable[Slew]) -> list[float | None]:
-    """Return the slew rate [V/s] of each axis, None if it is not limited, or none was given."""
+    """Return the slew rate [V/s] of each axis, None if it is not limited or not given."""
     return [None if one is None else one.rate for one in slews_of(axes, given)]
 
 
@@ -100,7 +100,7 @@ def is_stage(path: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class AxesModel:
-    """A model of one axis or several, over whose axes an operation loops.
+    """A model of one axis or several; operations loop over its axes.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class AxesModel:
         None for the model of one axis.
     actuators : tuple of Actuator
     axes : tuple of str
-        Names of the axes; empty text for the only one.
+        Names of the axes; an empty text for a single axis.
     """
 
     stage: Stage | None
@@ -117,7 +117,7 @@ class AxesModel:
 
     @classmethod
     def read(cls, run: Run, path: Path) -> AxesModel:
-        """Read a model; note if its identification was not usable, or its coupling more than a matrix."""
+        """Read a model; warn if its identification was not usable, or its coupling is more than a matrix."""
         if not is_stage(path):
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
@@ -129,12 +129,12 @@ class AxesModel:
         return cls(stage, stage.actuators, stage.axes)
 
     def by_axis(self, values: Iterable[Any]) -> Any:
-        """Return the value of the only axis, or those of several by their names, for JSON."""
+        """Return the value of a single axis, or the values of several axes by name, for JSON."""
         found = list(values)
         return found[0] if self.stage is None else dict(zip(self.axes, found, strict=True))
 
     def merged(self, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return JSON values of each axis under the keys that they share."""
+        """Return the JSON values of all axes under their common keys."""
         return {key: self.by_axis(table[key] for table in tables) for key in tables[0]}
 
     def prefixed(self, sentences: Iterable[Iterable[str]]) -> list[str]:
@@ -143,15 +143,15 @@ class AxesModel:
         return [f"{axis}: {sentence}" if axis else sentence for axis, own in pairs for sentence in own]
 
     def targets(self, displacement: Array) -> Array:
-        """Return the displacement (n, axes) of each actuator for that of the axes."""
+        """Return the displacement (n, axes) of each actuator for a displacement of the axes."""
         return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
 
     def moved(self, targets: Array) -> Array:
-        """Return the displacement (n, axes) of the axes for that of each actuator."""
+        """Return the displacement (n, axes) of the axes for a displacement of each actuator."""
         return targets if self.stage is None else apply(self.stage.coupling, targets)
 
     def name(self, quantity: str, axis: str, what: str = "") -> str:
-        """Return the column of a quantity of an axis, as operations write it; `what`: "expected", beside the wanted."""
+        """Return the column name of a quantity of an axis; `what`: such as "expected" for the expected displacement."""
         if not axis:
             return f"{what or quantity}_{'V' if quantity == 'voltage' else 'um'}"
         return f"v{axis}_V" if quantity == "voltage" else f"{axis}{what and f'_{what}'}_um"
@@ -161,7 +161,7 @@ class AxesModel:
         return {self.name(quantity, axis, what): values[:, j] for j, axis in enumerate(self.axes)}
 
     def pairs(self, columns: Columns) -> str | None:
-        """Return the columns of several axes as `dehyst.read` takes them: given, or those of the model's records."""
+        """Return the columns of several axes for `dehyst.read`: given, or else those of the model's records."""
         if self.stage is None:
             columns.demand([key for key in columns.keys if key not in columns.axes], "with the model of one axis")
             return None
@@ -172,14 +172,14 @@ class AxesModel:
         return columns.pairs or " ".join(self.stage.recorded_columns)
 
     def recorded(self, columns: Columns) -> dict[str, AxisColumns]:
-        """Return voltage and displacement of each axis in its records, by its name; none if they are not known."""
+        """Return the columns of voltage and displacement in the records, by axis; empty if they are not known."""
         known = columns.pairs if all(":" in one for one in columns.axes.values()) else ""
         if self.stage is not None:
             known = known or " ".join(self.stage.recorded_columns)
         return {one.name: one for one in axis_columns(known)} if known else {}
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
-        """Return a quantity (n, axes) of a table: of the given columns, by their names, or by those of the records."""
+        """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
         if self.stage is None:
             return columns.values(table, quantity)[:, None]
         given, names = columns.axes, {axis: self.name(quantity, axis) for axis in self.axes}

@@ -77,8 +77,8 @@ def calibrate(
     Parameters
     ----------
     output
-        Folder for records, model and report. Complete records of one axis in it are not played again, except one loop
-        that must agree with them.
+        Folder for records, model and report. With one axis, complete records in it are not played again, except one
+        loop that must agree with them.
     axes
         Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one axis.
     limits
@@ -133,7 +133,7 @@ def _note_narrower(
 
 @contextmanager
 def _left(output: Path, *, again: bool) -> Iterator[None]:
-    """Add to what ends a calibration where its records are, and whether the same command continues."""
+    """Add to the error that ends a calibration where its records are, and whether the same command continues."""
     try:
         yield
     except (DehystError, KeyboardInterrupt, SystemExit) as error:
@@ -143,12 +143,12 @@ def _left(output: Path, *, again: bool) -> Iterator[None]:
             temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
             continues = again and (not isinstance(error, Exception) or temporary)
             end = "; the same command goes on from there" if continues else ""
-            error.add_note(f"what was recorded is in {records}{end}")
+            error.add_note(f"the records so far are in {records}{end}")
         raise
 
 
 def _planned(rig: AbstractRig, plan: Plan) -> Result:
-    """Return what would be sent."""
+    """Return the voltages that would be sent, as JSON values and lines."""
     planned, several = entries(rig, plan), len(rig.axes) > 1
     columns: dict[str, list[Any]] = {
         "axes" if several else "axis": list(rig.axes),
@@ -239,37 +239,37 @@ def serve(
 ) -> Result:
     """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
 
-    At the end it prints the voltages that it has put out.
+    At the end it prints the range and steps of its output voltages.
 
     Parameters
     ----------
     actuator
-        Actuator to drive: play, creep, preisach or boucwen, none of which is an instance of any model, or a model file;
-        of several axes one for all, or one for each (play,preisach,boucwen).
+        Actuator to drive: play, creep, preisach or boucwen, which are not instances of a dehyst model, or a model file.
+        With several axes: one for all, or one for each (play,preisach,boucwen).
     axes
-        Axes of one body, 1 to 6, a channel and a wave generator each, whose displacements are coupled.
+        Number of axes of one body, 1 to 6, with coupled displacements; each has a channel and a wave generator.
     coupling
         Largest displacement of one axis by another [%].
     hysteretic
-        More coupling [%], by elements whose loops have another shape than those of the actuators.
+        Additional coupling [%] by elements whose loops have another shape than the actuators' loops.
     host
-        Interface to listen on; 0.0.0.0 is all.
+        Interface to listen on; 0.0.0.0 for all.
     port
-        0: any that is free.
+        TCP port; 0: any free port.
     limits
         Voltages [V]; default: the actuator's.
     slew_rate
         Of the amplifier [V/s]; default: not limited.
     speed
-        Seconds of the instrument for each second of the clock.
+        Speed of the instrument: its seconds for each second of real time.
     noise
         Of the sensor [nm]; default: the actuator's, 2 nm.
     wave_points
-        Samples that wave generator and recorder hold.
+        Largest number of samples of wave generator and recorder.
     fault
-        A fault to rehearse, NAME@WHEN: after so many samples of a wave (drop@2000) or seconds (unplug@3.5s), or in the
-        middle of the first wave. drop, silence, garble, truncate, error, narrow, saturate, unplug, refuse, stall; may
-        be repeated.
+        A fault to rehearse, NAME@WHEN: after a number of samples of a wave (drop@2000) or a time (unplug@3.5s); without
+        @WHEN, in the middle of the first wave. NAME: drop, silence, garble, truncate, error, narrow, saturate, unplug,
+        refuse, stall. May be repeated.
     seconds
         Stop after this time [s]; default: at Ctrl-C.
     epics
@@ -341,7 +341,7 @@ def _driven(name: str) -> tuple[VirtualActuator, tuple[float, float]]:
 
 @contextmanager
 def _stop_by_signal(server: Server) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM stop the server, and not the program."""
+    """Let Ctrl-C and SIGTERM stop the server instead of the program."""
     before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

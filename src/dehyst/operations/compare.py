@@ -33,16 +33,16 @@ def compare(
         Columns, Only(lambda given: given.get("records") or given.get("validate"), "without a RECORD")
     ] = AS_FOUND,
 ) -> Result:
-    """Compare dehyst's model with every baseline: fitted to RECORDS, scored on held-out ones and virtual actuators.
+    """Compare dehyst's model with every baseline, fitted to RECORDS, on held-out records and virtual actuators.
 
-    Without a record, those of the first of --truths are used. Status 1 if dehyst's own model fails.
+    Without RECORDS, records of the first of --truths are used. The status is 1 if dehyst's own model fails.
 
     Parameters
     ----------
     truths
-        Track on this virtual actuator with models fitted to its own records; may be repeated.
+        Score tracking on this virtual actuator, with models fitted to its own records; may be repeated.
     only
-        This model only; may be repeated; default: all.
+        Compare only this model; may be repeated; default: all.
     output
         Write every figure here (JSON).
     report
@@ -64,7 +64,7 @@ def compare(
 
 
 def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
-    """Return the models of those names, in capitals or not."""
+    """Return the models with these names, regardless of case."""
     known = contenders()
     names = {name.casefold(): name for name in known}
     for name in only:
@@ -74,7 +74,7 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _lines(found: ModelComparison) -> Iterator[str]:
-    """Yield a row for each model, then what failed."""
+    """Yield a row for each model, then the failures."""
     width = max(len("model"), *(len(row.name) for row in found.rows))
     groups = ["training", "held out", "promised", "no constant", *(f"track {name}" for name in found.truths)]
     yield f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups) + f"{'':>9}{'ns a sample':>18}"
@@ -84,8 +84,8 @@ def _lines(found: ModelComparison) -> Iterator[str]:
     yield ""
     yield (
         f"Errors in % of the stroke, {found.stroke * 1e6:.4g} um, of the record with the largest error. Training and "
-        "held out: with one free constant for each record. Promised: what is to be expected of the held-out records, "
-        "of dehyst by its identification, of others by the same rule from their training errors."
+        "held out: with one free constant for each record. Promised: the expected error on the held-out records; for "
+        "dehyst from its identification, for others by the same rule from their training errors."
     )
     if found.note:
         yield found.note

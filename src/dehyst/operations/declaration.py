@@ -26,11 +26,11 @@ _LONGEST = 1000
 
 
 class OperationError(DehystError, ValueError):
-    """Parameters of an operation that are missing, unknown, of another kind, or without an effect."""
+    """A parameter of an operation is missing, unknown, of the wrong kind, or without an effect."""
 
 
 class Role(Enum):
-    """What a path is to an operation: read, written, or a folder of several outputs."""
+    """Role of a path in an operation: read, written, or a folder of several outputs."""
 
     INPUT = "input"
     OUTPUT = "output"
@@ -45,9 +45,9 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Only:
-    """A condition on the values that are given: where it does not hold, the parameter has no effect.
+    """A condition on the given values; if it does not hold, the parameter has no effect.
 
-    `words` follow "has no effect": "without --trajectory". A value that is given counts, a default does not.
+    `words` follow "has no effect": "without --trajectory". Only given values count, not defaults.
     """
 
     holds: Callable[[Values], bool]
@@ -72,14 +72,14 @@ class Value(Protocol):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the value of a text; raise ValueError with what is needed."""
+        """Return the value of a text; raise ValueError that says what is needed."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """The values of a parameter: how one is read from a text, and shown.
+    """Kind of a parameter's values: how a value is read from a text, and shown.
 
-    `count`: words of one value. `several`: any number of values, a tuple.
+    `count`: number of words of one value. `several`: whether there may be any number of values, in a tuple.
     """
 
     type: Any
@@ -91,7 +91,7 @@ class Kind:
 
     @classmethod
     def of(cls, annotation: Any) -> Kind:
-        """Return the kind of an annotation, without conditions and None."""
+        """Return the kind of values of an annotation, ignoring conditions and None."""
         origin, arguments = get_origin(annotation), get_args(annotation)
         if origin in (Union, types.UnionType):
             return cls.of(next(one for one in arguments if one is not type(None)))
@@ -109,7 +109,7 @@ class Kind:
         return cls(annotation, metavar, getattr(annotation, "word_count", 1))
 
     def parse(self, text: str) -> Any:
-        """Return what a word means; raise ValueError with what is needed."""
+        """Return the value of a word; raise ValueError that says what is needed."""
         if self.choices and text not in self.choices:
             raise ValueError(f"got {text!r}, need {' or '.join(self.choices)}")
         if self.type in (int, float):
@@ -120,13 +120,13 @@ class Kind:
         return self.type.parse(text) if hasattr(self.type, "parse") else self.type(text)
 
     def parse_words(self, words: Sequence[str]) -> Any:
-        """Return what the words of one value mean; raise ValueError with what is needed."""
+        """Return the value of its words; raise ValueError that says what is needed."""
         if self.count > 1 and not hasattr(self.type, "parse"):
             return tuple(map(self.parse, words))
         return self.parse(" ".join(words))
 
     def of_json(self, value: Any) -> Any:
-        """Return what a JSON value means; raise ValueError with what is needed."""
+        """Return the value of a JSON value; raise ValueError that says what is needed."""
         if not self.several:
             return self._one(value)
         if not isinstance(value, list | tuple):
@@ -173,7 +173,7 @@ def _text(value: Any) -> str:
 class Parameter:
     """A parameter of an operation.
 
-    `positional`: an argument of the command line; else an option. `rare`: in a file of options only.
+    `positional`: an argument of the command line, otherwise an option. `rare`: only in a file of options.
     """
 
     name: str
@@ -186,7 +186,7 @@ class Parameter:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """Whether the parameter has no default."""
         return self.default is REQUIRED
 
     @property
@@ -217,7 +217,7 @@ def flag(name: str, *, off: bool = False) -> str:
 
 
 def _declared(function: Callable[..., Any], name: str, text: str, **more: Any) -> Parameter:
-    """Return a parameter of a function by its signature, with this help."""
+    """Return a parameter of a function from its signature, with this help."""
     one = inspect.signature(function).parameters[name]
     annotation = one.annotation
     if isinstance(annotation, str):
@@ -230,7 +230,7 @@ def _declared(function: Callable[..., Any], name: str, text: str, **more: Any) -
 def merged(
     functions: Mapping[str, Callable[..., Any]], *, by: str = "kind", leave: Collection[str] = ()
 ) -> list[Parameter]:
-    """Return the keywords of several functions, each with an effect if the parameter `by` selects its function."""
+    """Return the keywords of several functions; each has an effect only if parameter `by` selects its function."""
     found: dict[str, dict[str, Parameter]] = {}
     for word, function in functions.items():
         texts = documented(function)
@@ -241,7 +241,7 @@ def merged(
 
 
 def _joined(by: str, owners: Mapping[str, Parameter]) -> Parameter:
-    """Return one parameter for those of one name of several functions."""
+    """Merge parameters of several functions with the same name into one."""
     first, *others = owners.values()
     same = all(one.default == first.default for one in others)
     texts: dict[str, list[str]] = {}
@@ -257,7 +257,7 @@ _INLINE = re.compile(r"(?:^|(?<=\. ))`(\w+)`( \[[^\]]+\])?[:,] (.+?\.)(?=$| `| R
 
 
 def documented(thing: Any) -> dict[str, str]:
-    """Return the texts of parameters in a docstring, each as one line without markup."""
+    """Return the texts of the parameters in a docstring, each as one line without markup."""
     text, _, rest = (inspect.getdoc(thing) or "").partition("Parameters\n----------\n")
     inline = _INLINE.findall(" ".join(text.split()))
     found = {name: f"{words[:1].upper()}{words[1:-1]}{unit or ''}." for name, unit, words in inline}
@@ -269,10 +269,10 @@ def documented(thing: Any) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class Operation:
-    """A function with files in and files out, and the declaration of its parameters.
+    """A function from files to files, with the declaration of its parameters.
 
-    `name`: words of its command, such as "fleet identify". `summary`, `help`: first and further sentences on it.
-    `details`: whether its result has more lines than the answer. `returns`: whether it has a result as JSON.
+    `name`: words of its command, such as "fleet identify". `summary`, `help`: first and further sentences of its help.
+    `details`: whether its result has more lines than the answer. `returns`: whether it has a JSON result.
     """
 
     name: str
@@ -284,26 +284,26 @@ class Operation:
     returns: bool = True
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return a parameter by its name; None if there is none."""
+        """Return a parameter by name; None if there is no such parameter."""
         return next((one for one in self.parameters if one.name == name), None)
 
     @property
     def rare(self) -> tuple[Parameter, ...]:
-        """The parameters in files of options."""
+        """The parameters that files of options may hold."""
         return tuple(one for one in self.parameters if one.rare)
 
     @property
     def writes(self) -> bool:
-        """Whether it has outputs."""
+        """Whether the operation writes files."""
         return any(one.kind.role in (Role.OUTPUT, Role.FOLDER) for one in self.parameters)
 
     @property
     def defaults(self) -> dict[str, Any]:
-        """The defaults of its parameters."""
+        """The defaults of the parameters by name."""
         return {one.name: one.default for one in self.parameters if not one.required}
 
     def paths(self, values: Values, *roles: Role) -> Iterator[Path]:
-        """Yield the files among the values that have one of the roles."""
+        """Yield the paths among the values that have one of these roles."""
         for one in self.parameters:
             value = values.get(one.name)
             if one.kind.role in roles and value is not None:
@@ -313,7 +313,7 @@ class Operation:
                 yield from getattr(value, "files", ())
 
     def of_json(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of JSON parameters; raise OperationError if one is unknown, missing or of another kind."""
+        """Return the values of JSON parameters; raise OperationError if one is unknown, missing or of a wrong kind."""
         if missing := [one.name for one in self.parameters if one.required and one.name not in given]:
             raise OperationError(argument=missing[0], got="none", need=f"one for {self.name}")
         return _of_json(self.name, self.parameters, {name: one for name, one in given.items() if one is not None})
@@ -324,7 +324,7 @@ class Operation:
         Raises
         ------
         OperationError
-            The file cannot be read, or holds something else.
+            If the file cannot be read, or holds something else.
         """
         if text.lstrip().startswith(("{", "[", '"')):
             try:
@@ -341,14 +341,14 @@ class Operation:
         return _of_json("options", self.rare, given)
 
     def check(self, values: Values) -> None:
-        """Refuse parameters that have no effect with the others."""
+        """Raise OperationError if a parameter has no effect with the given values."""
         for one in self.parameters:
             broken = [each for each in one.conditions if one.name in values and not each.holds(values)]
             if broken:
                 raise OperationError(f"has no effect {broken[0].words}", argument=one.name, hint="leave it out")
 
     def command(self, values: Values) -> list[str]:
-        """Return the words of the command that does the same."""
+        """Return the words of the equivalent command."""
         given = [one for one in self.parameters if one.name in values]
         words = ["dehyst", *self.name.split()]
         for one in sorted(given, key=lambda one: not one.positional):
@@ -386,13 +386,13 @@ def operation(
     Parameters
     ----------
     library : callable, optional
-        Function of the library whose docstring has the help of parameters without an own one.
+        Function of the library whose docstring provides missing help of parameters.
     name : str, optional
         Words of its command; by default the function's name.
     take : sequence of str, optional
-        Parameters of that function that the operation has as they are.
+        Names of the library function's parameters that the operation adopts unchanged.
     rare : collection of str, optional
-        Parameters in files of options only.
+        Names of the parameters that only files of options may hold.
     more : iterable of Parameter, optional
         Further parameters, passed as keywords.
     details, returns : bool

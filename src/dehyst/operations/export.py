@@ -26,12 +26,12 @@ _SUFFIXES = {target.suffix: name for name, target in TARGETS.items() if target.s
 
 
 def _target(given: Values) -> str:
-    """Return the row of `TARGETS` that is written; several axes are always C."""
+    """Return the row of `TARGETS` for an output; several axes are always exported as C."""
     return "c" if is_stage(given["model"]) else _SUFFIXES.get(given["directory"].suffix, "c")
 
 
 def _of(option: str) -> Only:
-    """Return the condition that the target takes an option."""
+    """Return the condition that the target supports an option."""
     takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
     return Only(lambda given: option in TARGETS[_target(given)].options, f"on anything but {takers}")
 
@@ -57,12 +57,12 @@ def export(
     kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
     start: Start = _TOP,
 ) -> Result:
-    """Write a MODEL's compensator as C into a DIRECTORY: files, numbers, a README, and a trace for `make check`.
+    """Write the compensator of a MODEL as C into a DIRECTORY: sources, numbers, a README, and a trace for `make check`.
 
     A model of several axes is written as C only, with all its axes and their coupling.
 
-    To a name that ends in .fmu, write it or its actuator as an FMU for co-simulation. To one that ends in .wasm, write
-    it as WebAssembly, and the JavaScript module that calls it.
+    If the name ends in .fmu, write the compensator or its actuator as an FMU for co-simulation. If the name ends in
+    .wasm, write the compensator as WebAssembly, with the JavaScript module that calls it.
 
     Parameters
     ----------
@@ -73,19 +73,19 @@ def export(
     slew_rate
         Largest slew rate [V/s]; needs --period.
     period
-        Seconds between steps; a model that depends on time needs it.
+        Time between steps [s]; a model that depends on time needs it.
     preview
-        Compensate delay and inertia too; displacements are then given ahead.
+        Compensate delay and inertia too; displacements must then be given in advance.
     name
-        Name of files, type and calls, so that several models fit into one firmware; default: piezo.
+        Prefix of files, type and functions, so that several models fit into one firmware; default: piezo.
     measure
-        Compile it and report its size and the error of floats; takes seconds.
+        Compile the export and report its size and the error due to floats; takes seconds.
     fmu
         Version of FMI.
     kind
-        Of an FMU: displacement to voltage, or the virtual actuator.
+        Kind of FMU: compensator (displacement to voltage), or virtual actuator.
     start
-        State in which memory begins, as in compensate.
+        Initial state of the memory, as in compensate.
     """
     target = TARGETS[_target({"model": model, "directory": directory})]
     if is_stage(model) and directory.suffix in _SUFFIXES:
@@ -127,7 +127,7 @@ def export(
 
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
-    """Warn of a start that the voltages before it leave open by more than the model's error."""
+    """Warn if the voltages before leave the start uncertain by more than the model's error."""
     places = [state.displacement for state in start.states]
     width = max(places) - min(places)
     if width <= model_error(actuator):

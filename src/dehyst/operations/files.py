@@ -1,4 +1,4 @@
-"""Files of operations: how they are read, in one text; models; tables that are written; paths of scans."""
+"""Files of operations: the text of --columns; models; written tables; paths of scans."""
 
 from __future__ import annotations
 
@@ -48,24 +48,24 @@ class Columns:
     Attributes
     ----------
     time, voltage, displacement : str, optional
-        NAME or NAME:UNIT; a "?" at the end marks a guess. Columns without a header are named 1, 2, 3.
+        NAME or NAME:UNIT of the column; a "?" at the end marks a guess. Columns without a header are named 1, 2, 3.
     voltage_scale, displacement_scale : str, optional
-        After a "*" in the text: the gain of an amplifier whose monitor it is, or what one volt of a sensor means. Of
-        several axes without a name, for all: ``voltage=*100``.
+        After a "*" in the text: the gain of the amplifier if the column is its monitor, or the displacement for one
+        volt of the sensor. Without a name it holds for all of several axes: ``voltage=*100``.
     sample_rate : float, optional
-        rate in the text: samples a second [Hz], instead of a time.
+        "rate" in the text: samples per second [Hz], instead of a time column.
     names : str, optional
         Names and units of all columns in their order, with "|" between them; "-" leaves one out.
     join : Path, optional
         Second file of the same measurement.
     decimal : str, optional
-        "point" or "comma" in the text.
+        Decimal sign; "point" or "comma" in the text.
     max_bytes : float
-        max_size in the text [MB]: largest file to read, and most memory for its numbers.
+        "max_size" in the text [MB]: largest file to read, and largest memory for its numbers.
     wanted : str, optional
-        Column of the displacement in a file of a path beside records.
+        Column of the displacement in a path file, if the columns of records are given too.
     axes : dict
-        Other keys: names of axes. VOLTAGE:DISPLACEMENT of a record, DISPLACEMENT of a path, or "middle".
+        Other keys: names of axes. Values: VOLTAGE:DISPLACEMENT for a record, DISPLACEMENT for a path, or "middle".
     """
 
     time: str | None = None
@@ -125,7 +125,7 @@ class Columns:
 
     @classmethod
     def of_options(cls, options: Mapping[str, Any], before: Columns | None = None) -> Columns:
-        """Return columns with keywords of `dehyst.read`, such as those that an error suggests, in place of others."""
+        """Return a copy with only these keywords of `dehyst.read`, such as the suggestions of an error."""
         known = {**options}
         if names := known.pop("columns", None):
             # Only a file without a header needs names: its columns are numbered.
@@ -135,7 +135,7 @@ class Columns:
 
     @classmethod
     def of_fields(cls, fields: Mapping[str, Any]) -> Columns:
-        """Return columns with keywords of `dehyst.read`, as the fields of a form; raise FileFormatError for others."""
+        """Return columns from form fields, keywords of `dehyst.read`; raise FileFormatError for other fields."""
         known = {*cls.__dataclass_fields__} - {"names", "wanted"} | {"columns"}
         for name, value in fields.items():
             kind = {"sample_rate": float | int, "axes": dict}.get(name, str)
@@ -148,7 +148,7 @@ class Columns:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that are read beside those of the command."""
+        """Files that are read in addition to those of the command."""
         return () if self.join is None else (self.join,)
 
     @property
@@ -157,12 +157,12 @@ class Columns:
         return tuple(entry.partition("=")[0] for entry in self._entries())
 
     def demand_axes(self, keys: Sequence[str], words: str) -> None:
-        """Refuse keys as `demand` does; columns are those of axes, but a scale may be given for all of them."""
+        """Raise an error as `demand` does; columns are given by axis, but a scale may hold for all axes."""
         named = [key for key in ("voltage", "displacement") if getattr(self, key) is not None]
         self.demand([key for key in keys if key not in named], words, axes=True)
 
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
-        """Refuse keys other than these, and without `axes` those of axes; `words`: where they have no effect."""
+        """Raise an error for keys other than these, and for axes unless `axes`; `words`: where they have no effect."""
         known = (*keys, *self.axes) if axes else keys
         wrong = [key for key in self.keys if key not in known]
         if wrong:
@@ -173,7 +173,7 @@ class Columns:
             )
 
     def records(self, paths: Sequence[Path], *, axes: str | None = None, several: bool = False) -> list[Record]:
-        """Read records, with `axes` as `dehyst.read` has it; `several`: the command reads other files too."""
+        """Read records; `axes`: as in `dehyst.read`; `several`: whether the command reads other files too."""
         several = several or len(paths) > 1
         return [self._with_sign(partial(read, path, **self._options(axes)), several) for path in paths]
 
@@ -189,7 +189,7 @@ class Columns:
         return named_and_joined(self.plain_table(path, several=several), choice, **given)
 
     def plain_table(self, path: Path, *, several: bool = True) -> Table:
-        """Read the table of a file as it is: only decimal sign and size count."""
+        """Read the table of a file unchanged: only decimal sign and size have an effect."""
         return self._with_sign(partial(read_table, path, max_bytes=self.max_bytes), several)
 
     def record_in(self, table: Table, name: str) -> Record:
@@ -211,11 +211,11 @@ class Columns:
 
     @property
     def pairs(self) -> str:
-        """The axes as `dehyst.read` takes them."""
+        """The argument `axes` of `dehyst.read`."""
         return " ".join(f"{name}={columns}" for name, columns in self.axes.items())
 
     def _options(self, axes: str | None) -> dict[str, Any]:
-        """Return the keywords of `dehyst.read` but the decimal sign."""
+        """Return the keywords of `dehyst.read` except the decimal sign."""
         choice = {name: getattr(self, name) for name in Choice._fields}
         more = {
             "columns": self.names,
@@ -226,7 +226,7 @@ class Columns:
         return choice | more
 
     def _with_sign(self, reading: Callable[..., _Read], several: bool) -> _Read:
-        """Read a file with the decimal sign that was given; one of several files may show another sign."""
+        """Read a file with the given decimal sign; with several files, one may use another sign."""
         try:
             return reading(decimal=self.decimal)
         except FileFormatError:
@@ -259,7 +259,7 @@ AS_FOUND = Columns()
 
 
 def _scaled(value: str, units: str) -> tuple[str, str]:
-    """Return a column without its scale, and the scale; a bare number has the given units."""
+    """Split a column into name and scale; a scale without unit has the given units."""
     match = _SCALED.fullmatch(value)
     if match is None:
         return value, ""
@@ -287,7 +287,7 @@ def is_model(path: Path, *formats: str) -> bool:
 
 
 def read_model(run: Run, path: Path) -> Actuator:
-    """Read a model; note if its identification was not usable, or did not end."""
+    """Read a model; warn if its identification was not usable, or did not end."""
     actuator = Actuator.load(path)
     known = actuator.identification
     if known is not None and known.outcome is not None and not known.outcome.good:
@@ -300,7 +300,7 @@ def read_model(run: Run, path: Path) -> Actuator:
 
 
 def edited(actuator: Actuator) -> Iterator[str]:
-    """Yield what the records of a model cannot have shown: limits and a delay that somebody wrote into its file."""
+    """Yield warnings of edited limits and delay in a model file, which its records cannot have shown."""
     tested = None if actuator.identification is None else actuator.identification.validity
     if tested is None:
         return
@@ -319,13 +319,13 @@ def edited(actuator: Actuator) -> Iterator[str]:
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:
-    """Write a table without the tails of rounding errors; that of a `scan` begins with its declaration."""
+    """Write a table with rounded numbers; the table of a `scan` begins with its declaration."""
     head = () if scan is None else (f"{SCAN}{json.dumps(scan)}",)
     write_columns(path, columns, digits=_DIGITS, head=head)
 
 
 def scan_declared(path: Path) -> dict[str, Any] | None:
-    """Return the declaration in the first line of a path; None if there is none. A pipe is not looked at."""
+    """Return the declaration in the first line of a path file; None if there is none, or the file is a pipe."""
     if not path.is_file():
         return None
     with path.open("rb") as stream, suppress(ValueError):

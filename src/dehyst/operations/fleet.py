@@ -39,27 +39,27 @@ def identify(
 ) -> Result:
     """Identify every record of DATASET: a Parquet file (a row group a record), a Zarr store or a folder of files.
 
-    The table has one row a record. Until it is written, each record has a file of its own in TABLE.parquet.parts: a
-    run that was stopped goes on with --resume. The exit status is 1 if a record was lost.
+    The table has one row for each record. Until it is written, the folder TABLE.parquet.parts holds a file for each
+    finished record; --resume continues a stopped run. The exit status is 1 if a record was lost.
 
     Parameters
     ----------
     output
         Write the table here (.parquet).
     by
-        Keys of a record, as serial,session; default: its number or name.
+        Keys of a record, such as serial,session; default: its number or name.
     structure
         maxwell_slip: slip elements and a spring. auto: parts selected by cross-validation, much slower.
     elements
         Number of slip elements; default 20.
     norm
-        Of the residuals.
+        Norm of the residuals.
     delay
         Lag of the displacements [s]; default: estimated.
     drift
         Whether the drift of a record is estimated and removed.
     resume
-        Go on with a run that did not end; compute changed records again.
+        Continue a stopped run; records that have changed are computed again.
     """
     columns.demand(_KEYS, "on a dataset")
     refuse_inside(dataset, output)
@@ -102,25 +102,26 @@ def report(
     over: str = "session",
     goal: float = 1.0,
 ) -> Result:
-    """Show what has aged, outliers, refused records with reasons, duplicates and distributions of an identified fleet.
+    """Report ageing, outliers, refused records with reasons, duplicates and distributions of an identified fleet.
 
-    What has aged is left out if the table has no sessions. The status is 1 if an actuator is to be recalibrated:
-    keeping its oldest model costs more than --goal at its last session, or its costs are out of their limits.
+    Ageing is left out if the table has no sessions. The status is 1 if an actuator needs recalibration: the cost of its
+    oldest model, its largest difference from the model of the last session, exceeds --goal, or the costs leave their
+    control limits.
 
     Parameters
     ----------
     table
-        Of dehyst fleet identify.
+        Table of dehyst fleet identify.
     output
         Write a self-contained HTML page here.
     threshold
-        Robust standard deviations from the fleet's median beyond which a record is listed.
+        Deviation from the fleet's median, in robust standard deviations, from which a record is listed.
     by
-        Key of one actuator.
+        Key that identifies an actuator.
     over
-        Key of its sessions, oldest first: 2 is before 10.
+        Key that orders the sessions, oldest first: 2 is before 10.
     goal
-        Cost [% of the stroke] above which an actuator is to be recalibrated in any case.
+        Cost [% of the stroke] above which an actuator needs recalibration in any case.
     """
     loaded = load(table)
     found = findings_of(loaded, threshold=threshold)
@@ -136,7 +137,7 @@ def report(
 
 
 def _drifts(table: Fleet, by: str, over: str, goal: float) -> Drifts | None:
-    """Return what ageing costs; None if the table has no sessions and none were asked for."""
+    """Return the costs of ageing; None if the table has no sessions and none were requested."""
     try:
         return drifts_of(table, by=by, over=over, goal=goal)
     except FileFormatError:

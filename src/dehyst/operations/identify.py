@@ -1,4 +1,4 @@
-"""`identify`: an actuator from records of voltage and displacement, or several coupled ones."""
+"""`identify`: an actuator, or several coupled ones, from records of voltage and displacement."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def identify(
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
-    """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns several coupled ones.
+    """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns, several coupled actuators.
 
     Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
-    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. Of several axes
+    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. With several axes
     there is no model before all are identified: Ctrl-C writes nothing.
 
     Parameters
@@ -86,7 +86,7 @@ def identify(
     output
         Write the model here (JSON).
     validate
-        Held-out records, simulated only.
+        Held-out records, which are only simulated.
     report
         Write a self-contained HTML report here.
     traces
@@ -95,7 +95,7 @@ def identify(
         auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. maxwell_slip: slip
         elements and a spring, as in Yeh's paper.
     zero
-        Displacement that becomes 0: bottom, first sample or mean of the first record; default: the sensor's zero.
+        Zero of the displacement: bottom, first sample or mean of the first record; default: the sensor's zero.
     time_limit
         End the search for a structure after this time [s], and complete the best model so far.
     """
@@ -148,7 +148,7 @@ def identify(
 
 
 def _zeroed(records: list[Record], others: list[Record], zero: Zero | None) -> tuple[list[Record], list[Record]]:
-    """Return records with displacements from a zero, which the first of them places for all."""
+    """Return records with displacements relative to a zero from the first record."""
     if zero is None or not records:
         return records, others
     y = records[0].displacement
@@ -166,7 +166,7 @@ def _zeroed(records: list[Record], others: list[Record], zero: Zero | None) -> t
 def _report(
     path: Path, fit: Fit | StageFit, records: Sequence[Record], training: int, command: str, *, quick: bool
 ) -> None:
-    """Write the report of a fit, with an assessment of a model of one axis unless it is to be quick."""
+    """Write the report of a fit; for one axis with an assessment of the model, unless the report should be quick."""
     if not isinstance(fit, Fit):
         write_stage_report(path, fit, records, command=command)
         return
@@ -175,7 +175,7 @@ def _report(
 
 
 def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> list[str]:
-    """Return warnings of other voltages in the files of records that the residual of a single axis follows."""
+    """Return warnings if the residual of a single axis follows another voltage in the files of its records."""
     remarks = []
     for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):
         if path.is_fifo() or columns.sample_rate is not None:
@@ -190,9 +190,9 @@ def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> l
 
 
 class _BestSoFar:
-    """The best model so far of one identification, in its output.
+    """The best model so far of an identification, kept in its output.
 
-    A finished model that is there already stays until the new one is finished.
+    An existing finished model in this output stays until the new one is finished.
     """
 
     def __init__(self, output: Path | None) -> None:
@@ -200,7 +200,7 @@ class _BestSoFar:
         self.usable = self._written = False
 
     def keep(self, actuator: Actuator) -> None:
-        """Write the first model; from here on the search can be ended."""
+        """Write the first model; from now on the search can be ended early."""
         self.usable = True
         if self._output is not None and (not os.path.lexists(self._output) or _is_provisional(self._output)):
             actuator.save(self._output)
@@ -213,7 +213,7 @@ class _BestSoFar:
 
 
 def _is_provisional(path: Path) -> bool:
-    """Whether a file is the first model of an identification that did not end."""
+    """Return whether a file is the provisional model of an identification that did not end."""
     with suppress(DehystError):
         known = Actuator.load(path).identification
         return known is not None and known.provisional

@@ -42,7 +42,7 @@ _ROUNDING, _WRITTEN = 1e-6, 1e-9
 
 @dataclass(frozen=True)
 class Zero:
-    """The displacement from which others are counted: a name, or micrometres of the sensor."""
+    """The displacement that counts as zero: a name, or micrometres of the sensor."""
 
     name: str
     um: float = 0.0
@@ -51,7 +51,7 @@ class Zero:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the zero in a text; raise ValueError with what is needed."""
+        """Return the zero in a text; raise ValueError that says what is needed."""
         if text in ("bottom", "first", "mean"):
             return cls(text)
         try:
@@ -68,25 +68,25 @@ class Zero:
 
 
 class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path, None if not limited, and where it comes from."""
+    """The largest slew rate [V/s] of a path (None: not limited) and its origin."""
 
     bound: float | None
     origin: str
 
     @classmethod
     def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
-        """Return the slew rate that was given, or the default of a path: that of the model's records."""
+        """Return the given slew rate, or the default of a path: the speed of the model's records."""
         if given is not None:
             return cls(given.rate, "none" if given.rate is None else "option")
         return cls(actuator.recorded_slew_rate, "unknown" if actuator.recorded_slew_rate is None else "records")
 
     def of_path(self, *, timed: bool) -> PathSlew:
-        """Return the slew rate of a path with a time, or without one, where no default holds."""
+        """Return the slew rate of a path; without time there is no default."""
         return self if timed or self.origin != "records" else PathSlew(None, "no time")
 
     @property
     def words(self) -> str:
-        """The bound and its origin."""
+        """The slew rate and its origin as text."""
         bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
         words = {
             "option": bound,
@@ -98,7 +98,7 @@ class PathSlew(NamedTuple):
         return f"slew rate: {words[self.origin]}"
 
     def missed_words(self, limits: tuple[float, float], voltage: Array, missed: float) -> str:
-        """Return why and by how much [m] a path is missed by its clamped voltages (n,) [V]."""
+        """Return as text why, and by how much [m], a path is missed with its clamped voltages (n,) [V]."""
         at_limit = voltage.min() <= limits[0] or voltage.max() >= limits[1]
         reasons = (at_limit and "cut at the limits", self.bound is not None and "held back by the slew rate")
         return f", {' or '.join(one for one in reasons if one)}: missed by up to {missed * 1e6:.4g} um"
@@ -110,7 +110,7 @@ class PathSlew(NamedTuple):
     def remarks(
         self, actuator: Actuator, limits: tuple[float, float], wanted: Array, time: Array | None, **rates: Any
     ) -> list[str]:
-        """Remark a path (n,) [m] that needs more than this bound, or than the speed of the records and its margin."""
+        """Return a remark if a path (n,) [m] needs more than this slew rate, or than the speed of the records."""
         recorded = actuator.recorded_slew_rate
         if (recorded is None and self.bound is None) or time is None or len(wanted) < 2:
             return []
@@ -133,7 +133,7 @@ class PathSlew(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _AxisRequest:
-    """What is asked for of the actuator of an axis; `start` is None if it is unknown."""
+    """The request for the actuator of an axis; `start` is None if it is unknown."""
 
     actuator: Actuator
     limits: Limits
@@ -143,15 +143,15 @@ class _AxisRequest:
 
     @property
     def allowed(self) -> tuple[float, float]:
-        """The limits in force [V]."""
+        """The effective limits [V]."""
         return self.limits or self.actuator.voltage_range
 
     def reach_remarks(self, wanted: Array, zero: Zero | None) -> list[str]:
-        """Refuse a path (n,) [m] far outside of the reachable range; return a remark if it lies outside at all."""
+        """Return a remark on a path (n,) [m] outside of the reachable range; raise an error if it is far outside."""
         return reach_remarks(self.actuator, wanted, self.limits, zero)
 
     def promise_lines(self, judged: Judgement) -> list[str]:
-        """Return a line on the error that is promised of the path, if it is known, and what of it is not tested."""
+        """Return lines on the promised error of the path, if it is known, and on untested parts of the path."""
         known = self.actuator.identification
         validity = None if known is None else known.validity
         # Limits of the file may be wider than what was recorded.
@@ -167,7 +167,7 @@ def zero_of_path(
     start: PossibleStart | None = None,
     present: float | None = None,
 ) -> float:
-    """Return the displacement [m] of the model from which a path is counted."""
+    """Return the model's displacement [m] that is the zero of a path."""
     if zero is None or not zero.name:
         return 0.0 if zero is None else zero.um * 1e-6
     compensator = Compensator(actuator, limits)
@@ -182,9 +182,9 @@ def zero_of_path(
 def reach_remarks(
     actuator: Actuator, wanted: Array, limits: Limits, zero: Zero | None, *, refuse: bool = True
 ) -> list[str]:
-    """Remark a path (n,) [m] outside of the reachable range, with that range and what to try.
+    """Return a remark on a path (n,) [m] outside of the reachable range, with this range and what to try.
 
-    Raise `ModelError` for one more than a stroke outside: its zero, unit or model is another one.
+    Raise `ModelError` if it is more than a stroke outside, because then its zero, unit or model is wrong.
     """
     if not wanted.size:
         return []
@@ -213,7 +213,7 @@ def reach_remarks(
 
 
 def _zero_advice(path: tuple[float, float], reach: tuple[float, float], zero: Zero | None) -> str:
-    """Return which zero brings a path into the reachable range; empty if none does."""
+    """Return a hint on the zero that brings a path into the reachable range; empty if there is none."""
     (low, high), (least, most) = reach, path
     if zero is not None or most - least > high - low:
         return ""
@@ -253,11 +253,11 @@ def compensate(
     tolerance: Annotated[float | None, _of_table] = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Compute the voltage that makes the actuator follow a TRAJECTORY; adds voltage_V, within limits.
+    """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
-    Without --start the state before the path is unknown: a homing comes first where that matters, and what the start
-    leaves open is reported. The status is 1 if a voltage was clamped, or --home leaves more than the model's error;
-    with --table also if the cycle is not settled, or the homing is not certified.
+    Without --start the state before the path is unknown: a homing comes first if the start matters, and the error due
+    to the start is reported. The status is 1 if a voltage was clamped, or if the error due to the start after --home
+    exceeds the model's error; with --table also if the cycle is not settled, or the homing is not certified.
 
     Parameters
     ----------
@@ -266,30 +266,30 @@ def compensate(
     output
         Write time, displacement and voltage here (CSV).
     limits
-        Voltages allowed [V], of all axes or of one; default: those of the records.
+        Allowed voltages [V], of all axes or of one; default: the voltages of the records.
     slew_rate
-        Largest slew rate [V/s]; none: not limited; default: that of the model's records.
+        Largest slew rate [V/s]; none: not limited; default: the speed of the model's records.
     zero
-        From where the path is counted: bottom or mean of the reachable range, first: where the actuator starts;
-        default: the sensor's zero.
+        Zero of the path: bottom or mean of the reachable range; first: the actuator's start; or a number [um]; default:
+        the sensor's zero.
     start
         State before the first sample: turned at the top or bottom of the identified range; relaxed at 0 V; homed, as
-        after 'dehyst excite homing --model' without other options; as at the end of FILE, a record, or only the
-        voltages played before; or as RECORD began; default: unknown.
+        after 'dehyst excite homing --model' without other options; as at the end of FILE (a record, or the voltages
+        played before); or as at the beginning of a RECORD; default: unknown.
     home
         Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first
-        sample, 2 the path; default: if --start is left out and the start matters more than the model's error.
+        sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
     present
-        Voltage on the actuator now [V]; default: 0, or that of --start.
+        Present voltage on the actuator [V]; default: 0, or the voltage of --start.
     table
         Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1
         start-up, 2 steady cycles.
     cycles
         Steady cycles in the output.
     approach
-        Time to the first sample [s]; default: shortest.
+        Time to the first sample [s]; default: as short as possible.
     start_up
-        Cycles before the steady ones; default: by the tolerance.
+        Cycles before the steady ones; default: from the tolerance.
     tolerance
         Error left by the start-up [um]; default: 1e-4 of the stroke.
     """
@@ -335,7 +335,7 @@ def _axes_of(
     present: float | None,
     columns: Columns,
 ) -> tuple[list[_AxisRequest], list[str]]:
-    """Return what is asked for of each axis, and remarks on the start."""
+    """Return the request for each axis, and remarks on the start."""
     bounds, slews = limits_of(known.axes, limits), slews_of(known.axes, slew_rate)
     begins, remarks = starts.starts_of(known, start, bounds, columns)
     axes = []
@@ -350,7 +350,7 @@ def _axes_of(
 
 
 def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, zero: float) -> tuple[Scan, str]:
-    """Return the scan that the first line of a path declares, counted from a zero [m], and the axis that is wanted.
+    """Return the scan in the first line of a path file, relative to a zero [m], and the wanted axis.
 
     Raise `FileFormatError` if the rows of the path are not the scan's.
     """
@@ -393,7 +393,7 @@ def _follow(
     home: bool | None,
     remarks: list[str],
 ) -> Result:
-    """Write the voltages of a path (n, axes) [m]."""
+    """Compute and write the voltages of a path (n, axes) [m]."""
     when = time.get("time_s")
     slews = [one.slew.of_path(timed=when is not None) for one in axes]
     pairs = list(zip(axes, slews, known.targets(wanted).T, strict=True))
@@ -474,7 +474,7 @@ def _planned(
     rates: Mapping[str, Any],
     home: bool | None,
 ) -> list[HomedPath]:
-    """Return the voltages of each axis along a path: from its start, or if that matters, after a homing."""
+    """Return the voltages of each axis along a path, from its start or, if the start matters, after a homing."""
     if known.stage is None:
         (one,) = axes
         compensator = Compensator(one.actuator, one.limits, slews[0].bound)
@@ -492,7 +492,7 @@ def _planned(
 
 
 def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the columns of a wanted displacement, its voltage and the displacement to expect, of each axis."""
+    """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
     wanted, volts, expected = (
         np.column_stack([getattr(path, name) for path in paths]) for name in ("displacement", "voltage", "expected")
     )
@@ -512,7 +512,7 @@ def _tabulate(
     options: Mapping[str, Any],
     remarks: list[str],
 ) -> Result:
-    """Write the wave table of a scan, with its homing unless the start was given or --no-home was, and its start-up."""
+    """Write the wave table of a scan with its start-up, and with its homing unless a start or --no-home is given."""
     actuator, slew, path = one.actuator, one.slew, scan.path(axis)
     bounds = one.limits or actuator.limits
     start = one.start or PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
@@ -598,7 +598,7 @@ def _homing_seconds(table: WaveTable) -> float:
 
 
 def _note_duration(run: Run, table: WaveTable, cycles: int) -> None:
-    """Tell how long the written voltage plays; raises RecordError if a file should not hold so many rows."""
+    """Note the duration of the written voltage; raise RecordError if there are too many rows for a file."""
     rows, rate, homing = table.rows(cycles), table.sample_rate, table.homing
     parts = (
         (_homing_seconds(table), "homing"),

@@ -1,4 +1,4 @@
-"""The operations by their names, in the order of the journey; each is loaded when it is used."""
+"""The operations by name, in the order of their use; each is loaded when needed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dehyst.operations.declaration import Operation, OperationError
 
 
 class Entry(NamedTuple):
-    """Where an operation is, `module:name` in this room, and what it is for in a few words."""
+    """Location of an operation, `module:name` in this package, and its purpose in a few words."""
 
     place: str
     words: str
@@ -17,12 +17,12 @@ class Entry(NamedTuple):
 
 JOURNEY: dict[str, dict[str, Entry]] = {
     "Try it": {
-        "demo": Entry("studies:demo", "The whole way on a virtual actuator"),
+        "demo": Entry("studies:demo", "All steps on a virtual actuator"),
         "paper": Entry("studies:paper", "Repeat the paper's experiment on a virtual actuator"),
     },
     "Excite and record": {
         "excite": Entry("waves:excite", "Write the voltage of an excitation to play"),
-        "show": Entry("show:show", "What a file is understood as, and a drawing"),
+        "show": Entry("show:show", "How a file is understood, with a drawing"),
         "calibrate": Entry("bench:calibrate", "Do the whole experiment on an instrument"),
         "rig serve": Entry("bench:serve", "Serve an emulated instrument"),
     },
@@ -38,7 +38,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "compensate": Entry("paths:compensate", "The voltage that follows a path"),
         "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
-        "update": Entry("update:update", "Make a model true again from one new record"),
+        "update": Entry("update:update", "Update a model from one new record"),
     },
     "Deploy": {
         "export": Entry("export:export", "C source for a microcontroller, WebAssembly, or an FMU"),
@@ -48,7 +48,7 @@ ENTRIES = {name: entry for entries in JOURNEY.values() for name, entry in entrie
 
 
 def find(name: str) -> Operation:
-    """Return an operation; raises OperationError if there is none."""
+    """Return an operation; raise OperationError if there is no such operation."""
     if name not in ENTRIES:
         raise OperationError(argument="operation", got=repr(name), need=f"one of {', '.join(ENTRIES)}")
     module, _, function = ENTRIES[name].place.partition(":")

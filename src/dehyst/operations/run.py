@@ -1,4 +1,4 @@
-"""A run of an operation: what it reports on its way, what it returns, and which files it may replace."""
+"""A run of an operation: its progress reports, its result, and which files it may replace."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ MODELS = ("dehyst-actuator", "dehyst-stage")
 
 
 class Run:
-    """Where an operation runs: silent here; a terminal and a worker print or send what it reports.
+    """Receiver of an operation's reports: silent here; subclasses print them to a terminal or send them from a worker.
 
     Attributes
     ----------
     command : str
-        The command that does the same, for reports.
+        The equivalent command, for reports.
     force : bool
         Whether outputs may replace any file.
     known : dict
-        What is known already if the operation fails, as JSON values.
+        JSON values that are known already if the operation fails.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Run:
         self.known: dict[str, Any] = {}
 
     def progress(self, words: str) -> None:
-        """Show what is being done; empty words end that."""
+        """Show the present activity; an empty text ends this."""
 
     def note(self, sentence: object) -> None:
         """Report a warning at once."""
@@ -48,22 +48,22 @@ class Run:
         """Report a line of the result at once."""
 
     def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> AbstractContextManager[Any]:
-        """Let a request to end early, such as Ctrl-C, call `end` if that is `possible` by then; else it interrupts."""
+        """Let a request to end early, such as Ctrl-C, call `end` if this is `possible` then; else let it interrupt."""
         return nullcontext()
 
     def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
-        """Return the watcher of a calibration with these steps."""
+        """Return the progress display of a calibration with these steps."""
         from dehyst.calibration.session import NullProgress
 
         return nullcontext(NullProgress())
 
 
 class InterruptibleRun(Run):
-    """A run in the main thread that SIGINT ends early, where that is possible, and stops elsewhere."""
+    """A run in the main thread that SIGINT ends early if possible, and interrupts otherwise."""
 
     @contextmanager
     def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
-        """Let the first SIGINT end the operation early, if that is possible by then, and the second one stop it."""
+        """Let the first SIGINT end the operation early if this is possible then, and the second one interrupt it."""
 
         def interrupt(*_: object) -> None:
             if not possible():
@@ -89,7 +89,7 @@ class InterruptibleRun(Run):
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """End on SIGTERM as on an error, so that drafts and temporary folders are removed."""
+    """Treat SIGTERM as an error, so that drafts and temporary folders are removed."""
 
     def leave(number: int, _: object) -> None:
         sys.exit(128 + number)
@@ -106,18 +106,18 @@ def terminable() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Result:
-    """What an operation returns.
+    """The result of an operation.
 
     Attributes
     ----------
     fields : dict
         JSON values.
     lines : sequence of str
-        For a person: the answer first.
+        Lines for a person, the answer first.
     more : sequence of str
-        The lines with all details; the same by default.
+        The lines with all details; by default `lines`.
     warnings : sequence of str
-        What to know of the result.
+        Warnings about the result.
     good : bool
         False: done, but not good enough, for a reason in `lines`.
     """
@@ -134,7 +134,7 @@ class Result:
 
 
 def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force: bool = False) -> Result:
-    """Run an operation with the values that were given; with `force` it may replace any file.
+    """Run an operation with the given values; with `force` it may replace any file.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
 
 
 def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
-    """Refuse a model that comes after other files."""
+    """Raise an error if a model comes after other files."""
     files = [
         path
         for one in operation.parameters
@@ -168,7 +168,7 @@ def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
-    """Refuse outputs that are inputs, have one name, lie in no folder, or would replace a file of another kind.
+    """Raise an error for outputs that are inputs, share a name, lack a folder, or would replace a file of another kind.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
 
 
 def _same(first: Path, second: Path) -> bool:
-    """Return whether two names are of one file."""
+    """Return whether two names refer to the same file."""
     try:
         return first.samefile(second)
     except OSError:

@@ -1,4 +1,4 @@
-"""`show`: what a file is understood as."""
+"""`show`: how a file is understood."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def show(
     report: Annotated[Output | None, _of_record] = None,
     columns: Annotated[Columns, _of_record] = AS_FOUND,
 ) -> Result:
-    """Print what a FILE is understood as: columns, units, sample rate, cycles and problems; and draw its loop.
+    """Print how a FILE is understood: columns, units, sample rate, cycles and problems; and draw its loop.
 
-    The status is 2 if it is no record; the message has the columns that may make it one. A model is printed.
+    The status is 2 if the file is not a record; the message then suggests columns. For a model, its parts are printed.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def _span(values: Array) -> list[float]:
 
 
 def _column_lines(table: Table) -> Iterator[str]:
-    """Yield the columns of a file, as the file has them."""
+    """Yield the columns of a file with their original names and units."""
     samples = max((column.data.size for column in table.columns), default=0)
     yield f"{table.source}: {counted(samples, 'sample')} of {counted(len(table.columns), 'column')}"
     shown = table.columns[:_MOST]
@@ -97,7 +97,7 @@ def _column_lines(table: Table) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class _AxisView:
-    """What an axis of a record, or the only one, is understood as."""
+    """How an axis of a record is understood."""
 
     record: Record
     table: Table
@@ -105,7 +105,7 @@ class _AxisView:
     name: str
 
     def _wanted(self, quantity: str) -> str | None:
-        """Return the column of a quantity that was asked for."""
+        """Return the requested column of a quantity."""
         if self.name and quantity != "time":
             return self.columns.axes[self.name].split(":")[quantity == "displacement"]
         wanted: str | None = getattr(self.columns, quantity)
@@ -138,7 +138,7 @@ class _AxisView:
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:
-        """Yield what the columns are understood as, what is suspicious, and the loop."""
+        """Yield how the columns are understood, suspicious properties, and the loop."""
         rows = self.understood()
         width = max(len(column) for _, column, _ in rows)
         yield ""
@@ -157,7 +157,7 @@ class _AxisView:
         yield from _drawing(self.record.voltage, self.record.displacement * 1e6, "voltage (V)", "displacement (um)")
 
     def _ends(self) -> Iterator[str]:
-        """Yield the first and last value of each column that is used, as the file and as the record has them."""
+        """Yield the first and last value of each used column, as in the file and as in the record."""
         timed = ("time",) if self.columns.sample_rate is None else ()
         for quantity in (*timed, "voltage", "displacement"):
             column = self.table.select(quantity, self._wanted(quantity)).column
@@ -171,7 +171,7 @@ class _AxisView:
             yield f"  {name}: {first} ... {last} -> {a:.6g} ... {b:.6g} {unit}{mark}"
 
     def problems(self) -> list[str]:
-        """Return why no loop can be identified from the record, and what else is suspicious."""
+        """Return why no loop can be identified from the record, and other suspicious properties."""
         try:
             self.record.check_usable()
         except RecordError as error:

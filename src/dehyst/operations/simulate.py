@@ -32,11 +32,11 @@ def simulate(
     home: bool = False,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Compute the displacement that a VOLTAGE file causes; adds expected_um.
+    """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.
 
-    Without --start the state before the first sample is unknown: the displacement is that from the middle of the
-    possible states, and lowest_um and highest_um bound it. The status is 1 if a voltage lies outside the model's
-    limits by more than a tenth of their range, or if --home leaves more than the model's error.
+    Without --start the state before the first sample is unknown: the displacement starts from the middle of the
+    possible states, and lowest_um and highest_um bound it. The status is 1 if a voltage lies outside the model's limits
+    by more than a tenth of their range, or if the error due to the start after --home exceeds the model's error.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _played(
     *,
     home: bool,
 ) -> list[HomedPath]:
-    """Return the motion of each axis by voltages (n, axes), perhaps with a homing before them."""
+    """Return the motion of each axis for voltages (n, axes) [V], optionally with a homing before them."""
     when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
     if known.stage is None:
         compensator = Compensator(known.actuators[0], ranges[0])
@@ -111,10 +111,10 @@ def _played(
 def _displacements(
     known: AxesModel, paths: Sequence[HomedPath], clock: Mapping[str, Array], *, lag: bool
 ) -> dict[str, Any]:
-    """Return columns of the displacement [um] and, if a start is open, of its bounds."""
+    """Return columns of the displacement [um] and, if a start is uncertain, of its bounds."""
 
     def late(targets: Array) -> Array:
-        """Return displacements as sensors show them, late by the actuators' delays."""
+        """Return displacements as the sensors show them, with the actuators' delays."""
         if not lag:
             return targets
         if "time_s" not in clock:

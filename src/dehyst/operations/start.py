@@ -1,4 +1,4 @@
-"""The state in which a model starts: as it is given, what is unknown of it, and what a file of voltages lacks."""
+"""The initial state of a model: as given, its uncertainty, and what a file of voltages does not contain."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ StartReader = Callable[[int, Actuator, Limits], PossibleStart]
 
 @dataclass(frozen=True)
 class Start:
-    """The state before the first sample: a name of `PossibleStart`, or a file of what was played before.
+    """The state before the first sample: a name of `PossibleStart`, or a file with the voltages played before.
 
-    `began`: the start is the state in which the file's record began, not that at its end.
+    `began`: the start is the state at the beginning of the file's record, not at its end.
     """
 
     name: str = ""
@@ -52,7 +52,7 @@ class Start:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the start in a text; raise ValueError with what is needed."""
+        """Return the start in a text; raise ValueError that says what is needed."""
         if text in NAMES:
             return cls(text)
         began = text.startswith(_AS) and not Path(text).exists()
@@ -68,16 +68,15 @@ class Start:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file that is read."""
+        """The files that are read."""
         return () if self.path is None else (self.path,)
 
 
 def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: bool = True) -> StartReader:
-    """Return what gives the start of an actuator: the named one, or that which the file, read once, determines.
+    """Return a function that gives the start of an actuator: the named start, or the start from the file, read once.
 
-    Displacements that dehyst wrote are no measurement: of such a file only the voltages count. `rests`: whether the
-    actuator rests at the voltage of the start, which is still applied: the file's last one, or its first if it is the
-    beginning that counts.
+    Displacements written by dehyst are not measured: of such a file only the voltages count. `rests`: whether the
+    actuator still rests at the voltage of the start: the file's last voltage, or with `began` its first.
     """
     if start.path is None:
         return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
@@ -116,7 +115,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
 def starts_of(
     model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
 ) -> tuple[list[PossibleStart | None], list[str]]:
-    """Return the start of each axis, None if none was given, and remarks; arguments as in `start_reader`."""
+    """Return the start of each axis (None if not given) and remarks; arguments as in `start_reader`."""
     if start is None:
         return [None] * len(model.axes), []
     reader = start_reader(model, start, columns, rests=rests)
@@ -128,7 +127,7 @@ def starts_of(
 
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
-    """Return a named start, or if the limits do not reach it the one after loops between them, with a remark."""
+    """Return a named start; if it is outside the limits, the start after loops between them, with a remark."""
     allowed = limits or actuator.limits
     state = start.state if allowed is None else state_after_loops(actuator, start.state, allowed)
     if allowed is None or state is start.state:
@@ -141,7 +140,7 @@ def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> 
 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
-    """Describe the state before the first sample, in brackets; by default that of the start."""
+    """Describe the state before the first sample, in brackets; by default the state of the start."""
     voltage = f"{actuator.voltage(start.within(actuator, None) if state is None else state):.4g} V"
     words = {
         "relaxed": "from rest, relaxed, at ",
@@ -162,12 +161,12 @@ def homed_words(homed: HomedPath) -> str:
 
 
 def left_open(path: HomedPath) -> StartError | None:
-    """Return what the start of a path leaves open; None if it is known."""
+    """Return the error due to the start of a path; None if the start is known."""
     return None if path.homing is None and path.start.known else path.error
 
 
 def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str]:
-    """Return a line on what a start of this name leaves open; none if it is known."""
+    """Return a line on the error due to a start with this name; no line if the start is known."""
     if error is None:
         return []
 
@@ -209,7 +208,7 @@ def path_start_fields(path: HomedPath) -> dict[str, Any]:
 def file_warnings(
     actuator: Actuator, first: float, start: PossibleStart, state: State, slew: float | None
 ) -> list[str]:
-    """Warn of what the file does not contain: the ramp to its first voltage, earlier creep and the delay."""
+    """Warn that the file does not contain the ramp to its first voltage, earlier creep and the delay."""
     warnings = []
     present = actuator.voltage(state)
     if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
@@ -218,8 +217,8 @@ def file_warnings(
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
             f"{present:.6g} V: ramp there {within} before you play the file"
         )
-    if actuator.creep is not None and start.name in ("top", "bottom", "relaxed"):
-        longest = float(actuator.creep.time_constants[-1])
+    if actuator.creep_times.size and start.name in ("top", "bottom", "relaxed"):
+        longest = float(actuator.creep_times.max())
         warnings.append(
             f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
             f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
@@ -236,7 +235,7 @@ def delay_warnings(actuator: Actuator) -> list[str]:
 
 
 def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None) -> list[str]:
-    """Warn of what the file of a path contains before it, or does not contain."""
+    """Return warnings about the part of a file before its path: the homing, the way, or their absence."""
     first = float(path.voltage[0])
     if path.homing is None:
         begin = path.start.within(actuator, limits)
@@ -267,6 +266,6 @@ def clock_columns(path: HomedPath, time: Mapping[str, Array]) -> dict[str, Any]:
 
 
 def period_of(time: Mapping[str, Array]) -> float | None:
-    """Return the mean time between samples, by which the compensator of several axes checks its slew rate."""
+    """Return the mean time [s] between samples, with which the compensator of several axes checks its slew rate."""
     times = time.get("time_s")
     return None if times is None or len(times) < 2 else float((times[-1] - times[0]) / (len(times) - 1))

@@ -14,7 +14,7 @@ from dehyst.studies.paper.tables import summary
 
 _TITLES = {
     "asymmetric": "Virtual E-280.10",
-    "symmetric": "The same without its asymmetric map: the errors are those of the method, not of the model class",
+    "symmetric": "The same without its asymmetric map: these errors come from the method, not from the model class",
 }
 _WIDTHS = (9, 12, 13, 12, 12)
 _HEADS = (
@@ -66,7 +66,7 @@ def paper(run: Run, *, output: Path = Path("dehyst-paper")) -> Result:
 
 
 def _table(found: Paper) -> list[str]:
-    """Return the paper's numbers beside those of this package, for both virtual actuators."""
+    """Return the numbers of the paper and of this package for both virtual actuators."""
     lines = []
     for key, one in found.experiments.items():
         lines.append(f"{_TITLES[key]} (errors against the truth)")

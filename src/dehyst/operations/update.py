@@ -1,4 +1,4 @@
-"""`update`: a model that is true again, from one new record."""
+"""`update`: a model updated from one new record."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def update(
     goal: float | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Update a MODEL from a new RECORD of its actuator, even of one loop; says what has changed.
+    """Update a MODEL from a new RECORD of its actuator, even of a single loop, and report what has changed.
 
-    If the record shows no model that predicts it better, the output is the old model. A record that is plainly of
-    another actuator is refused. The coupling of several axes stays, and is checked. The status is 0 if parts of the
-    record that were held out are missed by the goal at most, 1 if by more.
+    If no updated model predicts the record better, the output is the old model. A record that clearly belongs to
+    another actuator is refused. The coupling of several axes is checked but not changed. The status is 0 if the error
+    on held-out parts of the record is within the goal, otherwise 1.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def update(
 
 
 def _lines(update: Update) -> Iterator[str]:
-    """Yield the result, the promise, and what has changed."""
+    """Yield the result, the promise, and the changes."""
     yield update.sentence
     if update.promise is not None:
         yield update.promise.sentence(update.stroke)

@@ -81,7 +81,7 @@ def excite(
     output
         Write time and voltage here (CSV).
     frequency
-        Cycles a second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes.
+        Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes.
     hold
         Staircase: time at each voltage [s]; default 60. Homing of a model that creeps: time at either limit; default:
         as long as needed.
@@ -127,7 +127,7 @@ def excite(
 
 
 def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[Excitation, float]:
-    """Return the slowest excitation that is short enough or, if none is, hardly longer than the fastest."""
+    """Return the slowest excitation that is short enough; if there is none, one hardly longer than the fastest."""
     possible = [(make(frequency), frequency) for frequency in _FREQUENCIES]
     # With a warning the slew rate lengthens legs.
     possible = [one for one in possible if not one[0].warnings] or possible
@@ -194,7 +194,7 @@ def _written(
         parts = (f"{name} {(stop - begin) / excitation.sample_rate:.4g} s" for name, begin, stop in excitation.parts)
         what, advice = (
             ", ".join(parts),
-            ("Play one cycle on all axes before, so that the record begins within the loops.",),
+            ("Before recording, play one cycle on all axes, so that the record begins within the loops.",),
         )
     else:
         what += f", from {first:.6g} to {last:.6g} V"
@@ -203,7 +203,7 @@ def _written(
 
 
 def refuse_cycles(made: Scan, cycles: int) -> None:
-    """Refuse a number of cycles that no file should hold."""
+    """Raise an error for a number of cycles that is too large for a file."""
     if cycles < 0:
         raise RecordError(argument="cycles", got=cycles, need="a whole number, 0 or more")
     if made.samples > MOST_ROWS:
@@ -223,7 +223,7 @@ def refuse_cycles(made: Scan, cycles: int) -> None:
 
 
 class Numbers(tuple[float, ...]):
-    """Numbers with commas between them."""
+    """Numbers separated by commas."""
 
     metavar = "UM,UM,..."
 
@@ -238,7 +238,7 @@ class Numbers(tuple[float, ...]):
 
 
 def _scan_options() -> list[Parameter]:
-    """Return the options of all named scans; each has an effect on its own only."""
+    """Return the options of all named scans; each option affects only its own scan."""
     types: dict[Any, Any] = {"pair": tuple[int, int], "numbers": Numbers}
     found = []
     for name, option in OPTIONS.items():
@@ -264,14 +264,15 @@ def scan(
 ) -> Result:
     """Write the path of a scan: time and displacement of each axis.
 
-    KIND: triangle or steps of one axis; raster, spiral or lissajous of two. compensate makes the voltages of it.
+    KIND: triangle or steps of one axis; raster, spiral or lissajous of two. compensate computes the voltages for this
+    path.
 
     Parameters
     ----------
     output
         Write time and displacement here (CSV).
     sample_rate
-        Samples a second [Hz]; default: by the scan.
+        Samples per second [Hz]; default: from the scan.
     cycles
         Cycles of the scan.
     """

@@ -41,7 +41,7 @@ def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
 
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an actuator; `kind` as in `Actuator.plot`."""
-    if kind == "creep" and not found.creep:
+    if kind == "creep" and not found.creep_times.size:
         raise ModelError(
             f"got 'creep' of an actuator without creep, '{found.name}'", argument="kind", hint="try 'loop'"
         )

@@ -241,7 +241,7 @@ def _state(found: Insight) -> str:
         for known in found.knowledge
     ]
     head = ("Record", "from the measured displacement", "from the voltage alone")
-    homing = "" if found.homing is None else _homing(found.homing, creeps=found.actuator.creep is not None)
+    homing = "" if found.homing is None else _homing(found.homing, creeps=found.actuator.creep_times.size > 0)
     return f"<h2>When the state becomes known</h2>\n{html.table(head, rows, texts=1)}\n{homing}"
 
 

@@ -1,1 +1,1 @@
-"""Planning of a path: what its start may be, homing, and wave tables."""
+"""Planning of a path: its possible starts, homing, and wave tables."""

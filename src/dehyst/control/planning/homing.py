@@ -1,8 +1,8 @@
-"""The shortest homing: the voltage of least travel that leads from any state at rest to a known one, and as played.
+"""The shortest homing: the voltage of least travel that leads from any state at rest to a known state.
 
-If the order of voltages determines the state, it follows in closed form. For actuators with creep, inertia, lag or
-smooth elements a voltage through all of the limits is played in time, from the extreme states, and is as long as the
-tolerance needs. It is played before a path, at its sample rate or a lower one, or step by step.
+If the order of voltages alone determines the state, the homing has a closed form. For actuators with creep, inertia,
+lag or smooth elements, a voltage through the whole limits is simulated in time from the extreme states; its length
+follows from the tolerance. A homing is played before a path, at its sample rate or a lower one, or step by step.
 """
 
 from __future__ import annotations
@@ -54,26 +54,27 @@ _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
 
 @dataclass(frozen=True, eq=False)
 class Homing:
-    """A voltage that leads from any state to a known one.
+    """A voltage that leads from any state to a known state.
 
     Attributes
     ----------
     turns : tuple of float
-        Voltages [V] to visit in this order, the present one first; in between the voltage is monotone. The present one
-        alone if the state is known already.
+        Voltages [V] to visit in this order, monotonically; the first one is the present voltage. If the state is known
+        already, it is the only one.
     bounds : StateBounds
-        Of the state at the end, by two simulations.
+        Bounds of the state at the end, by two simulations.
     unknown : tuple of int
         Elements whose carts stay unknown, counted from 0.
     certified : bool
-        Whether the displacement and every element with stiffness are known at the end, hence all later motion too.
+        Whether the displacement and every element with stiffness are known at the end; then all later motion is known
+        too.
     remarks : tuple of str
         Remarks for the user, in sentences.
     played : Excitation or None
-        The voltage in time, with holds, if the state depends on time: it is certified at this speed only.
+        The voltage over time, with holds, if the state depends on time. It is certified at this speed only.
     spread : float or None
-        With `played`: largest difference [m] of the displacement between any two histories, at the end and along a
-        further cycle through the limits. `certified` refers to it.
+        With `played`: largest difference of the displacement [m] between any two histories, at the end and along a
+        further cycle through the limits. `certified` then refers to `spread`.
     """
 
     turns: tuple[float, ...]
@@ -86,7 +87,7 @@ class Homing:
 
     @property
     def state(self) -> State:
-        """The state at the end, certified or only the middle of the bounds, with unknown carts halfway."""
+        """The state at the end: the middle of the bounds, which is the certified state if the homing is certified."""
         return self.bounds.middle
 
     @property
@@ -96,12 +97,12 @@ class Homing:
 
     @property
     def error(self) -> float:
-        """Error bar [m] of a displacement after it: `spread`, or the width of the bounds."""
+        """Error bar of the displacement [m] after the homing: `spread`, or without it the width of the bounds."""
         return self.width if self.spread is None else self.spread
 
     @property
     def travel(self) -> float:
-        """Length of the path [V]."""
+        """Travel: sum of all voltage changes [V]."""
         return _travel(self.turns)
 
 
@@ -116,13 +117,14 @@ def shortest_homing(
     drive: Sampling | None = None,
     hold: float | None = None,
 ) -> Homing:
-    """Find the voltage of least travel that leads from any state at rest to a known one.
+    """Find the voltage of least travel that leads from any state at rest to a known state.
 
-    Whether a state is known depends on the extremes of the voltage alone (`MajorLoop.least_range`), so no waveform of
-    any shape is shorter than the best of: up, down, up and down, down and up, each then to the end. The extremes follow
-    in closed form; the certificate is two simulations.
+    Whether a state is known depends only on the extremes of the voltage (`MajorLoop.least_range`). Hence the shortest
+    waveform is one of four: up, down, up and down, or down and up, each followed by the way to the end. The extremes
+    have a closed form; two simulations certify the result.
 
-    It is just long enough for the model. Give a real actuator some percent more; a larger excursion also homes it.
+    The homing is just long enough for the model. For a real actuator, add a few percent; a larger excursion homes it
+    too.
 
     Parameters
     ----------
@@ -130,30 +132,30 @@ def shortest_homing(
     limits : (float, float), optional
         Lowest and highest voltage [V]; default the actuator's.
     present, end : float, optional
-        Present and final voltage [V]; default 0, and back to the present one.
+        Present and final voltage [V]; default: 0, and back to the present voltage.
     tolerance : float, optional
-        Width [m] to which the state shall be known; default 1e-12 of the range of the spring's knots. If the state
-        depends on time, width to which the displacement shall be known; default 1e-3 of that range.
+        Allowed width of the state's bounds [m]; default: 1e-12 of the range of the spring's knots. If the state depends
+        on time: allowed width of the displacement's bounds; default: 1e-3 of that range.
     stiff_only : bool, optional
-        Leave out elements without stiffness. They never move the actuator; by default they are homed too if the limits
+        Leave out elements without stiffness, which never move the actuator. By default they are homed too if the limits
         allow it, so that the whole state is known.
     drive : Sampling, optional
         Speed and shape of the legs, if the state depends on time; default: legs of a twentieth of the longest creep
         time constant, and no shorter than fifty periods of a resonance.
     hold : float, optional
-        Seconds to wait at the last visit of either limit, if the state depends on time; default: as long as the
-        tolerance requires, or if no hold suffices, the longest time constant of creep.
+        Time [s] to wait at the last visit of either limit, if the state depends on time. Default: as long as the
+        tolerance requires; if no hold suffices, the longest time constant of creep.
 
     Returns
     -------
     Homing
-        If the limits are too narrow, the best within them, not certified, with a remark on what would suffice. For
-        creep it includes an error bar, and how long a hold would suffice.
+        If the limits are too narrow, the best homing within them, not certified, with a remark on the limits that would
+        suffice. With creep, the remark includes an error bar and the hold that would suffice.
 
     Raises
     ------
     ModelError
-        If there are no limits, present or end lie outside them, or a number is impossible.
+        If there are no limits, `present` or `end` lies outside them, or a number is impossible.
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
@@ -186,9 +188,10 @@ def _travel(turns: Sequence[float]) -> float:
 
 
 class _OrderedHoming:
-    """The homing of an actuator whose state the order of voltages determines.
+    """The homing of an actuator whose state depends only on the order of voltages.
 
-    A reach [m] is the `least_range` of the voltages that homes the whole state, or the stiff elements.
+    `reach` [m]: the required `MajorLoop.least_range` of the voltages to home the whole state, or only the stiff
+    elements.
     """
 
     def __init__(
@@ -206,17 +209,17 @@ class _OrderedHoming:
         )
 
     def suffices(self, reach: float, low: float | None = None, high: float | None = None) -> bool:
-        """Return whether the voltages from low to high [V], by default the limits, make a reach."""
+        """Return whether voltages from low to high [V], by default the limits, provide a `reach` [m]."""
         low, high = self.limits[0] if low is None else low, self.limits[1] if high is None else high
         # In an identified model the largest element needs exactly the full excursion: rounding must not decide.
         return self.loop.least_range(low, high) >= reach - 0.5 * self.slack
 
     def top(self, bottom: float, reach: float) -> float:
-        """Return the highest voltage [V] that makes a reach if `bottom` is the lowest."""
+        """Return the highest voltage [V] required for a `reach` [m] if `bottom` [V] is the lowest."""
         return self.loop.voltage(self.loop.displacement(bottom, -1) + reach, 1)
 
     def bottom(self, top: float, reach: float) -> float:
-        """Return the lowest voltage [V] that makes a reach if `top` is the highest."""
+        """Return the lowest voltage [V] required for a `reach` [m] if `top` [V] is the highest."""
         return self.loop.voltage(self.loop.displacement(top, 1) - reach, -1)
 
     def turns(self, reach: float) -> tuple[float, ...]:
@@ -227,7 +230,7 @@ class _OrderedHoming:
         return visited[:1] if visited == (start, start) else visited
 
     def _extremes(self, reach: float) -> tuple[float, float]:
-        """Return the lowest and highest voltage [V], as close together as `reach` allows; else the limits."""
+        """Return the lowest and highest voltage [V] with the least travel that provide `reach`; else the limits."""
         (low, high), near, far = self.limits, min(self.ends), max(self.ends)
         if self.suffices(reach, near, far):
             return near, far
@@ -245,7 +248,7 @@ class _OrderedHoming:
         return float(bottoms[best]), float(tops[best])
 
     def remark(self, turns: Sequence[float], bounds: StateBounds, unknown: Mask, certified: bool) -> tuple[str, ...]:
-        """Return what is left unknown, and what would suffice; or what is only for elements without stiffness."""
+        """Return what stays unknown and which limits suffice; or the travel only for elements without stiffness."""
         if not certified and self.suffices(self.stiff):
             return (f"not certified: rounding leaves a width of {bounds.width:.3g} m; give a tolerance above that",)
         widest = bounds.widths[unknown].max(initial=0.0) * 1e6
@@ -258,7 +261,7 @@ class _OrderedHoming:
         travel, shorter = _travel(turns), _travel(self.turns(self.stiff))
         if shorter >= travel * (1 - 1e-9):
             return ()
-        return (f"{travel - shorter:.4g} V of the {travel:.6g} V only home elements without stiffness (stiff_only)",)
+        return (f"{travel - shorter:.4g} V of the {travel:.6g} V only serve elements without stiffness (stiff_only)",)
 
     def _beyond(self, reach: float) -> str:
         low, high = self.limits
@@ -267,7 +270,7 @@ class _OrderedHoming:
 
 
 def _named(elements: Mask) -> str:
-    """Return the elements in words, counted from 1."""
+    """Return the elements as text, counted from 1."""
     numbers = [int(i) + 1 for i in np.flatnonzero(elements)]
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"elements {numbers[0]} to {numbers[-1]}"
@@ -323,9 +326,9 @@ def _homing_in_time(
 
 
 class _TimedHoming:
-    """A homing played in time through both limits, from all `states` that any history within them may have left.
+    """A homing over time through both limits, from the states that bound all histories within the limits.
 
-    It has a number of legs, and holds at the last visit of either limit [s].
+    Its parameters are the number of legs, and the holds [s] at the last visit of either limit.
     """
 
     def __init__(
@@ -339,13 +342,12 @@ class _TimedHoming:
         self.actuator, self.limits, self.ends, self.sampling = actuator, limits, ends, sampling
         self.tolerance = tolerance
         self.states = possible_states(actuator, ends[0], limits, sampling.half)
-        creep = actuator.creep
         # The longest time constant of creep [s].
-        self.longest = 0.0 if creep is None else float(creep.time_constants.max(initial=0.0))
+        self.longest = float(actuator.creep_times.max(initial=0.0))
         self._cycle = self._few(self.sampling.legs(_way_through(limits, ends[1], ends[1], 2)))
 
     def best(self, hold: float) -> tuple[int, float]:
-        """Return the number of legs with these holds, as many as are worth it, and the spread [m], roughly."""
+        """Return the best number of legs with these holds, and roughly the spread [m]."""
         legs, spread = 2, self._rough_spread(2, hold)
         for more in range(4, _MOST_LEGS + 1, 2):
             if spread <= self.tolerance:
@@ -357,7 +359,7 @@ class _TimedHoming:
         return legs, spread
 
     def needed(self, hold: float) -> float | None:
-        """Return the holds [s] that keep the tolerance; None if none do. `hold`: tried first."""
+        """Return holds [s] that keep the tolerance; None if there are none. `hold` [s]: tried first."""
         low, high = 0.0, _PATIENCE * self.longest
 
         def misses(seconds: float) -> bool:
@@ -377,7 +379,7 @@ class _TimedHoming:
         return high
 
     def turns(self, legs: int) -> tuple[float, ...]:
-        """Return the voltages [V] to visit, the present one first."""
+        """Return the voltages [V] to visit, the present voltage first."""
         return _way_through(self.limits, *self.ends, legs)
 
     def path(self, legs: int, hold: float) -> list[Leg]:
@@ -391,7 +393,7 @@ class _TimedHoming:
         return path
 
     def left(self, voltage: Array, time: Array) -> tuple[StateBounds, float]:
-        """Return the bounds of the states at the end, and the spread of displacements there and along a cycle."""
+        """Return the bounds of the states at the end, and the spread [m] there and along a further cycle."""
         ends, paths = [], []
         for state in self.states:
             end = self._played(voltage, time, state)[1]
@@ -403,7 +405,7 @@ class _TimedHoming:
         return self.left(*self._few(self.path(legs, hold)))[1]
 
     def _few(self, legs: Sequence[Leg]) -> tuple[Array, Array]:
-        """Return few samples of legs: voltage and time."""
+        """Return a coarse sampling of legs: voltage [V] and time [s]."""
         voltage, time = [np.array([legs[0].start])], [np.zeros(1)]
         for leg in legs:
             share = np.arange(1, _SAMPLES + 1) / _SAMPLES
@@ -421,7 +423,7 @@ class _TimedHoming:
 
 
 def _way_through(limits: tuple[float, float], start: float, stop: float, legs: int) -> tuple[float, ...]:
-    """Return the voltages [V] of a way through both limits, with `legs` visits; the shorter way, else up first."""
+    """Return the voltages [V] of the shorter way through both limits with `legs` visits; up first if both are equal."""
     low, high = limits
     ways = []
     for first, second in ((high, low), (low, high)):
@@ -434,12 +436,12 @@ def _way_through(limits: tuple[float, float], start: float, stop: float, legs: i
 
 
 def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
-    """Return the default duration [s] of a leg: a share of the longest creep time constant, `otherwise` without creep.
+    """Return the default duration [s] of a leg: a share of the longest creep time constant; without creep, `otherwise`.
 
     It is long enough for an amplifier's lag and a resonance to follow.
     """
-    creep = actuator.creep
-    seconds = otherwise if creep is None else _LEG * float(creep.time_constants.max(initial=0.0))
+    times = actuator.creep_times
+    seconds = _LEG * float(times.max()) if times.size else otherwise
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS * 2 * math.pi / actuator.dynamics.frequency)
     return max(seconds, _RESTS * actuator.lag)
@@ -461,7 +463,7 @@ def _micro(length: float) -> str:
 
 
 def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
-    """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` if it lies outside."""
+    """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` outside the limits."""
     if present is None:
         return bounds.nearest(0.0)
     return bounds.within(volts(present, "present"), "present", error=RecordError)
@@ -476,13 +478,13 @@ def played_homing(
     drive: Sampling | None = None,
     tolerance: float | None = None,
 ) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
-    """Return the shortest homing as an excitation, None if the state is known already; the homing, and remarks.
+    """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and remarks.
 
     Raise `RecordError` if the present voltage lies outside of the limits, or there are too many samples.
 
-    `compensator`: its actuator, limits and slew rate. `rate` [Hz]: of samples. `leg` [s]: duration of a leg; with creep
-    it is as long as the default of `shortest_homing`. `present` [V]: by default 0 V or the nearest limit. `drive`:
-    speed and shape, instead of `leg`. `tolerance`: as in `shortest_homing`.
+    `compensator`: source of actuator, limits and slew rate. `rate` [Hz]: sample rate. `leg` [s]: duration of a leg;
+    with creep, the default of `shortest_homing` replaces it. `present` [V]: by default 0 V or the nearest limit.
+    `drive`: speed and shape, instead of `leg`. `tolerance`: as in `shortest_homing`.
     """
     actuator, limits, now = compensator.actuator, compensator.limits, present_voltage(compensator.bounds, present)
     if drive is None:
@@ -516,7 +518,7 @@ def played_homing(
 
 
 def rows_of(voltage: Array) -> NDArray[np.int64]:
-    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or ever fewer of a long hold."""
+    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or sparser ones in a long hold."""
     rows = np.arange(voltage.size)
     if rows.size <= _EVEN_SAMPLES:
         return rows
@@ -531,7 +533,7 @@ def rows_of(voltage: Array) -> NDArray[np.int64]:
 
 
 def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterator[tuple[float, float]]:
-    """Yield the voltages [V] of a homing without the present one, each with its duration [s], `period` at least."""
+    """Yield the voltages [V] of a homing after the present one, each with its duration [s] of at least `period` [s]."""
     corners = [(voltage, 0.0) for voltage in homing.turns]
     if homing.played is not None:
         voltage, rate = homing.played.voltage, homing.played.sample_rate

@@ -1,4 +1,4 @@
-"""A path planned from what is known of its start: with a homing before it where that matters, and the way to it."""
+"""Planning of a path from its possible starts: with a homing if the start matters, and the way to the path."""
 
 from __future__ import annotations
 
@@ -46,40 +46,41 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class HomedPath:
-    """The voltage of one axis that homes the actuator if need be, leads to the first sample of a path, and follows it.
+    """The voltage of one axis for a path: homing if necessary, the way to the first sample, and the path itself.
 
     Attributes
     ----------
     time : (n,) array or None
-        [s] from the first sample of the homing; None if the path has no time. A long homing has rows farther apart
-        than the path; between rows the voltage is linear.
+        Time [s] from the first sample of the homing; None if the path has no time. Rows of a long homing are farther
+        apart than rows of the path; between rows the voltage is linear.
     phase : (n,) array
         0 for the homing, 1 for the way to the path, 2 for the path.
     voltage : (n,) array
-        [V], within limits and slew rate.
+        Voltage [V], within limits and slew rate.
     displacement : (n,) array
-        Wanted displacement of the axis [m, or `units`]; before the path, and with a given voltage, that of the model.
+        Wanted displacement of the axis [m, or `units`]; before the path, and for a given voltage, the model's
+        displacement.
     expected : (n,) array
-        Displacement of the model [m, or `units`], before the path from the middle of the possible states.
+        Displacement of the model [m, or `units`]; it starts from the middle of the possible states.
     state : State
-        Of the actuator at the last sample.
+        State of the actuator at the last sample.
     start : PossibleStart
         The possible states before the homing.
     homing : Homing or None
-        With its certificate; None if the state was given.
+        The homing with its certificate; None if there is no homing.
     clamped : (n,) bool array
         Samples whose voltage was changed to keep limits and slew rate.
     followed : bool
-        As that of a `Command`; true if the voltage was given.
+        Whether the path is followed, see `Command.followed`; true for a given voltage.
     unhomed : StartError or None
-        What the start would leave open without the homing, if that is why there is one.
+        Error due to the unknown start without a homing, if this error is the reason for the homing.
     error : StartError
-        What the unknown start leaves open along the path, by playing the whole voltage from all possible states.
+        Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
     warnings : tuple of str
-        Remarks on the homing, and on what was clamped.
+        Remarks on the homing, and on clamped voltages.
     units : str
-        Of `displacement`, `expected` and `error`: those of the compensator, "m" by default. `state`, `start` and
-        `homing` are in SI units always.
+        Unit of `displacement`, `expected` and `error`, as in the compensator, by default "m". `state`, `start` and
+        `homing` are always in SI units.
     """
 
     time: Array | None
@@ -99,21 +100,21 @@ class HomedPath:
 
     @property
     def first(self) -> int:
-        """The first sample of the path."""
+        """Number of the first sample of the path."""
         return int(np.count_nonzero(self.phase != PATH))
 
     @property
     def seconds(self) -> float | None:
-        """Time from the first sample to the first one of the path [s]; None if the path has no time."""
+        """Time [s] from the first sample to the first sample of the path; None if the path has no time."""
         return None if self.time is None else float(self.time[self.first] - self.time[0])
 
     @property
     def certified(self) -> bool:
-        """Whether the state is known: given, or the homing certified or leaves less than the model's error here."""
+        """Whether there is no homing, or it is certified, or its error along the path is below the model's error."""
         return self.homing is None or self.homing.certified or not self.error.matters
 
     def in_units(self, units: str) -> HomedPath:
-        """Return the path with its displacements, now in metres, in `units`, such as "um"."""
+        """Return the path with its displacements converted from metres to `units`, such as "um"."""
         counts = per_metre(units)
         return replace(
             self,
@@ -158,33 +159,33 @@ def plan_path(
     home: bool | None = None,
     present: Any = None,
 ) -> Any:
-    """Compute the voltages of a path from what is known of its start, with a homing before it where that matters.
+    """Compute the voltages of a path from its possible starts, with a homing before it if the start matters.
 
-    Limits and slew rate hold from the present voltage to the last sample. Several axes are homed side by side: one with
-    a shorter homing waits.
+    Limits and slew rate hold from the present voltage to the last sample. Several axes are homed simultaneously: an
+    axis with a shorter homing waits.
 
     Parameters
     ----------
     compensator : Compensator or StageCompensator
-        Its actuators, limits, slew rates and units; its state does not count.
+        Source of actuators, limits, slew rates and units; its state has no effect.
     displacement : (n,) or (n, axes) array_like
         The path, as in `Compensator.trajectory`.
     time, velocity, acceleration
-        As in `Compensator.trajectory`; the last two of one axis only.
+        As in `Compensator.trajectory`; velocity and acceleration only for one axis.
     start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
         Whether a way to the first sample comes before the path: from a known start directly, otherwise with the
-        shortest homing. Default: from a known start, if one step within the slew rate does not lead there; from an
-        unknown one, if it leaves more open along the path than the model's error.
+        shortest homing. Default for a known start: if one step within the slew rate does not lead to the path. Default
+        for an unknown start: if its error along the path exceeds the model's error.
     present : float, or one an axis, optional
         Present voltage [V] before a homing; default 0 V or the nearest limit.
 
     Returns
     -------
     HomedPath, or a tuple of one an axis
-        Of several axes with the same rows in time; displacements are those of the axes, with all coupling, states and
-        errors those of the actuators.
+        For several axes with the same rows in time: displacements are of the axes, with all coupling; states and errors
+        are of the actuators.
 
     Raises
     ------
@@ -236,18 +237,18 @@ def plan_voltage(
     home: bool = False,
     present: Any = None,
 ) -> Any:
-    """Return the displacement that a voltage causes from what is known of its start, perhaps with a homing before it.
+    """Return the displacement that a voltage causes from its possible starts, optionally with a homing before it.
 
     Parameters
     ----------
     compensator : Compensator or StageCompensator
-        Its actuators, limits and slew rates, which the homing keeps.
+        Source of actuators, and of limits and slew rates for the homing.
     voltage : (n,) or (n, axes) array_like
-        [V]; played as it is.
+        Voltages [V], which are not changed.
     time, present
         As in `plan_path`.
     start : PossibleStart, or one an axis, optional
-        The state before the voltage; default: unknown, at rest at the first one.
+        The state before the voltage; default: unknown, at rest at the first voltage.
     home : bool, optional
         Whether the shortest homing comes first.
 
@@ -282,10 +283,11 @@ def plan_voltage(
 
 
 class _Way(NamedTuple):
-    """The homing of an axis and the way to the first sample of a path, without that sample.
+    """The homing of an axis and the way to the first sample of a path, excluding this sample.
 
-    `state`: at the end, from the middle of the possible ones. `voltage` (k,) [V] at `time` (k,) [s]; `goal` [V]: at the
-    first sample, `seconds` after the first row. `last`: the voltage before that sample, `step` [s] before it.
+    `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
+    `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
+    before this sample.
     """
 
     start: PossibleStart
@@ -304,7 +306,7 @@ class _Way(NamedTuple):
 class _Plan:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `firsts`: displacement [m] of each actuator at the first sample, or its voltage [V].
+    `firsts`: displacement [m] or voltage [V] of each actuator at the first sample.
     """
 
     def __init__(
@@ -331,11 +333,11 @@ class _Plan:
                 raise ModelError(untimely(self.time, size))
 
     def each(self, values: Any, what: str) -> list[Any]:
-        """Return what is given for each axis."""
+        """Return one entry for each axis."""
         return [values] if self.single else list(for_each(values, len(self.loops), what))
 
     def rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> dict[str, Array]:
-        """Return those derivatives of a path that are given, in metres."""
+        """Return the given derivatives of a path, converted to metres."""
         given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
         found = {name: self.loops[0].in_metres(values, name, per) for name, values, per in given if values is not None}
         if found and self.single is None:
@@ -343,7 +345,7 @@ class _Plan:
         return found
 
     def result(self, paths: list[HomedPath]) -> Any:
-        """Return the paths of several axes, or that of the only one, in the units of its compensator."""
+        """Return the paths of several axes, or the path of the only axis, in the units of its compensator."""
         if self.single is None:
             return tuple(paths)
         units = self.single.units
@@ -351,7 +353,7 @@ class _Plan:
         return replace(paths[0], warnings=(*paths[0].warnings, *hint)).in_units(units)
 
     def begun(self, rates: dict[str, Array], given: list[PossibleStart] | None) -> list[HomedPath]:
-        """Return the voltages of the path alone; after a way if no step within the slew rate leads from its start."""
+        """Return the voltages of the path, with a way before it if its first step would exceed the slew rate."""
         starts = given or [
             PossibleStart.unknown_near(one.actuator, y, one.limits)
             for one, y in zip(self.loops, self.firsts, strict=True)
@@ -378,9 +380,9 @@ class _Plan:
         present: list[float | None],
         starts: list[PossibleStart] | None = None,
     ) -> list[HomedPath]:
-        """Return the voltages of the path after the way to it: from known starts, or by the shortest homing.
+        """Return the voltages of the path after a way from known starts, or after the shortest homing.
 
-        `starts`: those of which the known ones are the middle.
+        `starts`: start of each axis, if `known` has only the middle of its possible states.
         """
         ways = self.ways(known, present)
         # A mass moves with the path from its first sample on.
@@ -397,7 +399,7 @@ class _Plan:
     def follow(
         self, rates: dict[str, Array], states: list[State], present: list[float] | None, period: float | None
     ) -> Sequence[Command]:
-        """Return the voltages of the path from states; its first sample comes a `period` after the present voltages."""
+        """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
         if self.single is not None:
             one = Compensator(self.single.actuator, self.single.limits, self.single.slew_rate, period=period)
             options: dict[str, Any] = {"time": self.time, "present": None if present is None else present[0], **rates}
@@ -407,7 +409,7 @@ class _Plan:
         return several.trajectory(self.rows, time=self.time, present=present)
 
     def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
-        """Return the ways to the first sample, which begin and end at one time: an axis with a shorter way waits."""
+        """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits."""
         ways = [
             self.way(one, start, now, first)
             for one, start, now, first in zip(self.loops, starts, present, self.firsts, strict=True)
@@ -431,7 +433,7 @@ class _Plan:
         return [one._replace(seconds=seconds, state=state) for one, state in zip(merged, states, strict=True)]
 
     def way(self, one: Compensator, start: PossibleStart | None, present: float | None, first: float) -> _Way:
-        """Return the shortest homing of an axis, or none from a known start, and the way from its end to the path."""
+        """Return the shortest homing of an axis (none from a known start), and the way from its end to the path."""
         actuator, limits = one.actuator, one.limits
         now = present_voltage(one.bounds, one.held(start.state) if start and present is None else present)
         rate, leg = self.pace(actuator)
@@ -481,12 +483,12 @@ class _Plan:
         return 1 / step, max(leg, leg_seconds(actuator, leg))
 
     def ramp(self, actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
-        """Return the voltages [V] to the first sample of the path, without it; its voltage, and the state before it.
+        """Return the voltages [V] before the first sample of the path, its own voltage, and the state before it.
 
-        The way takes a share of a leg's time, but lets a mass and an amplifier follow.
+        The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
         """
         low, high = drive.limits or (-np.inf, np.inf)
-        still = replace(actuator, creep=None, state=None)  # type: ignore[arg-type]
+        still = replace(actuator, creep=None, displacement_creep=None, state=None)  # type: ignore[arg-type]
         begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
         for _ in range(_ROUNDS if actuator.needs_time else 1):
             end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))
@@ -501,13 +503,13 @@ class _Plan:
         return ramp, end, reached
 
     def time_of(self, way: _Way, size: int) -> Array | None:
-        """Return the time [s] of the rows of a way and `size` samples after it; None if the path has none."""
+        """Return the time [s] of the rows of a way and of `size` samples after it; None if the path has no time."""
         if self.time is None:
             return None
         return np.concatenate([way.time, way.seconds + (self.time - self.time[0])[:size]])
 
     def motion(self, ways: Sequence[_Way], rows: Array | None = None) -> tuple[Array, list[State]]:
-        """Return the displacement (k, axes) [m] along ways and voltages (n, axes) after them, and the last states."""
+        """Return the displacement (k, axes) [m] along ways and then voltages (n, axes) [V], and the last states."""
         after = np.zeros((0, len(ways))) if rows is None else rows
         time = self.time_of(ways[0], len(after))
         motions = []
@@ -520,7 +522,7 @@ class _Plan:
     def joined(
         self, ways: Sequence[_Way], before: Array, commands: Sequence[Command], wanted: Array
     ) -> list[HomedPath]:
-        """Return the path of each axis: its way, which moves as `before` (k, axes) [m], and the command after it."""
+        """Return the path of each axis: its way, with displacements `before` (k, axes) [m], then its command."""
         size = len(wanted)
         time, phase = self.time_of(ways[0], size), np.concatenate([ways[0].phase, np.full(size, PATH)])
         paths = []

@@ -1,4 +1,4 @@
-"""What is known of an actuator's state before a motion, and how much of the motion an unknown start leaves open."""
+"""The possible states of an actuator before a motion, and the displacement error due to an unknown start."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _MODEL_ERROR, _LEAST = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PossibleStart:
-    """The state before a motion, or the states that bound it.
+    """The state before a motion, or states that bound it.
 
     Attributes
     ----------
     name : str
-        "top", "bottom", "relaxed", "homed", "unknown", or the name of what led there.
+        "top", "bottom", "relaxed", "homed", "unknown", or the name of what was played before.
     states : tuple of State
-        One if the state is known; else states that bound all possible ones.
+        The state if it is known; else states that bound all possible states.
     remarks : tuple of str
-        On the voltages that led there.
+        Remarks on the voltages before.
     """
 
     name: str
@@ -50,16 +50,16 @@ class PossibleStart:
 
     @property
     def state(self) -> State:
-        """The state, or the middle of the possible ones."""
+        """The known state, or the middle of the possible states."""
         return self.states[0] if self.known else StateBounds.of(self.states).middle
 
     def within(self, actuator: Actuator, limits: tuple[float, float] | None) -> State:
-        """Return the state, or the nearest one within the `limits` [V], by default those of the `actuator`."""
+        """Return the state, or the nearest state within the `limits` [V], by default the limits of the `actuator`."""
         allowed = limits or actuator.limits
         return self.state if allowed is None else state_within_limits(actuator, self.state, allowed)
 
     def standing_at(self, actuator: Actuator, voltage: float) -> PossibleStart:
-        """Return the start after a slow motion of the `actuator` to the `voltage` [V] that is on it."""
+        """Return the start after a slow motion of the `actuator` to its present `voltage` [V]."""
         there = tuple(state_within_limits(actuator, state, (voltage, voltage)) for state in self.states)
         return replace(self, states=there)
 
@@ -72,10 +72,10 @@ class PossibleStart:
         time: ArrayLike | None = None,
         first: int = 0,
     ) -> StartError:
-        """Return what the start leaves open of the motion by a voltage, see `StartError.along`.
+        """Return the error of a motion due to the start, see `StartError.along`.
 
-        An `actuator` of unknown history rests at the first `voltage`, after voltages within the `limits` [V]. `time`
-        and `first` as there.
+        If the history is unknown, the `actuator` rests at the first `voltage`, after voltages within the `limits` [V].
+        `time` and `first`: as in `StartError.along`.
         """
         v, states = vector(voltage, "voltage"), self.states
         if self.name == "unknown" and v.size:
@@ -84,7 +84,7 @@ class PossibleStart:
 
     @classmethod
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
-        """Return the state of an `actuator` by a name; raise `ModelError` if there is none, or no limits for a homing.
+        """Return the start of an `actuator` by name; raise `ModelError` if it is unknown, or a homing lacks limits.
 
         `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or "homed", as after the
         voltage that ``dehyst excite homing --model`` writes by default.
@@ -101,10 +101,10 @@ class PossibleStart:
 
     @classmethod
     def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
-        """Return the states at a `voltage` [V] if nothing is known of what was before.
+        """Return the start at a `voltage` [V] if the history is unknown.
 
-        They bound all those in which the `actuator` may stand there: two extreme states, or more if states keep no
-        order. `limits` [V]: range of all earlier voltages, for an actuator that moves in time; default its
+        Its states bound all states in which the `actuator` may rest there: two extreme states, or more if states have
+        no order. `limits` [V]: range of all earlier voltages, for an actuator that depends on time; default: its
         `voltage_range`. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
         """
         return cls("unknown", possible_states(actuator, voltage, limits))
@@ -113,9 +113,9 @@ class PossibleStart:
     def unknown_near(
         cls, actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None
     ) -> PossibleStart:
-        """Return the unknown start of an `actuator` that stands at about a `displacement` [m].
+        """Return the unknown start of an `actuator` that rests near a `displacement` [m].
 
-        `limits` [V]: those of all earlier voltages, by default the actuator's `voltage_range`. Raise `ModelError` if
+        `limits` [V]: range of all earlier voltages, by default the actuator's `voltage_range`. Raise `ModelError` if
         the displacement is not finite, or the limits are no interval.
         """
         y = number(displacement, "displacement")
@@ -133,11 +133,11 @@ class PossibleStart:
         limits: tuple[float, float] | None = None,
         name: str = "history",
     ) -> PossibleStart:
-        """Return the states of an `actuator` after a `voltage` (n,) [V] that was played from an unknown state.
+        """Return the start of an `actuator` after a `voltage` (n,) [V] was played from an unknown state.
 
-        `time` (n,) [s]: if the actuator needs it. `limits`: range of all voltages before, as in `unknown`. `name`: of
-        the start. Raise `ModelError` if there is no voltage, it is not finite or far outside of the model's, or the
-        time does not fit.
+        `time` (n,) [s]: if the actuator needs it. `limits` [V]: range of all voltages before, as in `unknown`. `name`:
+        name of the start. Raise `ModelError` if the voltage is empty, not finite or far outside of the model's range,
+        or the time does not fit.
         """
         v = vector(voltage, "voltage")
         outside = outside_identified(actuator, v, limits, name=name)
@@ -151,21 +151,21 @@ class PossibleStart:
 
 @dataclass(frozen=True, eq=False)
 class StartError:
-    """The displacements that a voltage causes from all possible states.
+    """The error due to an unknown start: bounds of the displacement that a voltage causes from all possible states.
 
     Attributes
     ----------
     lowest, highest : (n,) array
-        Bounds of the displacement [m, or `units`]; with dynamics those of its slow part, about which a mass may ring.
+        Bounds of the displacement [m, or `units`]; with dynamics, bounds of its slow part, about which a mass may ring.
     stroke : float
-        Between the voltage limits [m, or `units`], to which percentages refer.
+        Displacement between the voltage limits [m, or `units`], the reference of percentages.
     model_error : float
-        Largest error of the model on its training records [m, or `units`]; a thousandth of the stroke if the model does
-        not hold it.
+        Largest error of the model on its training records [m, or `units`]; a thousandth of the stroke if this error is
+        not known.
     time : (n,) array or None
-        [s].
+        Time of the samples [s].
     units : str
-        Of all lengths, "m" by default.
+        Unit of all lengths, "m" by default.
     """
 
     lowest: Array
@@ -176,7 +176,7 @@ class StartError:
     units: str = "m"
 
     def in_units(self, units: str) -> StartError:
-        """Return the same with its lengths, now in metres, in `units`, such as "um"."""
+        """Return a copy with its lengths converted from metres to `units`, such as "um"."""
         lengths: dict[str, Any] = {
             name: getattr(self, name) * per_metre(units) for name in ("lowest", "highest", "stroke", "model_error")
         }
@@ -192,10 +192,10 @@ class StartError:
         time: ArrayLike | None = None,
         first: int = 0,
     ) -> StartError:
-        """Play a `voltage` (n,) [V] on an `actuator` from each of the `states` that bound its start.
+        """Simulate an `actuator` with a `voltage` (n,) [V] from each of the `states` that bound its start.
 
-        `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: samples before this one, such as those of a
-        homing, do not count. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
+        `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: number of the first sample that counts, such as
+        the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
         """
         v = vector(voltage, "voltage")
         when = time if actuator.needs_time else None
@@ -210,7 +210,7 @@ class StartError:
 
     @property
     def difference(self) -> Array:
-        """Between the highest and the lowest displacement (n,) [m, or `units`]."""
+        """Highest minus lowest displacement (n,) [m, or `units`]."""
         return self.highest - self.lowest
 
     @property
@@ -225,19 +225,19 @@ class StartError:
 
     @property
     def matters(self) -> bool:
-        """Whether the start matters more than the error of the model, somewhere along the voltage."""
+        """Whether the difference exceeds the model's error somewhere along the voltage."""
         return self.largest > self.model_error
 
     @property
     def settled(self) -> int | None:
-        """First sample from which the difference stays below the model's error; None if it is above at the end."""
+        """First sample after which the difference stays below the model's error; None if it does not at the end."""
         above = np.flatnonzero(self.difference > self.model_error)
         after = int(above[-1]) + 1 if above.size else 0
         return after if after < self.difference.size or not above.size else None
 
     @property
     def settled_seconds(self) -> float | None:
-        """Seconds from the first sample to `settled`; None without it, or without a time."""
+        """Time [s] from the first sample to `settled`; None if it is None, or without a time."""
         if self.settled is None or self.time is None or not self.time.size:
             return None
         return float(self.time[self.settled] - self.time[0])

@@ -1,19 +1,21 @@
-"""The possible states of an actuator at a voltage, and what bounds them.
+"""The possible states of an actuator at a voltage, and their bounds.
 
-Where a voltage alone determines the state, it keeps the order of states: the two extreme equilibria, on either branch
-of the major loop, bound every state at rest, and two simulations propagate the bounds exactly (theory section 11). A
-transformer and graded elements keep the order too. If the displacement is known, the elements are independent.
+If the order of voltages alone determines the state, every voltage keeps the order of states. Then the two extreme
+equilibria, on either branch of the major loop, bound every state at rest, and two simulations propagate the bounds
+exactly (theory section 11). A transformer and graded elements keep the order too. If the displacement is known, the
+elements are independent.
 
-With creep the order of states holds too: a voltage that was never lower leaves no part of the actuator lower. So of all
-histories within the limits, at any speed and of any duration, two states are the extremes: after resting for ever at
-either limit. Smooth elements and a mass that acts on the voltage keep no order: for them the extremes are taken with
-smooth elements pulled either way, and random histories besides.
+With creep the order of states holds too: of two voltage histories, the one that is never lower leaves no part of the
+actuator lower. Hence two states bound all histories within the limits, at any speed and of any duration: the states
+after resting infinitely long at either limit. Smooth elements and a mass that acts on the voltage do not keep the
+order. For them, the bounding states are the extremes with smooth elements strained either way, and states after random
+histories.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +39,7 @@ _HISTORIES, _TURNS = 12, 8
 class MajorLoop:
     """Voltage over displacement on the rising (side 1) and the falling (side -1) branch of the major loop.
 
-    Smooth elements hold their largest voltage everywhere.
+    Smooth elements are taken to hold their largest voltage everywhere.
     """
 
     def __init__(self, actuator: Actuator) -> None:
@@ -59,7 +61,7 @@ class MajorLoop:
         return internal if self._tau is None else float(self._tau.inverse(internal))
 
     def displacement(self, voltage: float, side: int) -> float:
-        """Return the displacement [m] at a voltage [V]: no state lies lower on side 1, nor higher on side -1."""
+        """Return the displacement [m] at a voltage [V]: the lowest of any state on side 1, the highest on side -1."""
         internal = voltage if self._tau is None else float(self._tau(voltage))
         if self._tables:
             y, held = self._tables[side]
@@ -67,12 +69,12 @@ class MajorLoop:
         return self._actuator.core.spring_inverse(internal - side * self._friction)
 
     def least_range(self, lowest: float, highest: float) -> float:
-        """Return the range [m] that the displacement covers at least if the voltage covers `lowest` to `highest` [V].
+        """Return the least range of the displacement [m] if the voltage covers `lowest` to `highest` [V].
 
-        D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. From an unknown state
-        the largest width of a cart is exactly max(0, 2 rho_N - D) after any path that covers just these voltages: at
-        the highest the lower extreme state has every s_i = rho_i, at the lowest the upper one has every s_i = -rho_i,
-        and these two extremes of y determine cart N. Neither the order nor the number of turns matters.
+        D = eta^-1(highest - F) - eta^-1(lowest + F), F = sum kappa_i rho_i; it may be negative. From an unknown state,
+        any path that covers exactly these voltages leaves a largest cart width of exactly max(0, 2 rho_N - D). The
+        reason: at `highest` the lower extreme state has every s_i = rho_i, at `lowest` the upper one has every s_i =
+        -rho_i, and these two extremes of y determine cart N. Neither the order nor the number of turns matters.
         """
         return self.displacement(highest, 1) - self.displacement(lowest, -1)
 
@@ -90,7 +92,7 @@ class MajorLoop:
         return np.asarray(y[np.diff(y, prepend=-np.inf) > _ROUNDING * np.ptp(y)])
 
     def _tabulated(self, side: int) -> tuple[Array, Array]:
-        """Return the bends of a branch of graded elements, with a point beyond either end, and tau(v) [V] there."""
+        """Return the bends [m] of a branch of graded elements and a point beyond either end, with their tau(v) [V]."""
         slip, y = self._actuator.slip, self._element_bends(side)
         y = np.concatenate([[y[0] - np.ptp(y)], y, [y[-1] + np.ptp(y)]])
         held = self._actuator.spring(y) + side * self._friction
@@ -102,11 +104,11 @@ class MajorLoop:
 
 @dataclass(frozen=True, eq=False)
 class StateBounds:
-    """Two states, `lower` and `upper`, that bound the actuator's: displacement and every cart, in absolute coordinates.
+    """Two states, `lower` and `upper`, that bound the actuator's displacement and the position of every cart.
 
-    A voltage keeps the order of states, so two simulations propagate the bounds; no width ever exceeds the largest one
-    before. Elements without stiffness have carts too, and count like the others. Raise `ModelError` if they have
-    different numbers of carts, or the lower one lies above the upper one somewhere.
+    A voltage keeps the order of states, so two simulations propagate the bounds. No width ever exceeds the largest
+    width before. Carts of elements without stiffness count too. Raise `ModelError` if the states have different numbers
+    of carts, or the lower state exceeds the upper one somewhere.
     """
 
     lower: State
@@ -127,9 +129,9 @@ class StateBounds:
     def at_rest(cls, actuator: Actuator, voltage: float = 0.0) -> StateBounds:
         """Bound every state in which the `actuator` can rest at `voltage` [V], by its two extreme equilibria.
 
-        They lie on the major loop; of a plain actuator at ``eta^-1(v - F)`` with every s_i = rho_i and at
-        ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i. Raise `ModelError` if `actuator` is not
-        an Actuator, or the voltage is not finite.
+        They lie on the major loop. For an actuator of Maxwell-slip elements and a spring, they are at ``eta^-1(v - F)``
+        with every s_i = rho_i and at ``eta^-1(v + F)`` with every s_i = -rho_i, where F = sum kappa_i rho_i. Raise
+        `ModelError` if `actuator` is not an Actuator, or the voltage is not finite.
         """
         v, loop = number(voltage, "voltage"), MajorLoop(_ordered(actuator))
         lowest, highest, rho = loop.displacement(v, 1), loop.displacement(v, -1), actuator.slip.breakaway
@@ -138,7 +140,7 @@ class StateBounds:
     @classmethod
     def of(cls, states: Sequence[State]) -> StateBounds:
         """Return the tightest bounds of `states` of one actuator."""
-        names, ends = ("carts", "creep", "motion", "smooth"), []
+        names, ends = ("carts", "creep", "motion", "smooth", "displacement_creep"), []
         for order in (np.min, np.max):
             arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
             ends.append(State(float(order([state.displacement for state in states])), *arrays))
@@ -173,11 +175,11 @@ class StateBounds:
 
     @property
     def move_error(self) -> float:
-        """The width of the displacement's bounds: the error bar [m] of a first move from an unknown state.
+        """Width of the bounds of the displacement [m]: the error bar of a first move from an unknown state.
 
         A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere within the bounds. Once the state
-        is known only this error remains: readings of y(t) - y(0) from different starts differ by up to this width,
-        which is attained. Before that the bounds of y(t) add to it: readings lie between ``lowest -
+        is known, only this error remains: readings of y(t) - y(0) from different starts differ by up to this width, and
+        some differ by exactly this width. Before, the bounds of y(t) add to it: readings lie between ``lowest -
         upper.displacement`` and ``highest - lower.displacement``.
         """
         return self.upper.displacement - self.lower.displacement
@@ -189,16 +191,17 @@ class StateBounds:
 
     @property
     def middle(self) -> State:
-        """The state halfway, with an error of half the width at most."""
-        names = ("displacement", "carts", "creep", "motion", "smooth")
+        """The state in the middle of the bounds, with an error of at most half the width."""
+        names = [one.name for one in fields(State)]
         return State(*(0.5 * (getattr(self.lower, name) + getattr(self.upper, name)) for name in names))
 
 
 class KnownState(NamedTuple):
     """Knowledge of the state after each sample of a voltage.
 
-    `lowest`, `highest` (n,): attained bounds of the displacement [m]. `width` (n,): the largest width of any cart [m];
-    it never grows, and the displacement's is never larger. `bounds`: after the last sample.
+    `lowest`, `highest` (n,): tight bounds of the displacement [m]. `width` (n,): largest width of any cart's bounds
+    [m]; it never grows, and the width of the displacement never exceeds it. `bounds`: bounds of the state after the
+    last sample.
     """
 
     lowest: Array
@@ -207,16 +210,16 @@ class KnownState(NamedTuple):
     bounds: StateBounds
 
     def first_known(self, tolerance: float) -> int | None:
-        """Return the first sample from which the whole state is known to a `tolerance` [m]; None if there is none."""
+        """Return the first sample after which the whole state is known to a `tolerance` [m]; None if there is none."""
         known = self.width <= tolerance
         return int(known.argmax()) if known.any() else None
 
 
 def first_known_by_displacement(breakaway: Array, displacement: ArrayLike) -> int | None:
-    """Return the first sample from which each element is known if the displacement is, and nothing was before.
+    """Return the first sample after which a measured displacement determines each element from an unknown state.
 
-    The interval of an elongation s_i has exactly the width max(0, 2 rho_i - R), with R the range of the displacements
-    (n,) [m] until now. `breakaway` (N,): rho [m]. None if there is no such sample.
+    The interval of an elongation s_i has exactly the width max(0, 2 rho_i - R), where R is the range of the
+    displacements (n,) [m] so far. `breakaway` (N,): rho [m]. None if there is no such sample.
     """
     y, largest = vector(displacement, "displacement"), 2 * float(breakaway.max(initial=0.0))
     # Rounding must not decide whether an excursion of exactly 2 rho_N suffices.
@@ -225,9 +228,9 @@ def first_known_by_displacement(breakaway: Array, displacement: ArrayLike) -> in
 
 
 def time_dependence(actuator: Actuator) -> str:
-    """Return in words why the order of voltages does not determine the state; empty if it does."""
+    """Return as text why the order of voltages does not determine the state; empty if it does."""
     parts = {
-        "creeps": actuator.creep is not None,
+        "creeps": actuator.creep_times.size > 0,
         "has inertia": actuator.dynamics is not None,
         "lags": actuator.lag > 0,
         "has smooth elements": actuator.smooth is not None,
@@ -236,19 +239,19 @@ def time_dependence(actuator: Actuator) -> str:
 
 
 def _ordered(actuator: Actuator) -> Actuator:
-    """Return an Actuator whose state the order of voltages determines; raise `ModelError` for all others."""
+    """Return the actuator; raise `ModelError` unless the order of voltages determines its state."""
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
     if reasons := time_dependence(actuator):
         raise ModelError(
-            f"bounds of the state follow the voltage alone, this actuator {reasons}",
+            f"these bounds need a state that follows from the order of voltages alone, but this actuator {reasons}",
             hint="use dehyst.shortest_homing, which plays a voltage in time and reports how much stays unknown",
         )
     return actuator
 
 
 def keeps_order(actuator: Actuator) -> bool:
-    """Return whether the two extreme states are proven to be the extremes."""
+    """Return whether the two extreme states provably bound all states."""
     dynamics = actuator.dynamics
     return actuator.smooth is None and (dynamics is None or not dynamics.series)
 
@@ -270,12 +273,13 @@ def possible_states(
     limits: tuple[float, float] | None = None,
     half: float = Sampling().half,
 ) -> tuple[State, ...]:
-    """Return states at a voltage that bound all those in which an actuator of unknown history may stand there.
+    """Return states at a voltage that bound all states in which an actuator of unknown history may rest there.
 
-    Two states if they are proven to be the extremes, the lower one first; more for an actuator with smooth elements or
-    a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to the `voltage` [V], for an
-    actuator that moves in time; default the actuator's `voltage_range`. `half` [s]: of the legs of random histories,
-    about. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
+    There are two states, the lower one first, if these provably bound all others. There are more for an actuator with
+    smooth elements or a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to include
+    the `voltage` [V], for an actuator that depends on time; default: the actuator's `voltage_range`. `half` [s]:
+    approximate duration of the legs of random histories. Raise `ModelError` if the voltage is not finite, or the limits
+    are no interval.
     """
     v = number(voltage, "voltage")
     if not time_dependence(actuator):

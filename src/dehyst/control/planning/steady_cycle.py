@@ -1,4 +1,4 @@
-"""The steady cycle of a scan, in which creep and smooth elements end as they began, and the start-up into it."""
+"""The steady cycle of a scan, in which creep and smooth elements repeat, and the start-up into it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._native import EMPTY
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.trajectory import Command
-from dehyst.model import Actuator, PathData, State
+from dehyst.model import Actuator, DisplacementCreep, PathData, State
 from dehyst.waveforms import ScanPath
 
 # Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.
@@ -35,21 +36,39 @@ def timed(path: ScanPath) -> dict[str, Any]:
 def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     """Return the state at the first sample of a periodic path after infinitely many cycles.
 
-    Creep and smooth elements are driven by w alone, which follows from the path, so both are independent of each other
-    and of the carts. A branch of creep is linear: if a cycle from zero strain ends at D, its steady strain is
-    ``d = exp(-T/tau) d + D``. A smooth element's end rises with its beginning, with slope below 1: its only fixed point
-    lies between the two extremes, and is found by the Illinois method of false position. Raise `ModelError` if the
-    state does not fit the actuator.
+    Creep and smooth elements are driven only by w, which follows from the path. So they are independent of each other
+    and of the carts. A creep branch is linear: if a cycle from zero strain ends at D, its steady strain is ``d =
+    exp(-T/tau) d + D``. The elongation of a smooth element after a cycle rises with the elongation before it, with
+    slope below 1. Its only fixed point lies between the two extremes and is found by the Illinois method of false
+    position. Raise `ModelError` if the state does not fit the actuator.
 
-    `path`: periodic. `state`: at the path's first sample, after two cycles at least, which erase the history of the
-    carts.
+    `path`: one period. `state`: state at the path's first sample after at least two cycles, which erase the history of
+    the carts.
     """
     cycle = path.repeated(1)
+    if actuator.displacement_creep is not None:
+        return _steady_behind(actuator, actuator.displacement_creep, cycle, state)
     if actuator.creep is not None:
         w = cycle.displacement + actuator.model.lead(cycle.displacement, PathData(**timed(cycle)))
         gained = actuator.creep.strains(cycle.time, w)[-1]
         state = replace(state, creep=gained / -np.expm1(-float(cycle.time[-1]) / actuator.creep.time_constants))
     return state if actuator.smooth is None else replace(state, smooth=_elongations(actuator, cycle, state))
+
+
+def _steady_behind(actuator: Actuator, creep: DisplacementCreep, cycle: ScanPath, state: State) -> State:
+    """Return the state at the first sample of a periodic path, with creep in displacement: that of its steady cycle."""
+    before, begun = creep.steady(cycle.time, cycle.displacement)
+    strains = creep.strains(cycle.time, before, begun)
+    slow = strains / creep.time_constants
+    velocity = cycle.velocity - slow @ creep.gains
+    acceleration = cycle.acceleration - (velocity[:, None] - slow) @ (creep.gains / creep.time_constants)
+    closed = ScanPath(before, velocity, acceleration, cycle.sample_rate)
+    plain, shift = actuator.before_creep, float(before[0]) - state.displacement
+    inner = replace(state, displacement_creep=EMPTY).shifted(shift)
+    for _ in range(2):
+        inner = plain.compensate(before, **timed(closed), state=inner, extrapolate=True).state
+    once = ScanPath(before[:-1], velocity[:-1], acceleration[:-1], cycle.sample_rate)
+    return replace(steady_state(plain, once, inner), displacement_creep=begun)
 
 
 def _elongations(actuator: Actuator, cycle: ScanPath, state: State) -> Array:
@@ -98,9 +117,9 @@ class StartUp:
 
 @dataclass(frozen=True, eq=False)
 class SteadyCycle:
-    """The search of the steady cycle of a periodic path, and of the start-up that leads into it.
+    """Search for the steady cycle of a periodic path, and for the start-up that leads into it.
 
-    Both ways return the fields of a `dehyst.control.WaveTable` that they determine.
+    It returns the fields of a `dehyst.control.WaveTable` that it determines.
 
     Attributes
     ----------
@@ -108,11 +127,11 @@ class SteadyCycle:
     path, way : ScanPath, ScanPath or None
         One period, and the lead-in to its first sample.
     start : State
-        Before the lead-in.
+        State before the lead-in.
     tolerance : float
-        Largest deviation of the first steady cycle from the later ones [m].
+        Largest allowed deviation of the first steady cycle from the later ones [m].
     present : float, optional
-        Voltage before the first sample [V]; by default the one that holds the start.
+        Voltage before the first sample [V]; by default the voltage that holds the start.
     """
 
     compensator: Compensator
@@ -123,11 +142,11 @@ class SteadyCycle:
     present: float | None = None
 
     def settled(self, cycles: int | None) -> dict[str, Any]:
-        """Settle with `cycles` of start-up, by default as many as the tolerance requires."""
+        """Return the settled scan after `cycles` of start-up, by default as many as the tolerance requires."""
         return self._steady(cycles) or self._clamped(cycles)
 
     def _steady(self, cycles: int | None) -> dict[str, Any] | None:
-        """Settle by the steady state; return None if the limits clamp the steady cycle."""
+        """Settle by computing the steady state; return None if the limits clamp the steady cycle."""
         size, actuator = len(self.path), self.compensator.actuator
         state = steady_state(actuator, self.path, self._begun(2).state)
         # In a cycle that repeats itself nothing limits the slew rate before the first sample.
@@ -203,7 +222,7 @@ class SteadyCycle:
         return self.compensator.trajectory(path.displacement, **timed(path), state=state, present=present)
 
     def _wanted(self, cycles: int) -> ScanPath:
-        """Return the lead-in, cycles, and the sample that closes the last."""
+        """Return the lead-in, the cycles, and the sample that closes the last cycle."""
         path = self.path.repeated(cycles)
         return path if self.way is None else self.way.then(path)
 
@@ -215,7 +234,7 @@ class SteadyCycle:
         return StartUp(voltage, wanted, expected, self.path.sample_rate)
 
     def _needed(self, voltage: Array, expected: Array, cycles: int | None) -> tuple[int, float]:
-        """Return the number of cycles before the steady voltages, and the deviation [m] of the first steady cycle."""
+        """Return the number of start-up cycles, and the deviation [m] of the first steady cycle."""
         most = max(1, min(MOST_CYCLES, MOST_SAMPLES // len(self.path))) if cycles is None else cycles
         before, state, sent, count = None, self.start, None, 0
         if self.way is not None:
@@ -237,7 +256,7 @@ class SteadyCycle:
         return inf if slew is None else slew / self.path.sample_rate
 
     def _towards(self, voltage: Array, end: float) -> Array:
-        """Return a voltage (n,) [V] whose last samples lead to the one after them, `end`, within the slew rate."""
+        """Return a voltage (n,) [V] with its last samples changed so that `end` [V] follows within the slew rate."""
         if self._step == inf:
             return voltage
         far = self._step * np.arange(voltage.size, 0, -1)
@@ -245,12 +264,12 @@ class SteadyCycle:
         return np.clip(voltage, end - far, end + far)
 
     def _cycle(self, voltage: Array, state: State, sent: float | None = None) -> Array:
-        """Return the displacement (n + 1,) [m] along a cycle, from its first sample or from a voltage sent before."""
+        """Return the displacement (n + 1,) [m] along a cycle, from its first sample or from the voltage before it."""
         closed = np.append(voltage, voltage[0])
         return self._moved(closed if sent is None else np.append(sent, closed), state)[-closed.size :]
 
     def _moved(self, voltage: Array, state: State) -> Array:
-        """Return the displacement (n,) [m] from a state on."""
+        """Return the displacement (n,) [m] that follows a state."""
         actuator = self.compensator.actuator
         time = np.arange(voltage.size) / self.path.sample_rate if actuator.needs_time else None
         return actuator.simulate(voltage, time=time, state=state, extrapolate=True).displacement
@@ -259,11 +278,11 @@ class SteadyCycle:
         """Return the warning if the steady cycle begins too early."""
         if error <= self.tolerance:
             return ()
-        warning, creep = self._deviation(count, error), self.compensator.actuator.creep
-        if creep is None or not len(creep):
+        warning, times = self._deviation(count, error), self.compensator.actuator.creep_times
+        if not times.size:
             return (f"{warning}; give a start-up of more cycles",)
         period = len(self.path) / self.path.sample_rate
-        more = ceil(float(creep.time_constants.max()) / period * log(error / self.tolerance))
+        more = ceil(float(times.max()) / period * log(error / self.tolerance))
         warning += f": creep takes {counted(more, 'cycle')} more, {more * period:.3g} s"
         most = MOST_SAMPLES // len(self.path)
         if count + more <= most:

@@ -40,10 +40,10 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 
 class Played(NamedTuple):
-    """Homing, start-up and cycles in a row (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected [m].
+    """Homing, start-up and cycles in sequence (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected [m].
 
-    During the homing nothing is wanted, and both displacements are those of a model that begins relaxed. A long homing
-    has rows farther apart than the rest; between rows the voltage is linear.
+    During the homing there is no wanted displacement, and both displacements are of a model that begins relaxed. Rows
+    of a long homing are farther apart than the others; between rows the voltage is linear.
     """
 
     time: Array
@@ -60,11 +60,11 @@ class WaveTable:
     Attributes
     ----------
     homing : Excitation or None
-        Leads to a known state; None if the state was given, or is known after any history. A long one has a sample
-        rate of its own: the scan's over a whole number.
+        Leads to a known state; None if the state was given, or is known after any history. The sample rate of a long
+        homing is the scan's divided by a whole number.
     start_up : StartUp
-        From the present displacement at rest to the cycle's first sample, then cycles whose voltages still change. The
-        sample after its last is the cycle's first.
+        From the present displacement at rest to the cycle's first sample, then cycles whose voltages still change. Its
+        last sample is followed by the first sample of the cycle.
     cycle : StartUp
         One period in its steady cycle.
     cycles : int
@@ -78,9 +78,9 @@ class WaveTable:
     certified : bool
         Whether the state before the start-up is known: it was given, or the homing is certified.
     state : State
-        At the first sample of the steady cycle.
+        State at the first sample of the steady cycle.
     start : State
-        Where the start-up begins.
+        State at the beginning of the start-up.
     actuator : Actuator
         The actuator of the table.
     clamped : int
@@ -105,17 +105,17 @@ class WaveTable:
 
     @property
     def settled(self) -> bool:
-        """Whether the tolerance is kept."""
+        """Whether the error is within the tolerance."""
         return self.error <= self.tolerance
 
     @property
     def sample_rate(self) -> float:
-        """Samples a second [Hz] of start-up and cycle, and of a homing that is not long."""
+        """Sample rate [Hz] of start-up and cycle, and of a homing that is not long."""
         return self.cycle.sample_rate
 
     @cached_property
     def homing_rows(self) -> NDArray[np.int64]:
-        """Samples of the homing (k,) in `played`: all, or ever fewer of a long hold; not the last."""
+        """Samples of the homing (k,) in `played`, without the last: all, or increasingly sparse ones in a long hold."""
         if self.homing is None:
             return np.zeros(0, dtype=np.int64)
         # The last sample is the first of the start-up.
@@ -126,9 +126,9 @@ class WaveTable:
         return self.homing_rows.size + len(self.start_up) + cycles * len(self.cycle)
 
     def played(self, cycles: int = 1) -> Played:
-        """Return all parts in a row, with `cycles` cycles of the steady table.
+        """Return all parts in sequence, with `cycles` cycles of the steady table.
 
-        Raise `RecordError` if `cycles` is not a number of cycles, or there are more than 5e7 samples.
+        Raise `RecordError` if `cycles` is not a valid number of cycles, or there are more than 5e7 samples.
         """
         times = whole(cycles, "cycles", 0)
         refuse_long(self.rows(times), self.sample_rate)
@@ -166,9 +166,10 @@ def wave_table(
 ) -> WaveTable:
     """Compute the wave table of a periodic scan.
 
-    Without creep and smooth elements the second cycle repeats, because the first wipes out all that the scan can wipe
-    out. Creep and smooth elements settle slowly: their steady cycle is computed directly (`steady_state`), and the
-    start-up follows the path with its own voltages until the steady ones may be played.
+    Without creep and smooth elements, all cycles from the second on are equal, because the first one wipes out all
+    memory that the scan can wipe out. Creep and smooth elements settle slowly: their steady cycle is computed directly
+    (`steady_state`), and the start-up follows the path with voltages of its own until the steady voltages may be
+    played.
 
     Parameters
     ----------
@@ -176,22 +177,23 @@ def wave_table(
     scan : Scan
         Periodic.
     axis : str
-        Of the scan; each axis has an actuator of its own.
+        Axis of the scan; each axis has its own actuator.
     limits, slew_rate
-        Of the voltage, as in `Compensator`.
+        Limits and slew rate of the voltage, as in `Compensator`.
     state : State, optional
         State of the actuator, at rest; by default it is unknown and the shortest homing comes first.
     present : float, optional
-        With homing: present voltage [V]; by default 0 V or the nearest limit.
+        Present voltage [V], with a homing; by default 0 V or the nearest limit.
     drive : Sampling, optional
-        Speed and shape of the homing; by default 1 Hz or the scan's frequency if that is lower, and with creep as slow
-        as the default of `shortest_homing`. It has the scan's sample rate; above 1e5 samples 200 a leg at least.
+        Speed and shape of the homing; by default 1 Hz or the scan's frequency, whichever is lower, and with creep as
+        slow as the default of `shortest_homing`. The homing has the scan's sample rate. If it has more than 1e5
+        samples, it has a lower rate with at least 200 samples for each leg.
     approach : float, optional
-        Seconds to the first sample; by default as short as the speed and acceleration of the scan and the limits allow.
+        Time to the first sample [s]; by default as short as the scan's speed and acceleration and the limits allow.
     cycles : int, optional
-        Cycles in the start-up; by default as many as the tolerance requires, 1000 and 5e6 samples at most; with
-        clamped voltages, 47 and 1e5 samples at most. Give the axes of one scan the same `approach` and `cycles`, those
-        of the slower one.
+        Cycles in the start-up; by default as many as the tolerance requires, at most 1000 and 5e6 samples; with clamped
+        voltages, at most 47 and 1e5 samples. Give all axes of a scan the same `approach` and `cycles`: the values of
+        the slower axis.
     tolerance : float, optional
         Largest deviation of the first steady cycle [m]; by default 1e-4 of the stroke.
 
@@ -239,11 +241,11 @@ def wave_table(
 def approach_to(
     path: ScanPath, compensator: Compensator, state: State, limits: MotionLimits, seconds: float | None = None
 ) -> ScanPath | None:
-    """Return the way from a state at rest to the first sample of a path, without it; None if the state is there.
+    """Return the way from a state at rest to the first sample (excluded) of a path; None if the state is already there.
 
-    `compensator`: its slew rate limits the way. `limits`: of speed and acceleration; those that are not given are the
-    path's own extremes. `seconds`: duration, rounded up to a sample; by default as short as the limits allow, those of
-    speed and acceleration first, then the slew rate if any duration keeps it. Raise `RecordError` if it is not
+    `compensator`: its slew rate limits the way. `limits`: largest speed [m/s] and acceleration [m/s^2]; by default the
+    path's own extremes. `seconds`: duration [s], rounded up to a sample; by default as short as the limits of speed and
+    acceleration allow, and as the slew rate allows if any duration keeps it. Raise `RecordError` if the duration is not
     positive, or too long.
     """
     now = (
@@ -286,7 +288,7 @@ def _extreme(row: Array) -> float:
 
 
 def _ends(path: ScanPath) -> tuple[PathPoint, ...]:
-    """Return the ends to try: the begin of the scan, and the same without acceleration, which may need a detour."""
+    """Return the ends to try: the beginning of the scan, and the same without acceleration, to avoid a detour."""
     y, v, _ = path.first
     # From rest, an acceleration at the end would make the way overshoot and come back.
     if abs(v) <= 1e-9 * _extreme(path.velocity):

@@ -15,7 +15,7 @@ from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
 from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
-from dehyst.model import Creep
+from dehyst.model import Creep, DisplacementCreep
 from dehyst.records import Record, bandwidth
 
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
@@ -148,6 +148,30 @@ class Prepared:
         lead = None if self.lead is None or len(self.lead) < _SHORTEST else before(self.lead)
         sentences = (*self.sentences, sentence)
         return replace(self, record=record, lead=lead, pieces=pieces, noise=record.noise, sentences=sentences)
+
+    def without_creep(self, part: DisplacementCreep) -> Prepared:
+        """Return the record with the displacements before creep in displacement; all had crept as it began."""
+        time, y = self._with_lead
+        m = part.removed(time, y)
+
+        def before(one: Record) -> Record:
+            return replace(one, displacement=np.interp(one.time, time, m))
+
+        lead = None if self.lead is None or self.lead.time[0] < time[0] else before(self.lead)
+        return replace(self, record=before(self.record), lead=lead, pieces=tuple(map(before, self.pieces)))
+
+    def creep_strains(self, part: DisplacementCreep, time: Array) -> Array:
+        """Return the strains (n, K) [m] of creep in displacement at times (n,) [s] of this record, which has none."""
+        clock, m = self._with_lead
+        return np.column_stack([np.interp(time, clock, strain) for strain in part.strains(clock, m).T])
+
+    @property
+    def _with_lead(self) -> tuple[Array, Array]:
+        """Time and displacement, from the lead on if the record continues it."""
+        lead, record = self.lead, self.record
+        follows = lead is not None and lead.time[-1] < record.time[0] <= lead.time[-1] + 1.5 * lead.sample_time
+        parts = [lead, record] if lead is not None and follows else [record]
+        return np.concatenate([one.time for one in parts]), np.concatenate([one.displacement for one in parts])
 
     def with_block(self, most: float) -> Prepared:
         """Return the same, to be reduced to the bandwidth of its motion, by means of `most` samples at most."""

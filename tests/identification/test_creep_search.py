@@ -1,0 +1,111 @@
+"""Creep in displacement: found from holds, chosen by held-out holds, compared and compensated."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import dehyst
+from dehyst import DisplacementCreep, Record
+from dehyst.identification import compare, errors_of, initial_state, prepare, state_after
+from dehyst.identification.creep_search import holds
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops, staircase
+
+HIGHEST, RATE = 100.0, 20.0
+
+
+def actuator(creep):
+    return PlayActuator(stroke=12e-6, highest=HIGHEST, noise=2e-9, creep=creep)
+
+
+def records(truth, hold=30.0):
+    """Falling tops, then a staircase with holds, in one run."""
+    drive = Sampling(frequency=0.1, sample_rate=RATE, limits=(0.0, HIGHEST))
+    parts = (
+        descending_tops(HIGHEST, steps=5, random=14, drive=drive),
+        staircase(HIGHEST, hold=hold, back=True, drive=drive),
+    )
+    time = np.arange(sum(len(part.time) for part in parts)) / RATE
+    y = truth.play(np.concatenate([part.voltage for part in parts]), time=time)
+    cut = len(parts[0].time)
+    pairs = ((time[:cut], parts[0].voltage, y[:cut]), (time[cut:], parts[1].voltage, y[cut:]))
+    return [Record(*pair, name) for pair, name in zip(pairs, ("tops", "stairs"), strict=True)]
+
+
+@cache
+def creeping():
+    truth = actuator(0.02)
+    found = records(truth)
+    return truth, found, dehyst.identify(found)
+
+
+def test_creep_in_displacement_is_chosen_by_held_out_holds():
+    _, _, fit = creeping()
+    part, errors = fit.actuator.displacement_creep, fit.holds
+    assert fit.actuator.creep is None and part is not None
+    assert errors.displacement < 0.4 * errors.without and errors.displacement < errors.force
+    decades = np.log10(part.time_constants[-1] / part.time_constants[0])
+    # The truth creeps by 2 % a decade.
+    assert 0.012 < part.gains.sum() / decades < 0.028
+    assert all(error.rms_percent < 0.1 for error in fit.errors)
+    assert "in displacement" in fit.summary() and fit.as_dict()["holds"]["displacement_m"] == errors.displacement
+
+
+def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
+    truth, (_, stairs), fit = creeping()
+    model = fit.actuator
+    state, _ = state_after(model, stairs)
+    wanted = np.concatenate([[0.0], 7e-6 * np.linspace(0, 1, 40), np.full(round(300 * RATE), 7e-6)])
+    wanted += float(stairs.displacement[-20:].mean()) * (wanted < 7e-6)
+    clock = float(stairs.time[-1]) + np.arange(wanted.size) / RATE
+    voltage = model.compensate(wanted, time=clock, state=state, extrapolate=True).voltage
+    reached = truth.play(voltage[1:], time=clock[1:])[39:]
+    # A step of 7 um creeps by 2 % a decade, 3.3 decades here.
+    assert abs(reached[-200:].mean() - reached[:5].mean()) < 0.15 * 3.3 * 0.02 * 7e-6
+
+
+def test_a_model_file_keeps_it_and_records_are_compared_by_it(tmp_path):
+    _, (tops, stairs), fit = creeping()
+    fit.actuator.save(tmp_path / "model.json")
+    read = dehyst.Actuator.load(tmp_path / "model.json")
+    assert np.array_equal(read.displacement_creep.gains, fit.actuator.displacement_creep.gains)
+    error, trace = errors_of(read, compare(read, prepare(stairs), fit.errors[1].stroke), "validation")
+    assert error.rms_percent < 0.1
+    # The trace is of the displacements that were measured.
+    assert np.ptp(trace.measured) == pytest.approx(np.ptp(stairs.displacement), rel=1e-9)
+    state, _ = initial_state(read, tops)
+    assert state.displacement_creep.size == len(read.displacement_creep)
+    assert dehyst.check(read, stairs).good
+
+
+def test_a_state_after_a_record_continues_it():
+    _, (_, stairs), fit = creeping()
+    model, middle = fit.actuator, 6000
+    state, offset = state_after(model, stairs.slice(0, middle))
+    rest = stairs.slice(middle - 1, middle + 2000)
+    y = model.simulate(rest.voltage - offset, time=rest.time, state=state, extrapolate=True).displacement
+    assert np.std(y - rest.displacement) < 0.002 * 12e-6
+
+
+def test_without_holds_or_without_creep_nothing_is_chosen():
+    tops, stairs = records(actuator(0.0))
+    assert dehyst.identify([tops]).holds is None
+    fit = dehyst.identify([tops, stairs])
+    assert fit.actuator.displacement_creep is None and fit.actuator.creep is None
+
+
+def test_creep_is_removed_and_added_again():
+    part, time = DisplacementCreep([0.5, 5.0, 80.0], [0.02, 0.01, 0.03]), np.cumsum(np.full(500, 0.1))
+    m = 1e-6 * np.sin(time) + 1e-7 * time
+    y, strains = part.added(time, m, np.zeros(3))
+    assert np.allclose(part.removed(time, y), m, rtol=0, atol=1e-18)
+    assert np.allclose(strains, part.strains(time, m)[-1], rtol=0, atol=1e-18)
+
+
+def test_holds_of_a_voltage():
+    v = np.concatenate([np.linspace(0, 1, 50), np.full(100, 1.0), np.linspace(1, 0.5, 30)[1:], np.full(60, 0.5)])
+    v = v + np.random.default_rng(0).normal(0, 1e-5, v.size)
+    record = Record(0.1 * np.arange(v.size), v, v, "stairs")
+    found = holds(record, 1.0, 5.0)
+    assert [(one.start, one.stop) for one in found] == [(49, 150), (178, 239)]
