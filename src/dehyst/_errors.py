@@ -32,7 +32,7 @@ class DehystError(Exception):
     Parameters
     ----------
     message : str, optional
-        What is wrong, where `got` and `need` do not say it.
+        What is wrong, if `got` and `need` do not say it.
     argument : str, optional
         Name of the argument that is wrong, or several with commas.
     got, need, hint : optional
@@ -61,7 +61,8 @@ class DehystError(Exception):
         Parameters
         ----------
         named, given : callable, optional
-            The name by which an argument is shown, as that of an option, and how one is given; empty if it cannot be.
+            Functions that return the shown name of an argument, such as an option, and how to give it (empty: not
+            possible).
         """
         head = ", ".join(map(named, self.argument.split(", "))) + ": " if self.argument else ""
         got = f"got {self.got}" if self.got else ""
@@ -112,7 +113,7 @@ class MissingExtraError(DehystError, ImportError):
 
 
 class RigError(DehystError, OSError):
-    """An instrument that does not do what is needed; its voltage was brought to a safe value if it could be."""
+    """An instrument does not do what is needed; if possible, its voltage was brought to a safe value."""
 
 
 class LinkError(RigError, ConnectionError):

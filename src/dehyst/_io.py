@@ -1,9 +1,9 @@
 """Files and folders: read strictly, written wholly or not at all.
 
-A file is written as a draft in its folder and then renamed. In a command it replaces an existing file that begins as
-it does, any other one only by force: both are JSON of one "format", name dehyst as their generator, are NumPy archives
-with the same first array, are tables with a computed displacement, or are text with the same first line, such as the
-header of a table.
+A file is written as a draft in its folder and then renamed. In a command, it replaces an existing file only if both
+begin alike, or with --force. Files begin alike if both are JSON of the same "format", name dehyst as their generator,
+are NumPy archives with the same first array, are tables with a computed displacement, or are text with the same first
+line, such as the header of a table.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _MOST_JSON = 100_000_000
 
 
 def draft_of(target: Path) -> Path:
-    """Return a new hidden name beside the target for an incomplete file; one left by a killed process does no harm."""
+    """Return a new hidden name next to the target for a draft; a leftover of a killed process does no harm."""
     return target.with_name(f".dehyst-{secrets.token_hex(4)}.tmp")
 
 
@@ -83,7 +83,7 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
     """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
 
     Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode; in a
-    command only if it begins as the new one (`demand_alike`). Raise `FileFormatError` if the folder is missing or not
+    command only if it begins like the new one (`demand_alike`). Raise `FileFormatError` if the folder is missing or not
     writable, or the path is a folder.
     """
     content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
@@ -119,7 +119,7 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
 
 
 def _mode_of(path: PathLike) -> int | None:
-    """Return type and mode of what lies at a path; None if there is nothing."""
+    """Return type and mode of the file at a path; None if there is no file."""
     try:
         return Path(path).stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -173,7 +173,7 @@ def path_of(value: object, what: str = "path") -> Path:
 
 @contextmanager
 def protecting(*, force: bool) -> Iterator[None]:
-    """Let `demand_alike` refuse, unless forced, until the context ends; without it outputs replace any file."""
+    """Let `demand_alike` refuse, unless forced, within this context; outside of it, outputs replace any file."""
     token = _PROTECTS.set(not force)
     try:
         yield
@@ -182,10 +182,10 @@ def protecting(*, force: bool) -> Iterator[None]:
 
 
 def demand_alike(path: PathLike, content: bytes | None = None) -> None:
-    """Refuse to replace a file that does not begin as its new content does; an empty file may be replaced.
+    """Raise `FileFormatError` if a file to replace does not begin like its new content; an empty file may be replaced.
 
-    Without `content`, which is not known before a computation, any file is accepted that begins as an output may. Only
-    the commands protect files, see `protecting`. Raise `FileFormatError`.
+    Without `content`, which is not known before a computation, accept any file that may be an earlier output. Only the
+    commands protect files, see `protecting`.
     """
     try:
         mode = _mode_of(path)
@@ -208,15 +208,15 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
 
 
 def format_of(path: PathLike) -> str | None:
-    """Return the "format" at the beginning of a JSON file, or that of the path of a scan; None for any other file."""
+    """Return the "format" at the beginning of a JSON file, or of the path of a scan; None for any other file."""
     match = _FORMAT.match(_sample(path))
     return (match[1] or match[2]).decode() if match else None
 
 
 def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
-    """Refuse a folder that is neither new, nor empty, nor one whose `marker` is JSON of the format `kind`.
+    """Raise `FileFormatError` unless a folder is new, empty, or has a `marker` file that is JSON of the format `kind`.
 
-    `option` is that of the command by which the folder is given. Raise `FileFormatError`.
+    `option`: the option of the command that sets the folder.
     """
     try:
         names = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
@@ -247,7 +247,7 @@ def make_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "
 
 
 def _kind(content: bytes) -> str | None:
-    """Return what files that begin alike have in common; None if nothing shows it."""
+    """Return a key that is equal for files that begin alike; None if the kind is not visible."""
     head = content[:_HEAD]
     if match := _FORMAT.match(head):
         return (match[1] or match[2]).decode()
@@ -267,7 +267,7 @@ def _kind(content: bytes) -> str | None:
 
 
 def _sample(path: PathLike) -> bytes:
-    """Return the first and the last bytes of a regular file; none if it cannot be read."""
+    """Return the first and the last bytes of a regular file; no bytes if it cannot be read."""
     try:
         if not Path(path).is_file():
             return b""
@@ -301,8 +301,9 @@ def reading_errors(path: Path, kind: str) -> Iterator[None]:
 def read_json(path: PathLike) -> dict[str, Any]:
     """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
-    Raise `FileFormatError` for no name of a file, no such file, a device or a pipe, more than 100 MB, not UTF-8, no
-    valid JSON, no object, a key that is there twice in one object, NaN, Infinity, or a number too large for a float.
+    Raise `FileFormatError` if `path` is not a file name, the file does not exist, is a device or a pipe, has more than
+    100 MB, is not UTF-8 or not valid JSON, is not an object, or holds a repeated key, NaN, Infinity, or a number too
+    large for a float.
     """
     path = path_of(path)
 

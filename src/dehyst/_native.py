@@ -21,13 +21,14 @@ class Core:
 
     Equations and names: `core/include/dehyst.h`. Pickled and copied as the numbers from which they were computed.
 
-    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements, not read
-    where there are grades. `knots`, `values` (K,): the parallel spring, displacement [m] and voltage [V], both strictly
-    increasing, K >= 2. Empty if there is no such part: `grade_knots` (M + 1,) [m] and `grades` (N M,) [V/m], a row an
-    element; `voltages`, `drives` (L,), the transformer tau; `creep` (J,), stiffnesses c_j [V/m] of the branches;
-    `inertia` (2,), beta [V/m] and theta; `lengths`, `closings`, `smooth` (L,), smooth elements and their stiffnesses
-    k_l [V/m], whose elongations follow the strains of creep; `output` (K,), gains g_k of creep behind the elements,
-    whose strains come last and which only a loop computes. Raise `ModelError` if the core refuses the numbers.
+    `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements; with
+    grades, the stiffnesses are not read. `knots`, `values` (K,): the parallel spring, displacement [m] and voltage [V],
+    both strictly increasing, K >= 2. Empty if there is no such part: `grade_knots` (M + 1,) [m] and `grades` (N M,)
+    [V/m], a row an element; `voltages`, `drives` (L,), the transformer tau; `creep` (J,), stiffnesses c_j [V/m] of the
+    branches; `inertia` (2,), beta [V/m] and theta; `lengths`, `closings`, `smooth` (L,), smooth elements and their
+    stiffnesses k_l [V/m], whose elongations follow the strains of creep; `output` (K,), gains g_k of creep behind the
+    elements, whose strains come last; only a loop computes this creep. Raise `ModelError` if the core refuses the
+    numbers.
     """
 
     __slots__ = ("_core", "_made_from")
@@ -62,13 +63,13 @@ class Core:
     def compensate(
         self, w: Array, pace: StepCoefficients, start: CoreState, *, more: Array = EMPTY, stack: bool = True
     ) -> tuple[Array, CoreState]:
-        """Convert displacements [m] to voltages [V], `more` [V] added to tau(v); return the last state too."""
+        """Convert displacements [m] to voltages [V], with `more` [V] added to tau(v); also return the last state."""
         return self._run(self._core.compensate, w, more, pace, start, stack)
 
     def simulate(
         self, v: Array, pace: StepCoefficients, start: CoreState, *, load: Array = EMPTY, stack: bool = True
     ) -> tuple[Array, CoreState]:
-        """Convert voltages [V] to displacements [m] under a load F_ext/kc [m]; return the last state too."""
+        """Convert voltages [V] to displacements [m] under a load F_ext/kc [m]; also return the last state."""
         return self._run(self._core.simulate, v, load, pace, start, stack)
 
     def voltage(self, start: CoreState) -> float:
@@ -76,7 +77,7 @@ class Core:
         return float(checked(self._core.voltage, *start))
 
     def depth(self, y: Array, start: float, carts: Array) -> int:
-        """Count the entries on the stack of reversals after the displacements y, from the state (start, carts)."""
+        """Count the entries on the stack of reversals after displacements y [m], from the state (start, carts)."""
         return int(checked(self._core.depth, y, start, carts))
 
     def spring_at(self, y: float) -> float:
@@ -89,7 +90,7 @@ class Core:
 
     @property
     def in_lanes(self) -> bool:
-        """Whether a bank computes it in lanes: no graded or smooth elements, no mass, no creep behind the elements."""
+        """Whether a bank computes this in lanes: no graded or smooth elements, no mass, no displacement creep."""
         return bool(compiled.in_lanes(self._core))
 
     def loop(
@@ -102,9 +103,10 @@ class Core:
     ) -> compiled.Loop:
         """Return a loop with the coefficients of one step, from a state; see `dehyst_model`.
 
-        `tap` (M,). `numbers` (7,): lowest and highest voltage, largest change, lag in periods, and the amplifier's
-        three. `on_clamp` is called at the first clamp of each kind, before its voltage is committed, with: whether it
-        is the slew rate, the wanted displacement [m], and the voltage [V].
+        `tap` (M,). `numbers` (7,): lowest and highest voltage, largest change, lag in periods, and the three
+        coefficients of the amplifier. `on_clamp` is called at the first clamp of each kind, before its voltage is
+        committed, with three arguments: whether the slew rate is the cause, the wanted displacement [m], and the
+        voltage [V].
         """
         decay, gain, transition = (table[0] for table in pace[1:])
         loop: compiled.Loop = checked(compiled.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)
@@ -199,7 +201,7 @@ def slip_elongations(rho: Array, carts: Array | Sequence[float], y: Array) -> tu
 
 
 def smooth_elongations(length: Array, closing: Array, y: Array, start: Array | None = None) -> Array:
-    """Return the elongations (n, L) of smooth elements along y (n,); at its first sample they are `start` (L,) or 0."""
+    """Return the elongations (n, L) of smooth elements along y (n,); they begin with `start` (L,) or 0."""
     begin = np.zeros(length.size) if start is None else start
     matrix: Array = checked(compiled.smooth_elongations, length, closing, y, begin)
     return matrix
@@ -219,7 +221,7 @@ def strains(
 ) -> Array:
     """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,).
 
-    They belong to the displacement `before` the first sample, by default that of the first sample.
+    `start` belongs to the displacement `before` the first sample, which by default equals the first sample.
     """
     if before is None:
         before = float(path[0]) if path.size else 0.0
@@ -233,7 +235,8 @@ def output_creep(
     """Return the path (n,) [m] with creep behind the elements, and the strains (K,) [m] at its end.
 
     Its coefficients are the last K of `pace`. `before` [m] is the displacement without creep before the first sample,
-    at which the strains are `strains`. With `inverse`, `path` creeps, and the result is the displacement without.
+    at which the strains are `strains`. With `inverse`, `path` includes creep, and the result is the displacement
+    without it.
     """
     first = pace.decay.shape[1] - gains.size
     decay, rise = (np.ascontiguousarray(table[:, first:]) for table in (pace.decay, pace.gain))

@@ -1,8 +1,8 @@
 """Child processes that speak JSON lines: the rig's process, the workers of the workbench, the reader of files.
 
-A line is one object. A child writes by an `Outlet`, which never waits for its reader, and reads by an `Inlet`, in
-threads of their own; its parent, in an event loop, by `started`, `written` and `messages`. Each child runs in a session
-of its own, so that signals to the parent's group or terminal do not reach it, and ends when its input does.
+A line is one object. A child writes with an `Outlet`, which never waits for its reader, and reads with an `Inlet`; both
+have their own threads. The parent uses `started`, `written` and `messages` in an event loop. Each child runs in a
+session of its own, so that signals to the parent's group or terminal do not reach it, and ends when its input does.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def line_of(message: Mapping[str, Any]) -> bytes:
 
 
 def error_fields(error: DehystError) -> Message:
-    """Return an error as JSON values from which `error_from` makes it again."""
+    """Return an error as JSON values, from which `error_from` restores it."""
     return {"error": type(error).__name__, "fields": vars(error)}
 
 
 def error_from(message: Mapping[str, Any]) -> DehystError:
-    """Return the error in a message of `error_fields`."""
+    """Return the error from the values of `error_fields`."""
     error: DehystError = getattr(_errors, message["error"])(**message["fields"])
     return error
 
@@ -49,7 +49,7 @@ def error_from(message: Mapping[str, Any]) -> DehystError:
 
 
 def own_output() -> int:
-    """Return a descriptor of standard output for messages alone: what a library prints goes nowhere."""
+    """Return a descriptor of standard output for messages only: the output of libraries is discarded."""
     descriptor = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -85,7 +85,7 @@ class Inlet:
     Parameters
     ----------
     lines : iterator of bytes or None
-        As `lines_of` yields them.
+        Lines as from `lines_of`.
     take : callable
         Called with each object, in the thread.
     refuse : callable
@@ -141,8 +141,8 @@ class Outlet:
     """A queue of messages for the parent, and the thread that writes them.
 
     If there is nothing to send, it sends a sign of life four times a second.
-    If nobody reads, live data and progress are dropped; changes of the state wait, merged into one. No call waits for
-    the reader, and none holds a lock that a signal could leave locked.
+    If nobody reads, live data and progress are dropped; changes of the state are merged into one that waits. No call
+    waits for the reader, and no call holds a lock that a signal could leave locked.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class Outlet:
         self._waiting.put({"kind": self._kind, **change})
 
     def progress(self, **change: Any) -> None:
-        """Send fields of the state that soon change again."""
+        """Send fields of the state that change often."""
         if self._waiting.qsize() < _MANY:
             self.state(**change)
 
@@ -182,12 +182,12 @@ class Outlet:
             self._waiting.put({"kind": "error", "error": sentence})
 
     def done(self, key: object, **outcome: Any) -> None:
-        """Answer the request `key`, None if it wants no answer: it was done, refused or stopped."""
+        """Answer the request `key` (None: no answer is needed), because it was done, refused or stopped."""
         if key is not None and self._waiting.qsize() < _TOO_MANY:
             self._waiting.put({"kind": "done", "id": key, **outcome})
 
     def flush(self, seconds: float) -> bool:
-        """Wait until all is written, for so many `seconds` at most; return whether it is."""
+        """Wait at most `seconds` [s] until all messages are written; return whether they are."""
         end, written = time.monotonic() + seconds, threading.Event()
         self._waiting.put({"kind": "flush", "written": written})
         while not (self.closed or written.wait(_TICK)):
@@ -260,7 +260,7 @@ async def started(
 
 
 async def written(process: asyncio.subprocess.Process, message: Mapping[str, Any]) -> None:
-    """Send a message to a child; raise `LinkError` if it takes none."""
+    """Send a message to a child; raise `LinkError` if the child does not accept it."""
     if process.stdin is None:
         raise LinkError("the process has no input")
     try:

@@ -25,7 +25,7 @@ def escaped(text: object) -> str:
 
 
 def to_know(sentences: Sequence[str]) -> Iterator[str]:
-    """Yield the first three of some sentences as a list, after an empty line, and how many more there are."""
+    """Yield an empty line, the first three sentences as a list, and the number of further ones."""
     if sentences:
         yield ""
     yield from (f"  - {sentence}" for sentence in sentences[:_SHOWN])

@@ -1,4 +1,4 @@
-"""Conversion of quantities with units to plain numbers; a unit that cannot be converted raises, none is dropped."""
+"""Conversion of quantities with units to plain numbers; an unknown unit is an error and never dropped."""
 
 from __future__ import annotations
 
@@ -76,13 +76,14 @@ _PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.flo
 
 
 def plain(values: Any, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Any:
-    """Return values without units: as they are if they have none, otherwise converted.
+    """Return values without units: unchanged if they have no units, otherwise converted.
 
-    An object has units if it, or an object in it, has an attribute `units` or `unit`, as those of pint, astropy, unyt
-    and quantities have.
+    An object has units if it, or an object in it, has an attribute `units` or `unit`, as in pint, astropy, unyt and
+    quantities.
 
-    `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default that
-    of the name in `UNITS`. Raise `error` if it cannot be converted, none is known for the name, or a value is masked.
+    `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default the
+    unit of the name in `UNITS`. Raise `error` if a unit cannot be converted, no unit is known for the name, or a value
+    is masked.
     """
     kind = type(values)
     if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind != "O"):
@@ -122,13 +123,13 @@ def symbol_of(unit: str) -> str:
 
 
 def quantity_of(unit: str) -> str:
-    """Return the quantity of a unit, as in `SI`; "" if it is unknown."""
+    """Return the quantity that a unit measures, as in `SI`; "" if the unit is unknown."""
     symbol = symbol_of(unit)
     return next((quantity for quantity, known in FACTORS.items() if symbol in known), "")
 
 
 def in_si(values: Any, unit: str) -> Any:
-    """Return values in a symbol of `COUNTS` in SI units, or degrees Celsius."""
+    """Convert values from a unit symbol of `COUNTS` to SI units, or to degrees Celsius."""
     factor = next(known[unit] for known in FACTORS.values() if unit in known)
     # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
     scaled = values * factor if factor >= 1 else values / round(1 / factor)

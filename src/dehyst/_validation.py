@@ -44,7 +44,7 @@ def keep(owner: object, **fields: Any) -> None:
 
 
 def untimely(time: Array, samples: int) -> str:
-    """Describe what is wrong with the times of so many samples: their number, or where they do not increase."""
+    """Return an error for the times of a number of samples: a wrong number, or where they do not increase."""
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one a sample"
     first = int(np.argmax(np.diff(time) <= 0)) + 1
@@ -129,7 +129,7 @@ def demand(holds: bool, name: str, got: object, needed: str, *, error: type[Dehy
 def count(
     value: object, name: str, least: int = 1, most: int | None = 500, *, error: type[DehystError] = IdentifyError
 ) -> int:
-    """Return a whole number from `least` to `most`, without an upper bound if that is None; else raise `error`."""
+    """Return a whole number from `least` to `most` (None: no upper bound); raise `error` for anything else."""
     if isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) <= (most or inf):
         return int(value)
     raise error(argument=name, got=repr(value), need=f"a whole number from {least}{(f' to {most}' if most else '')}")
@@ -174,7 +174,7 @@ def _real(value: object) -> float:
 
 
 def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception] = ModelError) -> tuple[str, ...]:
-    """Return the names of `count` axes; raise `error` unless they are as many different names, without blanks."""
+    """Return the names of `count` axes; raise `error` unless these are `count` different names without blanks."""
     names = tuple(axes)
     good = all(isinstance(name, str) and name and not set(name) & set(" \t\n,;:\"'") for name in names)
     if isinstance(axes, str) or len(names) != count or not good or len(set(names)) < count or not count:
@@ -195,7 +195,7 @@ def demand_divisors(values: ArrayLike, what: str) -> None:
 
 
 def demand_curve(knots: Array, values: Array, what: str) -> None:
-    """Raise ModelError for a rising curve (M,) with a slope, or an inverse of a slope, too large to compute with."""
+    """Raise ModelError for a rising curve (M,) with a slope, or an inverse slope, that is too large to compute with."""
     for numbers, axis in ((knots, "knots"), (values, "values")):
         demand_magnitudes(numbers, f"{what} {axis}")
         demand_divisors(np.diff(numbers), f"{what}: steps between {axis}")
@@ -207,8 +207,8 @@ def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
         return
     first = int(np.argmax(~(np.abs(values) <= most)))
     raise ModelError(
-        f"{what}: value {first} would be {values[first]:.3g}, which cannot be computed with; check the units of the "
-        "input, and stay near the range of the model"
+        f"{what}: value {first} would be {values[first]:.3g}, too large to compute with; check the units of the input, "
+        "and stay near the range of the model"
     )
 
 

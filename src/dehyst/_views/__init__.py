@@ -1,1 +1,1 @@
-"""How objects show themselves: one line, HTML, tables, and the door to pictures."""
+"""Views of objects: one line, HTML, tables, and plots."""

@@ -12,8 +12,8 @@ import numpy as np
 def json_values(owner: object, keys: str) -> dict[str, Any]:
     """Return attributes of an `owner` as JSON values.
 
-    `keys`: names with blanks between them. "key=attribute" takes the key from an attribute with another name, and
-    "key=outer.inner" from one of an attribute, None if that is None.
+    `keys`: names with blanks between them. "key=attribute" takes the value from an attribute with another name, and
+    "key=outer.inner" from an attribute of an attribute (None if the outer one is None).
     """
     found = {}
     for entry in keys.split():
@@ -26,9 +26,9 @@ def json_values(owner: object, keys: str) -> dict[str, Any]:
 
 
 def json_value(value: Any) -> Any:
-    """Return a value as JSON has it: arrays and tuples as lists, members of an enumeration by name, objects as dicts.
+    """Return a value for JSON: arrays and tuples as lists, members of an enumeration by name, objects as dicts.
 
-    Objects have a method `as_dict`.
+    Objects need a method `as_dict`.
     """
     if isinstance(value, Enum):
         return value.name

@@ -18,19 +18,19 @@ def escape(text: object, *, quote: bool = True) -> str:
 
 
 def block(title: str, *parts: str, colour: str = "") -> str:
-    """Set parts under a title, beside a bar in a colour: "green", "amber", "red" or none."""
+    """Return parts under a title, with a coloured bar at their side: "green", "amber", "red", or no bar."""
     bar = f"border-left:4px solid {_COLOURS[colour]};padding:.2em 0 .2em .8em;margin:.3em 0"
     body = "\n".join(part for part in parts if part)
     return f'<div style="{bar}"><strong>{escape(title)}</strong>\n{body}</div>'
 
 
 def line(text: object) -> str:
-    """Set a sentence as a paragraph; nothing if it is empty."""
+    """Return a sentence as a paragraph; empty text for an empty sentence."""
     return f'<p style="margin:.3em 0">{escape(text)}</p>' if text else ""
 
 
 def facts(rows: Iterable[tuple[str, object]]) -> str:
-    """Set names and values as a table of two columns."""
+    """Return names and values as a table of two columns."""
     body = "".join(
         f'<tr><td style="text-align:left">{escape(name)}</td><td style="text-align:left">{escape(value)}</td></tr>'
         for name, value in rows
@@ -39,7 +39,7 @@ def facts(rows: Iterable[tuple[str, object]]) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Set a table with a head: the first 50 rows, and how many there are more."""
+    """Return a table with a head: the first 50 rows, and the number of further rows."""
     top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows[:_MOST_ROWS])
     more = line(f"and {len(rows) - _MOST_ROWS} more") if len(rows) > _MOST_ROWS else ""
@@ -47,7 +47,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def folded(title: str, sentences: Sequence[object]) -> str:
-    """Set sentences as a list that opens with a click; nothing if there are none."""
+    """Return sentences as a list that opens with a click; empty text if there are none."""
     if not sentences:
         return ""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
@@ -55,6 +55,6 @@ def folded(title: str, sentences: Sequence[object]) -> str:
 
 
 def preformatted(title: str, lines: Iterable[str]) -> str:
-    """Set lines in columns that open with a click."""
+    """Return preformatted lines that open with a click."""
     text = "\n".join(map(escape, lines))
     return f'<details><summary>{escape(title)}</summary><pre style="overflow-x:auto">{text}</pre></details>'

@@ -12,7 +12,7 @@ from dehyst._types import Array
 
 
 def brief(owner: object) -> str:
-    """Describe a dataclass in one line: arrays by their shape and range; a class may take this as its `__repr__`."""
+    """Describe a dataclass in one line, with arrays by shape and range; a class may use this as its `__repr__`."""
     parts = [f"{one.name}={_shown(getattr(owner, one.name))}" for one in fields(owner) if one.repr]  # type: ignore[arg-type]
     return f"<{type(owner).__name__}: {', '.join(parts)}>"
 
@@ -27,7 +27,7 @@ def _shown(value: object) -> str:
 
 
 def ends(low: float, high: float, unit: str) -> str:
-    """Write an interval with the decimals that show a thousandth of its width: "-0.003 to 16.154 um"."""
+    """Return an interval as text, with decimals down to a thousandth of its width: "-0.003 to 16.154 um"."""
     width = abs(high - low)
     decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
     written = [f"{end:.{decimals}f}" if abs(end) < 1e15 else f"{end:.6g}" for end in (low, high)]
@@ -37,19 +37,19 @@ def ends(low: float, high: float, unit: str) -> str:
 
 
 def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
-    """Write the range of numbers: "0 to 200 V"; "none" if there are no numbers."""
+    """Return the range of numbers as text, "0 to 200 V"; "none" if there are no numbers."""
     if not values.size:
         return "none"
     return ends(float(values.min()) * factor, float(values.max()) * factor, unit)
 
 
 def length(metres: float) -> str:
-    """Write a length in um, or in nm below 1 um."""
+    """Return a length as text in um, or in nm below 1 um."""
     return f"{metres * 1e9:.3g} nm" if abs(metres) < 1e-6 else f"{metres * 1e6:.4g} um"
 
 
 def percent(part: float, whole: float) -> str:
-    """Write a part of a whole in percent, with two digits; "not known" if that is no number."""
+    """Return a ratio as text in percent with two digits; "not known" if it is not a number."""
     if not (whole > 0 and np.isfinite(part)):
         return "not known"
     return f"{100 * part / whole:.2g} %" if part < whole else f"{100 * part / whole:.0f} %"

@@ -1,4 +1,4 @@
-"""The door to pictures: objects are drawn by `dehyst.report`, which lies above them and is loaded when it is needed."""
+"""Plots of objects, by `dehyst.report`, which is a layer above and is imported when needed."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ _ROOM = "dehyst.report.object_plots"
 
 
 def plotted(function: str, thing: object, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw an object by a function of the room that draws; return the axes."""
+    """Draw an object with a function of ``dehyst.report.object_plots``; return the axes."""
     return cast("Axes", getattr(import_module(_ROOM), function)(thing, kind, ax))

@@ -1,4 +1,4 @@
-"""The only door to pandas and xarray: columns to tables that these libraries understand, and back."""
+"""The only interface to pandas and xarray: conversion of columns to their tables, and back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
-    """Return columns as a DataFrame with these attributes (`DataFrame.attrs`); arrays are copied.
+    """Return columns as a DataFrame with given attributes (`DataFrame.attrs`); arrays are copied.
 
     Raise `MissingExtraError` if pandas is not installed.
     """
@@ -28,7 +28,7 @@ def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
 
 
 def dataset(time: Array, variables: Mapping[str, tuple[Array, dict[str, str]]], **attributes: Any) -> Dataset:
-    """Return variables over time [s] as an xarray Dataset; each is an array and its attributes, such as `units`.
+    """Return variables over time [s] as an xarray Dataset; each variable is an array with attributes such as `units`.
 
     Raise `MissingExtraError` if xarray is not installed.
     """
@@ -40,10 +40,10 @@ def dataset(time: Array, variables: Mapping[str, tuple[Array, dict[str, str]]], 
 
 
 def columns_of(table: Any) -> Iterator[tuple[str, Array, str, bool]]:
-    """Yield name, data (n,) and unit of the numeric columns of a DataFrame, and whether any other time counts more.
+    """Yield name, data (n,) and unit of the numeric columns of a DataFrame, and whether other times have priority.
 
-    Dates and durations become seconds; other columns have no unit beside their name. An index counts if it has a name,
-    or holds dates or durations: then it is a time if there is no other.
+    Dates and durations become seconds; other columns have no unit besides their name. An index is used if it has a
+    name, or if it holds dates or durations. In the second case it is the time if there is no other time.
     """
     if not hasattr(table, "columns") or not hasattr(table, "index"):
         raise RecordError(f"frame: got {type(table).__name__}, need a DataFrame; or try dehyst.Record.from_arrays")
@@ -61,7 +61,7 @@ def columns_of(table: Any) -> Iterator[tuple[str, Array, str, bool]]:
 
 
 def variable(container: Any, name: str) -> Any:
-    """Return a variable of an xarray Dataset, with its unit; raise `RecordError` if there is none of that name."""
+    """Return a variable of an xarray Dataset with its unit; raise `RecordError` if this name is missing."""
     try:
         found = container[name]
     except (KeyError, TypeError, IndexError) as error:
@@ -72,7 +72,7 @@ def variable(container: Any, name: str) -> Any:
 
 
 def further_variables(container: Any, but: Iterable[str]) -> dict[str, tuple[Any, Mapping[str, Any]]]:
-    """Return the variables of numbers in one dimension, but for those named, with their attributes."""
+    """Return the one-dimensional numeric variables, except the named ones, with their attributes."""
     found = getattr(container, "data_vars", {})
     return {
         str(name): (variable.values, variable.attrs)
@@ -82,7 +82,7 @@ def further_variables(container: Any, but: Iterable[str]) -> dict[str, tuple[Any
 
 
 def seconds(values: Any) -> Any:
-    """Return dates and durations as seconds since the first; anything else as it is."""
+    """Return dates and durations as seconds since the first one; anything else unchanged."""
     kind = values.dtype.kind
     if kind not in "mM" or not values.size:
         return values

@@ -1,4 +1,4 @@
-"""What all baselines share: simulation and inverse from one method, and the records that a fit is trained on."""
+"""Common parts of all baselines: simulation and inverse from one method, and the prepared training records."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ _PLAYS, _SEGMENTS = 30, 4
 
 
 class AbstractBaseline(AbstractModel):
-    """A model that others published, behind the common interface.
+    """A published model of others behind the common interface.
 
-    Its `fit` takes `records`, a Record or a sequence of them: loops, each with an offset of its own; none needs to
-    start relaxed. `delay` [s] is that by which the displacement lags the voltage; default: estimated. With `drift` a
-    record may creep by a logarithm of the time since its start; the drift is then removed. `plays` is a number of play
-    operators, whose thresholds divide half of the voltage's range into equal parts, from 0; `slope_floor` the least
-    slope as a fraction of the mean one, for a slope of 0 has no inverse. It raises `RecordError` if a record cannot be
-    used, and `IdentifyError` if no sample counts or an option is impossible.
+    Its `fit` takes `records`, one Record or a sequence: loops, each with its own offset, which need not start relaxed.
+    `delay` [s]: lag of the displacement behind the voltage; default: estimated. With `drift`, a drift of each record
+    that is logarithmic in time is estimated and removed. `plays`: number of play operators; their thresholds divide
+    half of the voltage's range into equal parts, from 0. `slope_floor`: least slope as a fraction of the mean slope,
+    because a slope of 0 has no inverse. `fit` raises `RecordError` if a record cannot be used, and `IdentifyError` if
+    no sample counts or an option is impossible.
 
-    `state`: default start of a motion. `delay`: seconds by which the measured displacement lagged the voltage;
-    `simulate` and `compensate` do not apply it.
+    Attributes: `state` is the default start of a motion. `delay` [s] is the lag of the measured displacement behind the
+    voltage; `simulate` and `compensate` do not apply it.
     """
 
     state: Any
@@ -57,11 +57,11 @@ class AbstractBaseline(AbstractModel):
     def simulate(self, voltage: ArrayLike, *, state: Any = None, time: ArrayLike | None = None) -> Motion:
         """Return the displacement (n,) [m] that a voltage (n,) [V] causes.
 
-        Raise `ModelError` if the voltage is not a path of finite numbers, the state is not one of this model, a model
+        Raise `ModelError` if the voltage is not a path of finite numbers, the state belongs to another model, a model
         with creep gets no increasing time, or a displacement is too large to be computed.
 
-        `voltage` (n,) [V]. `state`: state before the first sample, as a motion of this model returned it; default: the
-        model's own. `time` (n,) [s], increasing; models without creep ignore it.
+        `voltage` (n,) [V]. `state`: state before the first sample, from a motion of this model; default: the model's
+        own. `time` (n,) [s], increasing; models without creep ignore it.
         """
         v = vector(voltage, "voltage")
         y, after = self._run(v, self._start(state), time, inverse=False)
@@ -92,14 +92,14 @@ class AbstractBaseline(AbstractModel):
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """Pieces of records, each simulated from its first sample, and their samples that count.
+    """Pieces of records, each simulated from its first sample, and the samples that count.
 
-    `pieces`: their voltages are delayed. `kept`: samples of each piece that count. `displacement` (n,) [m]: of the
-    samples that count, of all pieces. `reach` (n,) [V]: range of the voltage before the epoch of each of them; what has
-    been through it is in a known state.
+    `pieces`: their voltages are delayed. `kept`: samples of each piece that count. `displacement` (n,) [m]: at the
+    samples that count, over all pieces. `reach` (n,) [V]: for each of these samples, the range of the voltage before
+    its epoch; a play is in a known state if the voltage has been through its range.
 
     `nuisances` (n, m): columns that every fit is free to use, one constant for each of the `epochs`, then drifts.
-    `reference`: the column whose coefficient is the model's own constant, that of the widest record's last epoch.
+    `reference`: the column whose coefficient is the model's own constant: the column of the widest record's last epoch.
 
     `limits`: lowest and highest voltage [V]. `stroke`: range of the widest record's loops [m]. `delay`: seconds by
     which the displacement lags the voltage.
@@ -135,12 +135,12 @@ class Training:
         return np.asarray(0.5 * (high - low) * np.arange(plays) / plays, dtype=np.float64)
 
     def fit_constant(self, rest: Array) -> tuple[float, float]:
-        """Fit the nuisances to what a model leaves (n,) [m]; return the model's own constant and the RMS residual."""
+        """Fit the nuisances to a model's residual (n,) [m]; return the model's own constant and the RMS residual."""
         constants = np.linalg.lstsq(self.nuisances, rest, rcond=None)[0]
         return float(constants[self.reference]), rms(rest - self.nuisances @ constants)
 
     def sampled(self, run: Callable[[Record], Array]) -> Array:
-        """Return `run` of each piece at the samples that count: (n,) or (n, columns)."""
+        """Return the results of `run` on each piece at the samples that count: (n,) or (n, columns)."""
         return np.concatenate([run(piece)[rows] for piece, rows in zip(self.pieces, self.kept, strict=True)])
 
     def subsample(self, most: int) -> Training:
@@ -168,7 +168,7 @@ def fit_with_delay(
 ) -> Model:
     """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
 
-    The delay is estimated with plays; they can mistake for a delay what another model explains. `fit`: training ->
+    The delay is estimated with plays, which can mistake the effect of another model for a delay. `fit`: training ->
     model and its RMS residual. Raise as `prepare_training`.
     """
     training = prepare_training(records, delay=delay, drift=drift)
@@ -181,10 +181,10 @@ def fit_with_delay(
 
 
 def prepare_training(records: Record | Sequence[Record], *, delay: float | None = None, drift: bool = True) -> Training:
-    """Prepare records for the fit of a model that maps voltage to displacement; parameters are those of a `fit`.
+    """Prepare records for the fit of a model that maps voltage to displacement; parameters as in its `fit`.
 
-    Without a `delay` one is estimated, 0 unless a delay lowers the residual clearly. Raise `RecordError` if a record
-    cannot be used, `IdentifyError` if there is none, no sample counts, or the delay is impossible.
+    Without `delay`, the delay is estimated; it is 0 unless a delay lowers the residual clearly. Raise `RecordError` if
+    a record cannot be used, `IdentifyError` if there is none, no sample counts, or the delay is impossible.
     """
     items = [prepare(record) for record in as_list(records)]
     if not items:
@@ -257,10 +257,10 @@ class WeightFit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PlayRows:
-    """Outputs of plays at the samples that count, stacked over all records.
+    """Outputs of plays at the samples that count, over all records.
 
     `training`: displacements and nuisances. `thresholds` (N,): r_i [V]. `plays` (n, N): outputs z_i [V]. `known` (n, N)
-    bool: whether the state of play i is known; a play whose state is not known stands still.
+    bool: whether the state of play i is known; a play with unknown state does not move.
     """
 
     training: Training
@@ -284,9 +284,9 @@ class PlayRows:
         return [np.linspace(low + r, high - r, segments + 1)[1:-1] for r in self.thresholds]
 
     def ramps(self, knots: Sequence[Array] | None = None) -> Array:
-        """Return the columns (n, p) of the slopes of each play's curve, by default straight.
+        """Return the columns (n, p) for the slopes of each play's curve, by default a straight line.
 
-        A play whose state is not known contributes 0.
+        A play with unknown state contributes 0.
         """
         bends = [np.zeros(0)] * self.thresholds.size if knots is None else knots
         curves = [ramps(z, k) * known[:, None] for z, k, known in zip(self.plays.T, bends, self.known.T, strict=True)]
@@ -301,7 +301,7 @@ class PlayRows:
 
 
 def ramps(z: Array, knots: Array) -> Array:
-    """Return columns (n, K + 1) whose weights are the slopes of a curve through (knots[0], 0), without knots (0, 0)."""
+    """Return columns (n, K + 1) whose weights are slopes of a curve through (knots[0], 0), or without knots (0, 0)."""
     edges = np.concatenate([[-np.inf], knots, [np.inf]])
     origin = knots[0] if knots.size else 0.0
     return np.asarray(np.clip(z[:, None], edges[:-1], edges[1:]) - np.clip(origin, edges[:-1], edges[1:]))
@@ -315,10 +315,10 @@ def fit_nonnegative(
     rough: Array | None = None,
     smoothing: float = 0.0,
 ) -> WeightFit:
-    """Fit weights of columns, each at least its floor, beside nuisances of any sign, by least squares.
+    """Fit weights of columns, each at least its floor, together with nuisances of any sign, by least squares.
 
-    `floors` (p,): least weights; by default 0. `rough` (m, p): combinations of the weights that shall be small; by
-    default each weight. `smoothing`: weight of their squares, relative to the largest mean square of a column.
+    `floors` (p,): least weights; by default 0. `rough` (m, p): combinations of the weights to keep small; by default
+    each weight. `smoothing`: weight of their squares, relative to the largest mean square of a column.
     """
     from scipy.optimize import nnls
 

@@ -48,9 +48,9 @@ class BoucWen(AbstractBaseline):
     ``y = c_0 + c_1 t + c_2 t^2 + c_3 t^3`` with t from 0 to 1 between the limits of w, and linear beyond.
 
     `alpha`: above 0 and below 1. `beta`, `gamma` [1/V]: beta > 0, beta + gamma > 0 and 2 alpha beta < beta + gamma;
-    then w, and y, follow v. `limits`: lowest and highest w [V] of the cubic map. `cubic` (4,): c [m]; it increases from
-    0 to 1. `state`: default start of a motion, by default at the lower limit, after a long fall. Raise `ModelError` if
-    the displacement would fall somewhere while the voltage rises.
+    then w and y increase with v. `limits`: lowest and highest w [V] of the cubic map. `cubic` (4,): c [m]; it increases
+    from 0 to 1. `state`: default start of a motion; if not given, at the lower limit after a long fall. Raise
+    `ModelError` if the displacement would fall somewhere while the voltage rises.
     """
 
     alpha: float
@@ -110,9 +110,9 @@ class BoucWen(AbstractBaseline):
     ) -> BoucWen:
         """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
 
-        For given alpha, beta and gamma the map and the constants of the records are linear: they are eliminated.
-        Parameters are those of every baseline, see `AbstractBaseline`, and `starts`: number of random starts, drawn
-        from `seed`, the best six of which are polished. `slope_floor` is that of the map.
+        For given alpha, beta and gamma, the map and the constants of the records are linear parameters and are
+        eliminated. Parameters are those of every baseline, see `AbstractBaseline`, and `starts`: number of random
+        starts, drawn from `seed`, of which the best six are polished. `slope_floor` applies to the map.
         """
         count(starts, "starts", most=None)
         fraction(slope_floor, "slope_floor")

@@ -1,4 +1,4 @@
-"""All models on the same records and virtual actuators: the baselines by name, and a row of figures for each."""
+"""Comparison of all models on the same records and virtual actuators: one row of figures for each model."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ _FAILURES = (ValueError, ArithmeticError, RuntimeError)
 class RecordScore:
     """Measured minus simulated displacement of one record, in % of the training stroke.
 
-    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not: before the
-    voltage has been through its range, or in the lead-in. `largest`, `rms`: with one free constant for the record: its
-    residual strain and its sensor's zero are not known. `largest_without`, `rms_without`: without it, on the model's
-    own axis; after a lead-in, on the axis found from the lead-in.
+    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not, because they
+    are before the voltage has been through its range or in the lead-in. `largest`, `rms`: errors with one free constant
+    for the record, because its residual strain and its sensor's zero are not known. `largest_without`, `rms_without`:
+    errors without this constant, on the model's own axis, or after a lead-in on the axis found from it.
     """
 
     record: str
@@ -82,12 +82,12 @@ class RecordScore:
 
 @dataclass(frozen=True)
 class ModelScore:
-    """One model.
+    """Scores of one model.
 
-    `failure`: why there is no model or no figure, as a sentence; empty if there is none to report. `parameters`: number
+    `failure`: a sentence on why the model or a figure is missing; empty if nothing is missing. `parameters`: number
     of coefficients. `seconds`: time that the fit took. `scores`: one for each record, training first. `tracking`:
     errors by virtual actuator; the model was fitted to that actuator's own records. `simulate`, `compensate`:
-    nanoseconds a sample. `promised`: largest and RMS error that was to be expected of the held-out records [%].
+    nanoseconds per sample. `promised`: expected largest and RMS error on the held-out records [%].
     """
 
     name: str
@@ -101,7 +101,7 @@ class ModelScore:
     promised: tuple[float, float] | None = None
 
     def worst(self, role: str) -> RecordScore | None:
-        """Return the score with the largest error among the records of that role."""
+        """Return the score with the largest error among the records of a role."""
         return max((score for score in self.scores if score.role == role), key=lambda s: s.largest, default=None)
 
     def as_dict(self) -> dict[str, Any]:
@@ -113,9 +113,9 @@ class ModelScore:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """A table with one of the `rows` for each model.
+    """Comparison table: `rows` has one entry for each model.
 
-    `stroke` [m]: to which the percentages refer. `records`, `held_out`, `truths`: names of the training records, of the
+    `stroke` [m]: reference of the percentages. `records`, `held_out`, `truths`: names of the training records, of the
     held-out records and of the virtual actuators. `lead`: lead-in of the held-out records [s].
     """
 
@@ -128,7 +128,7 @@ class ModelComparison:
 
     @property
     def note(self) -> str:
-        """What models used of held-out records beside the voltage, as a sentence; empty if nothing."""
+        """A sentence on the data besides the voltage that models used of held-out records; empty if none."""
         if not (self.lead and self.held_out):
             return ""
         return (
@@ -144,7 +144,7 @@ class ModelComparison:
 
 
 def contenders() -> dict[str, Identification]:
-    """Return all models, name -> identification: dehyst's selected structure and "maxwell_slip", then baselines."""
+    """Return all models by name as functions: dehyst's selected structure and "maxwell_slip", then the baselines."""
     return {
         OURS: lambda records: identify(records, structure="auto").actuator,
         f"{OURS}, paper's": lambda records: identify(records, structure="maxwell_slip").actuator,
@@ -177,9 +177,9 @@ def compare(
     truths : sequence of str, optional
         Virtual actuators ("play", "creep", "preisach", "boucwen") to track on: models are fitted to records of each.
     lead : float, optional
-        Lead-in [s]: the start of held-out records that is simulated but does not count. Give it where a held-out
-        stretch continues a known one. From the displacement measured there an actuator of this package takes its state
-        and an offset of the voltage, any other model takes a constant: its mean error there.
+        Lead-in [s]: the start of held-out records that is simulated but does not count. Use it if a held-out record
+        continues a known one. From the displacement measured in the lead-in, an actuator of this package takes its
+        state and a voltage offset; any other model takes a constant, its mean error there.
     models : Mapping, optional
         Name -> function of the training records; default: `contenders()`.
     progress : callable, optional
@@ -266,7 +266,7 @@ def _residual(
 ) -> Array:
     """Return measured minus simulated displacement of the samples that count, simulated from the first sample.
 
-    With a lead-in, which is known by the `stroke` [m] that is given, on the axis found from the samples before them.
+    If `stroke` [m] is given, there is a lead-in, and the residual is on the axis found from the samples in it.
     """
     before = 0 if stroke is None else int(np.argmax(kept))
     if before and isinstance(model, Actuator):
@@ -292,7 +292,7 @@ def _row(
     trials: list[tuple[TrackingTrial, list[Record]]],
     progress: Progress,
 ) -> ModelScore:
-    """Fit one model and compute all its figures; a failure becomes a sentence."""
+    """Fit one model and compute all its figures; report a failure as a sentence."""
     progress(f"fitting {name}")
     fitted: dict[int, AbstractModel] = {}
     row, tracking, failures = ModelScore(name), dict[str, TrackingErrors](), list[str]()
@@ -321,9 +321,10 @@ def _row(
 def _promised(
     model: AbstractModel, trained: RecordScore | None, training: list[Record], played: list[_Played], stroke: float
 ) -> tuple[float, float] | None:
-    """Return the largest and RMS error [% of the stroke] that one rule promises of the held-out records.
+    """Return the promised largest and RMS error [% of the stroke] on the held-out records, by one rule.
 
-    From what is known of an actuator of this package; of any other model, from its errors on the training records.
+    For an actuator of this package the promise comes from its identification; for any other model from its training
+    errors.
     """
     held_out = [one.item.record for one in played if one.role == "validation"]
     if not held_out or trained is None:
@@ -355,7 +356,7 @@ def parameters_of(model: AbstractModel) -> int | None:
 
 
 def speeds(model: AbstractModel, record: Record) -> tuple[float, float]:
-    """Return the nanoseconds a sample to simulate and to compensate: the best of five runs over a repeated record."""
+    """Return nanoseconds per sample of simulation and compensation: the best of five runs over a repeated record."""
     long = np.resize(record.voltage, max(len(record), _SAMPLES_TO_TIME))
     options = timed(model, record.sample_time * np.arange(long.size, dtype=np.float64))
     path = model.simulate(long, **options).displacement

@@ -1,4 +1,4 @@
-"""A Duhem model: that of Coleman and Hodgdon, with polynomials.
+"""The Duhem model of Coleman and Hodgdon, with polynomials.
 
     y' = a |v'| (f(v) - y) + v' g(v)
 
@@ -44,14 +44,14 @@ class DuhemState:
 class Duhem(AbstractBaseline):
     """Coleman and Hodgdon's model with polynomials of t, 0 to 1 between the limits; exact while v is monotone.
 
-    Each branch is a polynomial P, which depends on the direction alone, plus a distance from it that decays:
+    Each branch is a polynomial P that depends only on the direction, plus a decaying distance from it:
     ``y = P(t) + (y_0 - P(t_0)) exp(-rate |t - t_0|)``. Beyond the limits y continues with its mean slope, and the
     distance does not decay.
 
     `limits`: lowest and highest voltage [V]. `rate`: a times the range of the voltage, above 0. `anhysteretic`,
     `reversible` (k,): coefficients [m] of f, and of g times the range, the constant first. `state`: default start of a
-    motion, by default at the lowest voltage, at the bottom of the major loop. Raise `ModelError` if y does not follow
-    v, rising and falling, everywhere within the major loop.
+    motion; if not given, at the lowest voltage, at the bottom of the major loop. Raise `ModelError` if y does not
+    follow v, rising and falling, everywhere within the major loop.
     """
 
     limits: tuple[float, float]
@@ -109,8 +109,8 @@ class Duhem(AbstractBaseline):
         """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
 
         The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. Parameters
-        are those of every baseline, see `AbstractBaseline`, and `degree`: of f; g has one less. `slope_floor` is that
-        of dy/dv within the major loop.
+        are those of every baseline, see `AbstractBaseline`, and `degree`: degree of f; g has one less. `slope_floor`
+        applies to dy/dv within the major loop.
         """
         count(degree, "degree", most=_HIGHEST_DEGREE)
         fraction(slope_floor, "slope_floor")
@@ -180,7 +180,7 @@ def _solve(training: Training, rate: float, degree: int, slope_floor: float) -> 
 
 
 def _least_squares(columns: Array, target: Array, sides: Array, least: float) -> tuple[Array, float]:
-    """Solve least squares with sides @ x >= least as a least-distance problem (Lawson and Hanson)."""
+    """Solve least squares with constraints sides @ x >= least as a least-distance problem (Lawson and Hanson)."""
     from scipy.linalg import solve_triangular
     from scipy.optimize import nnls
 

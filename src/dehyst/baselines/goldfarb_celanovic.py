@@ -1,4 +1,4 @@
-"""Goldfarb and Celanovic's identification: Maxwell-slip elements and a linear spring, read off the relaxed first rise.
+"""Goldfarb and Celanovic's identification: Maxwell-slip elements and a linear spring from the relaxed first rise.
 
 M. Goldfarb, N. Celanovic, "Modeling piezoelectric stack actuators for control of micromanipulation", IEEE Control
 Systems Magazine 17(3), 1997, 69-79, and "A lumped parameter electromechanical model for describing the nonlinear
@@ -27,8 +27,7 @@ from dehyst.records import Record
 class GoldfarbCelanovic(AbstractBaseline):
     """A relaxed actuator with a linear spring; its loops follow from its first rise alone (Masing's rule).
 
-    `actuator`: it starts relaxed at the displacement and voltage at which the rise began. `remarks`: remarks on the
-    fit, as sentences.
+    `actuator`: starts relaxed at the displacement and voltage at which the rise began. `remarks`: sentences on the fit.
     """
 
     actuator: Actuator
@@ -46,22 +45,22 @@ class GoldfarbCelanovic(AbstractBaseline):
 
     @classmethod
     def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> GoldfarbCelanovic:
-        """Read the elements off the first rise of a record, in closed form.
+        """Compute the elements from the first rise of a record, in closed form.
 
-        Between break points i and i + 1 of the rise its slope is that of the spring and of all elements m > i, so that
+        Between break points i and i + 1, the slope of the rise is the sum over the spring and all elements m > i; hence
         kappa_i = slope_{i-1} - slope_i. Element i slips at the elongation rho_i at which the rise has break point i,
         and the slope beyond the last one is the spring's. The record after the rise is not used.
 
-        Where the rise is not concave a stiffness would be negative. Such a break point is left out, and the slopes
-        beside it are those of one straight segment: the model's rise is the least concave one above the break points,
-        and passes through all that were kept.
+        Where the rise is not concave, a stiffness would be negative. Such a break point is left out, and one straight
+        segment replaces the two slopes next to it. The model's rise is then the least concave curve above the break
+        points, and passes through all kept ones.
 
         `record`: its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
         alternation. It may rest before; noise is allowed. `elements`: number N; the rise X is divided into equal parts,
         rho_i = i X / (N + 1). `breakaway` (N,): elongations rho_i [m] in place of equal parts and `elements`.
 
-        Raise `IdentifyError` if `record` is not a Record, its voltage does not rise first, the rise is too short for so
-        many elements, or a break point is impossible.
+        Raise `IdentifyError` if `record` is not a Record, its voltage does not rise first, the rise is too short for
+        this number of elements, or a break point is impossible.
         """
         if not isinstance(record, Record):
             raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")

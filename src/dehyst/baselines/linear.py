@@ -1,4 +1,4 @@
-"""No model of hysteresis: the ratio of the end points, the usual feedforward without a model.
+"""A straight line through the end points: the usual feedforward without a model of hysteresis.
 
 y = y_0 + stroke (v - v_low) / (v_high - v_low)
 """

@@ -30,7 +30,8 @@ _GAIN = 0.8
 class AbstractPlayModel(AbstractBaseline):
     """A bank of play operators behind the common interface.
 
-    `bank`: its operators. `state`: default start: after a long descent to the lowest voltage of its records.
+    `bank`: its operators. `state`: default start of a motion, after a long descent to the lowest voltage of its
+    records.
     """
 
     bank: PlayBank
@@ -73,7 +74,7 @@ class PrandtlIshlinskii(AbstractPlayModel):
     ) -> PrandtlIshlinskii:
         """Fit the weights by nonnegative least squares; parameters are those of every baseline, see `AbstractBaseline`.
 
-        `slope_floor` is that of the weight of threshold 0.
+        `slope_floor` applies to the weight of threshold 0.
         """
         count(plays, "plays")
         fraction(slope_floor, "slope_floor")
@@ -149,7 +150,7 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         all records; here each record has an offset of its own.
 
         Parameters are those of every baseline, see `AbstractBaseline`, and `segments`: number of segments of S, of
-        equal length. `slope_floor` is that of the weight of threshold 0 and of the slopes of S.
+        equal length. `slope_floor` applies to the weight of threshold 0 and to the slopes of S.
         """
         count(plays, "plays")
         count(segments, "segments")
@@ -167,7 +168,7 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
 
 
 class _Unknowns(NamedTuple):
-    """Weights (N,), slopes of S (M,) and shifts of the epochs in which a play stands still."""
+    """Weights (N,), slopes of S (M,) and shifts of the epochs in which a play does not move."""
 
     weights: Array
     slopes: Array
@@ -253,7 +254,7 @@ class _AlternatingFit:
 class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     """``y = offset + sum_i phi_i(play_i[v]) + sum_k c_k lowpass_k[v]``, phi_i increasing and piecewise linear.
 
-    Its inverse is exact: it steps from one place where a slope changes to the next.
+    Its inverse is exact: it steps from each change of slope to the next.
     """
 
     @classmethod
@@ -271,13 +272,13 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     ) -> GeneralizedPrandtlIshlinskii:
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
 
-        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that just
-        after a reversal. Low-passes replace the drift.
+        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` applies to the
+        slope just after a reversal. Low-passes replace the drift.
 
-        `segments`: of each curve, over the range of its play. `lowpasses` (K,): time constants [s]; an empty one leaves
-        creep out; default: two per decade from two samples to a third of the longest record if they lower the
+        `segments`: number of segments of each curve, over the range of its play. `lowpasses` (K,): time constants [s];
+        empty: no creep. Default: two per decade from two samples to a third of the longest record if they lower the
         cross-validation error much, else none. `smoothing`: weight of the squared differences of neighbouring slopes;
-        it determines those that the records leave open.
+        it determines the slopes that the records leave open.
         """
         count(plays, "plays")
         count(segments, "segments")
@@ -321,7 +322,7 @@ class _Design:
         return cls(rows, knots, times, columns, floors, rough, smoothing)
 
     def held_out_error(self) -> float:
-        """Return the RMS error [m] of predicting each quarter of the epochs from a fit to the rest, constants free."""
+        """Return the cross-validation RMS error [m] over quarters of the epochs, with free constants."""
         training = self.rows.training
         blocks = np.zeros(len(training), dtype=np.intp)
         for offset in training.offsets.T:
@@ -361,9 +362,9 @@ def low_pass(piece: Record, times: Array) -> Array:
 
 
 def with_unknown_start(training: Training, times: Array) -> Training:
-    """Return a copy for a model with low-passes of these times (K,) [s], which replace the drifts.
+    """Return a copy for a model with low-passes of time constants (K,) [s], which replace the drifts.
 
-    Their outputs before the first sample are not known: their decay in each piece is a nuisance.
+    Their outputs before the first sample are not known, so their decay in each piece is a nuisance.
     """
     constants = training.offsets / np.linalg.norm(training.offsets, axis=0)
 
@@ -384,9 +385,9 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     """``y = offset + sum_p w_p k_p[v]``, p = (p1, p2) on a grid with p1 <= p2, all w_p >= 0.
 
     With r a ramp from 0 at 0 to 1 at the grid's spacing a, the kernel is
-    ``k_p <- min(max(k_p, r(v - p2)), r(v - p1))``. For clips commute with ramps, this is the ramp of a play of
-    threshold (p2 - p1) / 2, ``r(z - (p1 + p2) / 2)``: kernels of one threshold are the segments of one curve, and the
-    inverse is exact. Beyond the grid the kernels with p1 = p2 continue linearly, so that there is an inverse.
+    ``k_p <- min(max(k_p, r(v - p2)), r(v - p1))``. Because clipping commutes with ramps, this is the ramp of a play
+    with threshold (p2 - p1) / 2, ``r(z - (p1 + p2) / 2)``: kernels of one threshold are the segments of one curve, and
+    the inverse is exact. Beyond the grid the kernels with p1 = p2 continue linearly, so that there is an inverse.
     """
 
     @property
@@ -408,11 +409,11 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
-        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` is that of the
+        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` applies to the
         kernels with p1 = p2.
 
         `levels`: parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels. `smoothing`: weight of
-        the squared differences of neighbouring weights; it determines those that the records leave open.
+        the squared differences of neighbouring weights; it determines the weights that the records leave open.
         """
         count(levels, "levels", most=60)
         fraction(slope_floor, "slope_floor")

@@ -1,4 +1,4 @@
-"""Weighted plays with curves on them, and low-passes: what several baselines superpose."""
+"""Superpositions of plays with curves and low-passes, used by several baselines."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PlayState:
 
 
 class _ClosedForm(NamedTuple):
-    """The inverse of weighted plays: their weights w, those of the inverse, and its plays."""
+    """The inverse of weighted plays: their weights w, the weights of the inverse, and its plays."""
 
     weights: Array
     back: Array
@@ -50,10 +50,10 @@ class PlayBank:
 
     Raise `ModelError` if a number is impossible.
 
-    `thresholds` (N,): r_i [V], 0 or more. `knots`: places [V] where the slope of phi_i changes, increasing; none for a
-    straight line through 0. `slopes`: slopes of phi_i [m/V], 0 or more, one more than knots: below the first, between
-    them, beyond the last. phi_i is 0 at its first knot. `offset`: [m]. `times`, `shares` (K,): of the low-passes: time
-    constants [s], above 0, and shares [m/V], 0 or more. The arrays are array-like.
+    `thresholds` (N,): r_i [V], 0 or more. `knots`: places [V] where the slope of phi_i changes, increasing; empty for a
+    straight line through 0. `slopes`: slopes of phi_i [m/V], 0 or more, one more than knots: below the first knot,
+    between knots, beyond the last knot. phi_i is 0 at its first knot. `offset`: [m]. `times`, `shares` (K,): of the
+    low-passes: time constants [s], above 0, and shares [m/V], 0 or more. The arrays are array-like.
     """
 
     thresholds: Array
@@ -130,8 +130,8 @@ class PlayBank:
     def compensate(self, y: Array, state: PlayState, time: ArrayLike | None = None) -> tuple[Array, PlayState]:
         """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; exact.
 
-        In closed form where there is one, and the state is that of a history: its neighbours do not lie farther apart
-        than their thresholds.
+        A closed form is used if there is one and the state can result from a history: neighbouring outputs then differ
+        by no more than their thresholds.
         """
         at, steps = self._timed(state, time, y.size)
         apart = np.diff(self.thresholds) + 1e-9 * self.thresholds.max(initial=0.0)
@@ -145,7 +145,7 @@ class PlayBank:
         )
         if reached < y.size:
             raise ModelError(
-                f"displacement: {y[reached] * 1e6:.6g} um at index {reached} is beyond what this model reaches at any "
+                f"displacement: {y[reached] * 1e6:.6g} um at index {reached} is beyond the reach of this model at any "
                 "voltage; stay within the range of the records it was fitted to"
             )
         return v, PlayState(voltage, plays, passed, at)
@@ -170,7 +170,7 @@ class PlayBank:
 
 
 def _time_steps(state: PlayState, time: Array, samples: int) -> tuple[float, Array]:
-    """Continue from the state's time if `time` begins after it, else let it begin one interval later."""
+    """Return time steps that continue from the state's time, or begin one interval later if `time` is not after it."""
     if time.size != samples:
         raise ModelError(argument="time", got=f"{time.size} samples", need=f"{samples}, one for each")
     gaps = np.diff(time)

@@ -29,8 +29,8 @@ _SLOW = 2.0
 class PreisachState:
     """The memory: present voltage [V] and displacement [m], and nested reversals, outermost first.
 
-    `turns` (k, 2): voltage and displacement at each; the first is the plane's lowest voltage, the next a maximum, and
-    so on in turn. With an odd number of them the branch rises.
+    `turns` (k, 2): voltage and displacement at each reversal; the first one is the plane's lowest voltage, then maxima
+    and minima alternate. With an odd number of reversals, the branch rises.
     """
 
     voltage: float
@@ -48,8 +48,8 @@ class Preisach(AbstractBaseline):
     the grid no relay switches and y continues with its mean slope.
 
     `limits`: lowest and highest voltage of the plane [V]. `everett` (n + 1, n + 1): E [m] at (alpha, beta) of node (i,
-    j), i > j; the rest is ignored. E is strictly greater for a triangle than for any triangle inside it: y has to
-    follow v. `bottom`: displacement with every relay down [m]. Raise `ModelError` if the table is no square, or does
+    j), i > j; the rest is ignored. E must be strictly greater for a triangle than for any triangle inside it, so that y
+    follows v. `bottom`: displacement with every relay down [m]. Raise `ModelError` if the table is no square, or does
     not increase away from the diagonal.
     """
 
@@ -112,8 +112,8 @@ class Preisach(AbstractBaseline):
     ) -> Preisach:
         """Fit the density by non-negative least squares, from records of any shape.
 
-        Each sample is linear in the densities, once its nested reversals are known. The records leave much open; a
-        penalty on the density's second differences fills it. Parameters are those of every baseline, see
+        Each sample is linear in the densities, once its nested reversals are known. Where the records do not determine
+        the density, a penalty on its second differences does. Parameters are those of every baseline, see
         `AbstractBaseline`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
         the penalty, 0 for none. The relays on the diagonal provide the least slope.
         """
@@ -137,11 +137,11 @@ class Preisach(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Preisach:
-        """Read the Everett function off first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
+        """Compute the Everett function from first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
 
-        A branch that falls from a top reached from the lowest voltage gives E(top, beta) down to where it turns; one
-        that rises from a bottom reached from the highest voltage gives E(alpha, bottom). Between curves E is
-        interpolated without overshoot, then made to increase away from the diagonal.
+        A branch that falls from a top, which was reached from the lowest voltage, gives E(top, beta) down to its next
+        turn. A branch that rises from a bottom, which was reached from the highest voltage, gives E(alpha, bottom).
+        Between curves E is interpolated without overshoot, then made to increase away from the diagonal.
 
         `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are as in `fit`; `IdentifyError` is raised
         also if there are fewer than three curves.
@@ -187,7 +187,7 @@ def _densities(training: Training, n: int, smoothing: float, least: float) -> tu
 
 
 def _columns(training: Training, n: int) -> Array:
-    """Return the part of each cell that is up at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
+    """Return the switched-up share of each cell at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
     low, high = training.limits
     parts = []
     for piece, rows in zip(training.pieces, training.kept, strict=True):
@@ -258,7 +258,7 @@ def _everett_table(training: Training, n: int, least: float) -> Array:
 
 
 def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tuple[bool, _Curve]]:
-    """Yield whether it falls, and the curve, of each leg after `first` that turned off a branch of the major loop."""
+    """Yield, for each leg after `first` that leaves the major loop, whether it falls, and its curve."""
     v, y, near = piece.voltage, piece.displacement, _NEAR * (high - low)
     turns = piece.reversals()
     ends = np.append(turns, len(v) - 1)
@@ -278,9 +278,10 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
-    """Return one curve for each turning point, sorted; repeated ones are averaged, each as far as it goes.
+    """Return one curve for each turning point, sorted; repeated curves are averaged as far as each extends.
 
-    Where some were driven much faster than others, only the slow ones count: the model is rate-independent.
+    If some curves were recorded much faster than others, only the slow ones count, because the model is
+    rate-independent.
     """
     groups: list[list[_Curve]] = []
     for curve in sorted(curves, key=lambda curve: curve.turn):

@@ -1,4 +1,4 @@
-"""Tracking tests of models on virtual actuators: recorded as on a bench, then driven along a path not in any record."""
+"""Tracking tests of models on virtual actuators: records as on a bench, then a path that is in no record."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
 
 
 class TrackingErrors(NamedTuple):
-    """Wanted minus reached displacement, in % of the stroke, and by how many % the voltage left what was recorded."""
+    """Wanted minus reached displacement [% of the stroke], and excess of the voltage over the recorded range [%]."""
 
     largest: float
     rms: float
@@ -38,8 +38,9 @@ class TrackingErrors(NamedTuple):
 class TrackingTrial:
     """One virtual actuator and the rates at which it is driven.
 
-    `truth`: noise seed -> a new actuator. `slow`, `fast`: cycles a second [Hz] of descending tops, one record at each;
-    each leg of the path takes half a cycle of a rate between them. `hold`: hold at each step of the staircase [s].
+    `truth`: noise seed -> a new actuator. `slow`, `fast`: cycles per second [Hz] of the two records with descending
+    tops; each leg of the path takes half a cycle of a rate between them. `hold`: hold at each step of the staircase
+    [s].
     """
 
     name: str
@@ -63,7 +64,7 @@ class TrackingTrial:
         return self._played(truth, f"{self.name}-0", *tops, stairs)
 
     def held_out(self) -> tuple[Record, ...]:
-        """Return records to be predicted: a major loop and loops of other heights, at the slow rate."""
+        """Return held-out records: a major loop and loops of other heights, at the slow rate."""
         truth = self.truth(1)
         peaks = [truth.highest, 0.75 * truth.highest, 0.45 * truth.highest]
         return self._played(truth, f"{self.name}-1", raised_cosine(peaks, cycles=2, drive=self._drive(self.slow)))
@@ -76,7 +77,7 @@ class TrackingTrial:
         return tuple(records)
 
     def track(self, model: AbstractModel, seed: int = 7) -> TrackingErrors:
-        """Compensate a random path of 40 reversals and play the voltage into the actuator, both homed first.
+        """Home model and actuator, compensate a random path of 40 reversals, and play the voltage on the actuator.
 
         Homing, up to the highest voltage and back, makes the state known; a creeping actuator continues to creep. The
         first leg leads from the end of homing onto the path and does not count. A model with a delay compensates the
@@ -95,7 +96,7 @@ class TrackingTrial:
         return TrackingErrors(*figures, percent(beyond, truth.highest))
 
     def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array, first_leg: int) -> Array:
-        """Return the voltage for the path after homing; both are compensated in one piece to avoid a jump."""
+        """Return the voltage for homing and path, which are compensated in one piece to avoid a jump."""
         from scipy.interpolate import CubicSpline
 
         homed = simulated(model, homing, time[: homing.size]).displacement

@@ -28,15 +28,15 @@ _FEWEST = 8
 
 
 class Cycle(NamedTuple):
-    """Samples first to last of an excitation: from the lowest voltage to the highest and back."""
+    """A cycle of an excitation, by its first and last sample: from the lowest voltage to the highest and back."""
 
     first: int
     last: int
 
     def parts(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the part of the cycle of each sample of a record, and -1 for those outside.
+        """Return, for each sample of a record, its part of the cycle, and -1 outside of the cycle.
 
-        Of two samples of one voltage, where a device played in pieces, the second one is outside too.
+        Where a device played in pieces and sampled one voltage twice, the second sample counts as outside.
         """
         count = min(_PARTS, (self.last - self.first + 1) // 2)
         part = (rows - self.first) * count // (self.last - self.first + 1)
@@ -46,10 +46,10 @@ class Cycle(NamedTuple):
 
 @dataclass(frozen=True)
 class Agreement:
-    """The agreement of a loop that was played again with the `record` on disk, by name.
+    """The agreement of a replayed loop with the `record` of this name on disk.
 
-    `difference`: peak to peak, as a share of the stroke. `allowed`: most that noise, spread from cycle to cycle, creep
-    and temperature may add up to.
+    `difference`: peak-to-peak difference as a share of the stroke. `allowed`: largest difference that noise, spread
+    from cycle to cycle, creep and temperature together may cause.
     """
 
     record: str
@@ -87,7 +87,7 @@ class Agreement:
 
 
 def cycles(voltage: Array) -> list[Cycle]:
-    """Return the cycles through the whole range of a voltage (n,) that follow an earlier visit of its highest value.
+    """Return the cycles through the whole range of a voltage (n,) after the first visit of its highest value.
 
     They depend only on the excitation's own earlier samples, not on what was played before it.
     """
@@ -108,7 +108,7 @@ def cycles(voltage: Array) -> list[Cycle]:
 
 
 def replay(excitation: Excitation) -> Excitation | None:
-    """Return the last whole cycle of an excitation twice, or None: the first rise depends on what was played before."""
+    """Return the last whole cycle of an excitation twice, or None; its first rise depends on what was played before."""
     whole = cycles(excitation.voltage)
     if not whole:
         return None
@@ -121,8 +121,9 @@ def agreement(
 ) -> Agreement:
     """Compare a record on disk with its `replay`.
 
-    `stored`, `played`: of the excitation, and of its replay. `excitation`: that of the stored record. `stored_rows`,
-    `played_rows` (n,): which sample of its excitation each sample of a record belongs to, see `AbstractRig.rows`.
+    `stored`, `played`: records of the excitation and of its replay. `excitation`: the excitation of the stored record.
+    `stored_rows`, `played_rows` (n,): for each sample of a record, the sample of its excitation, see
+    `AbstractRig.rows`.
     """
     whole = cycles(excitation.voltage)
     length = whole[-1].last - whole[-1].first

@@ -33,11 +33,11 @@ STAGE_RESULTS = ("stage.json", "calibration.json")
 class Calibration:
     """The result of a calibration.
 
-    `fit` is a StageFit of several axes, which have no `insight` and no `creep` of a first look. `nominal` and
-    `compensated` are the measured path, by a constant ratio and by the model; `goal` is the error allowed on it [% of
-    the stroke], `unreached` where the voltage could not follow, in sentences. `training` and `held_out` are the
-    records: those in `kept` were on disk already, those in `played` were played, and `agreement` is that of a loop on
-    disk with the same loop played now. `instrument` is the rig with its axes and limits.
+    `fit`: a Fit, or a StageFit of several axes; these have no `insight` and no `creep` of a first look. `nominal` and
+    `compensated`: the measured path with a constant ratio and with the model. `goal`: allowed error on the path [% of
+    the stroke]. `unreached`: sentences on where the voltage could not follow. `training`, `held_out`: the records;
+    those in `kept` were on disk already, those in `played` were played. `agreement`: comparison of a loop on disk with
+    its replay. `instrument`: the rig with its axes and limits.
     """
 
     fit: Fit | StageFit
@@ -56,7 +56,7 @@ class Calibration:
 
     @property
     def since(self) -> str:
-        """When the first of its records began, in UTC."""
+        """Time at which the first record began, in UTC."""
         return min(str(record.meta.get("started", "")) for record in (*self.training, *self.held_out))
 
     @property
@@ -69,11 +69,11 @@ class Calibration:
 
     @property
     def good(self) -> bool:
-        """Whether the model is usable and the path was followed to the goal, by every axis."""
+        """Whether the model is usable and every axis followed the path within the goal."""
         return self.fit.good and all(one.largest_percent <= self.goal for one in self.compensated.each)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return the warnings to read before the model is used."""
+        """Return warnings to consider before the model is used."""
         first = self.fit.remarks if self.insight is None else self.insight.warnings()
         missed = []
         for axis, one in zip(self.compensated.axes or ("",), self.compensated.each, strict=True):
@@ -106,10 +106,10 @@ def calibrate(
     Parameters
     ----------
     rig : AbstractRig
-        The actuator, or each of several axes, is driven through its limits.
+        The rig; its actuator, or each of several axes, is driven through its limits.
     folder : path
-        Complete records of one axis in it are not played again, except one loop that must agree with them; those of
-        several axes are moved aside.
+        Folder of the results. Complete records of one axis in it are not played again, except one loop that must agree
+        with them. Records of several axes are moved aside.
     plan : Plan, optional
     watcher : ProgressListener, optional
         Receives the progress.
@@ -119,7 +119,8 @@ def calibrate(
     RigError
         If the instrument fails; the samples that arrived are on disk.
     RecordError, IdentifyError, FileFormatError
-        If the records cannot be used, those in the folder look like those of another actuator, or it cannot be written.
+        If the records cannot be used, the records in the folder seem to belong to another actuator, or the folder
+        cannot be written.
     """
     listener = watcher or NullProgress()
     plan = plan or Plan()
@@ -135,9 +136,9 @@ def calibrate(
 
 
 class _Measured(NamedTuple):
-    """What was identified from which records, and how the path begins: after a `homing`, in legs of `leg` samples.
+    """Identification result, its records, and the path's beginning: after a `homing`, in legs of `leg` samples.
 
-    `ends`: of one axis, displacements [m] at the ends of its range.
+    `ends`: displacements [m] at the ends of the range of a single axis.
     """
 
     fit: Fit | StageFit
@@ -158,7 +159,7 @@ class _Run:
         self.rig, self.session, self.plan, self.listener = rig, session, plan, listener
 
     def calibration(self) -> Calibration:
-        """Play and identify, then play a path by a constant ratio and by the model."""
+        """Play and identify, then play a path with a constant ratio and with the model."""
         session, rigs, several = self.session, self.rig.rigs, len(self.rig.axes) > 1
         known = self._measure_axes() if several else self._measure_axis()
         planner = PathPlanner(known.homing, [one.limits for one in rigs], known.leg, known.ends)
@@ -226,7 +227,7 @@ class _Run:
         return _Measured(replace(fit, stage=stage), stage, (training,), held_out, homing, leg)
 
     def _measure_axis(self) -> _Measured:
-        """Record one axis, and more of it as long as insight asks for more."""
+        """Record one axis, with further records as long as insight asks for them."""
         plan, record, excitations = self.plan, self.session.record, self.plan.excitations(self.rig)
         look = record(excitations.look(), "look")
         loops, creep = excitations.loops(look), creep_of(look)
@@ -279,7 +280,7 @@ class _Run:
 
 
 def _suggested(excitations: ExcitationPlan, assessment: Insight) -> Excitation | None:
-    """Return what insight asks for first, no faster than the slew rate."""
+    """Return the excitation that insight suggests first, within the slew rate."""
     return excitations.within_slew_rate(assessment.advice[0].excitation) if assessment.advice else None
 
 

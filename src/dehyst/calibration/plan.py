@@ -1,4 +1,4 @@
-"""The plan of a calibration: what it plays, known before anything is sent, and voltages from files."""
+"""The plan of a calibration: all voltages, known before anything is sent, and voltages from files."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ _HEIGHT, _PERIOD, _SEED = 0.97, 0.83, 100
 class ExcitationPlan:
     """The excitations of a calibration of one axis, from `low` to `high` [V], at a `sample_rate` [Hz] of the rig.
 
-    A leg takes half a cycle of the `frequency` [Hz], or more if the `slew_rate` [V/s] stretches it; each hold that
-    measures creep lasts `hold` [s]. Raise `RecordError` if a number is impossible, or there are fewer than 8 samples a
-    cycle.
+    A leg takes half a cycle of the `frequency` [Hz], or longer if the `slew_rate` [V/s] requires it; each hold that
+    measures creep lasts `hold` [s]. Raise `RecordError` if a number is impossible, or there are fewer than 8 samples
+    per cycle.
     """
 
     low: float
@@ -90,11 +90,11 @@ class ExcitationPlan:
         return look.slice(len(look) - 1 - _LOOPS * (len(cycle) - 1), None).with_name("look's loops")
 
     def tops(self, steps: int = 10) -> Excitation:
-        """Play two major loops, descending tops, and random turning points, by which the promise is tested."""
+        """Play two major loops, descending tops, and random turning points, which test the promise."""
         return descending_tops(self.high, steps=steps, random=_RANDOM, drive=self.sampling())
 
     def others(self) -> Excitation:
-        """Play loops of other heights, to be held out."""
+        """Play loops of other heights for held-out records."""
         heights = self.low + (self.high - self.low) * np.array([1.0, 0.75, 0.45])
         return raised_cosine(heights, cycles=2, drive=self.sampling())
 
@@ -115,7 +115,7 @@ class ExcitationPlan:
 
     @property
     def leg(self) -> int:
-        """Samples between two turns of a path: half a cycle, or as many as leave a model half of the slew rate."""
+        """Samples between two turns of a path: half a cycle, or more to use at most half of the slew rate."""
         samples = 0.5 * self.sample_rate / self.frequency
         if self.slew_rate is not None:
             samples = max(samples, np.pi * (self.high - self.low) * self.sample_rate / self.slew_rate)
@@ -128,10 +128,10 @@ class ExcitationPlan:
 
 @dataclass(frozen=True)
 class AxesExcitations:
-    """The excitations of a calibration of several axes, with a column an axis.
+    """The excitations of a calibration of several axes, with one column for each axis.
 
-    `axes`: names. `each`: speed and voltages of each axis. `steps`: descending tops of each alone. `cycles`: of the
-    first one together with the others.
+    `axes`: names. `each`: speed and voltages of each axis. `steps`: number of descending tops of each axis alone.
+    `cycles`: cycles of the first axis when all move together.
     """
 
     axes: tuple[str, ...]
@@ -145,7 +145,7 @@ class AxesExcitations:
         return Excitation("axes", played.voltage, played.sample_rate)
 
     def others(self) -> Excitation:
-        """Play all axes together, to be held out."""
+        """Play all axes together for held-out records."""
         played = self._played(_HEIGHT, _PERIOD, _SEED)
         return Excitation("others", played.voltage[played.parts[-1][1] :], played.sample_rate)
 
@@ -159,7 +159,7 @@ class AxesExcitations:
 
     @property
     def leg(self) -> int:
-        """Samples between two turns of a path of the first axis: half a cycle, or what slew rates need."""
+        """Samples between two turns of a path of the first axis: half a cycle, or more if slew rates require it."""
         return max(one.leg for one in self.each)
 
     def _played(self, height: float, faster: float, seed: int) -> Excitation:
@@ -180,18 +180,18 @@ class Plan:
     Parameters
     ----------
     frequency : float
-        Cycles a second [Hz] at which loops are recorded.
+        Cycles per second [Hz] of the recorded loops.
     hold : float, optional
         Time [s] at each voltage of the holds that measure creep; default three cycles.
     protocol : tuple of Excitation
-        To be recorded instead of those that `insight` would choose.
+        Excitations to record instead of the suggestions of `insight`.
     rounds : int
         How often `insight` may request more records.
     goal : float
         Largest error along the path [% of the stroke] of a good calibration, on every axis.
     steps, cycles : int
-        Of several axes: descending tops of each alone, and cycles of the first one together with the others. They need
-        no `hold`, `protocol` and `rounds`.
+        For several axes: number of descending tops of each axis alone, and cycles of the first axis when all move
+        together. `hold`, `protocol` and `rounds` then have no effect.
 
     Raises
     ------
@@ -220,7 +220,7 @@ class Plan:
         return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
 
     def axes_excitations(self, rig: AbstractRig) -> AxesExcitations:
-        """Return the excitations of this plan on a `rig` of several axes; raise RecordError if it has none."""
+        """Return the excitations on a `rig` of several axes; raise RecordError if the plan is for one axis."""
         if self.hold is not None or self.protocol:
             raise RecordError(
                 "hold and protocol are of one axis",
@@ -237,7 +237,7 @@ class Plan:
 
 
 class PlannedStep(NamedTuple):
-    """One step, and what is played of which `more` samples follow later; `excitation` None: by earlier records."""
+    """One step and its `excitation`, or None if it depends on earlier records; `more`: samples that follow later."""
 
     name: str
     words: str
@@ -246,7 +246,7 @@ class PlannedStep(NamedTuple):
 
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
-    """Return what a calibration would send; raise `RecordError` if that cannot be played within the rig's limits."""
+    """Return the steps that a calibration would play; raise `RecordError` if they exceed the rig's limits."""
     planned = tuple(_steps_of_one(rig, plan) if len(rig.axes) == 1 else _steps_of_several(rig, plan))
     for step in planned:
         if step.excitation is not None:
@@ -255,10 +255,10 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
 
 
 def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
-    """Return the steps as JSON values: what is played, for how long, and within which voltages.
+    """Return the steps as JSON values: excitation, duration and range of voltages.
 
-    A step that depends on earlier records has no numbers; of several axes, voltages are lists. `rig` and `plan` as in
-    `steps`, which may raise.
+    A step that depends on earlier records has no numbers; for several axes, voltages are lists. `rig` and `plan`, and
+    the errors, are as in `steps`.
     """
     listed = []
     for step in steps(rig, plan):
@@ -306,7 +306,7 @@ def _steps_of_several(rig: AbstractRig, plan: Plan) -> Iterator[PlannedStep]:
 
 @dataclass(frozen=True)
 class CreepCheck:
-    """Creep in a look, as shares of the stroke: how far the displacement went on, and its standard uncertainty."""
+    """Creep in a first look, as shares of the stroke: the displacement during a hold, and its standard uncertainty."""
 
     share: float
     doubt: float
@@ -318,7 +318,7 @@ class CreepCheck:
 
 
 def creep_of(look: Record) -> CreepCheck:
-    """Return how far the displacement went on while the voltage of a look was held at its top."""
+    """Return the creep while the voltage of a first look was held at its top."""
     # The longest hold at the highest voltage; a readback has noise.
     top = look.voltage > look.voltage.max() - 0.01 * float(np.ptp(look.voltage))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], top.astype(int), [0]])))
@@ -330,7 +330,7 @@ def creep_of(look: Record) -> CreepCheck:
 
 
 class WantedVoltage(NamedTuple):
-    """An `excitation`, and the displacement (n,) [m] that is `wanted` at each of its voltages, or None."""
+    """An `excitation`, and the `wanted` displacement (n,) [m] at each of its samples, or None."""
 
     excitation: Excitation
     wanted: Array | None

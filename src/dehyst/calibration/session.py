@@ -1,4 +1,4 @@
-"""A session: a folder of records in which no sample is lost, and complete records of one axis are not played again."""
+"""A session: a folder of records that loses no sample, and does not repeat complete records of one axis."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class ProgressListener(Protocol):
     """A receiver of the progress of a calibration."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
-        """Receive the begin of step `name`, which plays for `seconds` [s]; 0 for one that computes."""
+        """Receive the beginning of step `name`, which plays for `seconds` [s]; 0 for a step that computes."""
 
     def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
         """Receive `samples`; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
 
     def message(self, text: str) -> None:
-        """Receive a `text` on what the step does now."""
+        """Receive a `text` on the present activity of the step."""
 
 
 class NullProgress:
@@ -49,15 +49,15 @@ class NullProgress:
 
 
 class Session:
-    """Records on one rig, in one folder: ``records/NAME.h5``, of several axes ``records/NAME-AXIS.h5``.
+    """Records from one rig in one folder: ``records/NAME.h5``, or for several axes ``records/NAME-AXIS.h5``.
 
-    Records of one axis that are complete are kept: the session continues in the folder of a calibration of the same
-    instrument. Those of several are moved to ``records/set-aside`` before the first one is played. The listener
-    receives the samples, of several axes those of the axis that is farthest off its path.
+    Complete records of one axis are kept, so a session continues in the folder of an earlier calibration of the same
+    instrument. Records of several axes are moved to ``records/set-aside`` before the first one is played. The listener
+    receives the samples; with several axes, the samples of the axis with the largest error.
 
-    `sequence`: the requested records, in order. `played`, `kept`: names of those that were played, and that were on
-    disk. `agreement`: of a loop on disk, played again; None if no record on disk was kept. Raise `FileFormatError` if
-    the folder cannot be made, or belongs to another instrument.
+    `sequence`: the requested records, in order. `played`, `kept`: names of the records that were played, and that were
+    on disk. `agreement`: comparison of a loop on disk with its replay; None if no record on disk was kept. Raise
+    `FileFormatError` if the folder cannot be made, or belongs to another instrument.
     """
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
@@ -77,14 +77,14 @@ class Session:
     def record(
         self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = None, again: bool = False
     ) -> Record:
-        """Play an excitation and write its record, unless it is on disk already and is not to be played `again`.
+        """Play an excitation and write its record, unless the record is on disk already and `again` is false.
 
         Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
-        `RigError` as `AbstractRig.play`; RecordError also if the record on disk looks like one of another actuator.
+        `RigError` as `AbstractRig.play`; RecordError also if the record on disk seems to belong to another actuator.
         Raise `FileFormatError` if nothing can be written.
 
-        For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN where none is wanted, and
-        the `stroke` [m] to which their error refers, of each axis.
+        For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN if there is none, and the
+        `stroke` [m] of each axis, the reference of the error.
         """
         paths = self._paths(name)
         stored = None if again else self._stored(name, excitation)
@@ -115,7 +115,7 @@ class Session:
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
     def _begin(self, excitation: Excitation) -> None:
-        """Retreat once, before anything is played or replaced: the wave of a killed process may still be playing."""
+        """Bring the voltage to a safe value once, at first, because the wave of a killed process may still play."""
         demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
         if self.played or self.agreement is not None:
             return
@@ -126,7 +126,7 @@ class Session:
                 set_aside(path)
 
     def _paths(self, name: str) -> list[Path]:
-        """Return the files of a record: one an axis."""
+        """Return the files of a record: one for each axis."""
         return [self.records / f"{name}{f'-{axis}' if self._several else ''}.h5" for axis in self.rig.axes]
 
     def _play(
@@ -169,7 +169,7 @@ class Session:
         return played.with_name(name) if self._several else read(paths[0])
 
     def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
-        """Hand samples to the listener: of several axes, those of the axis with the largest error."""
+        """Pass samples to the listener: with several axes, the samples of the axis with the largest error."""
         if wanted is None or not self._several:
             self._listener.samples(samples.axis(0), wanted, stroke)
             return
@@ -179,9 +179,9 @@ class Session:
         self._listener.samples(samples.axis(worst), wanted[:, worst], float(stroke[worst]))
 
     def _agrees(self, stored: Record, excitation: Excitation) -> bool:
-        """Return whether a record on disk may be kept; once a session, play one of its loops again and compare.
+        """Return whether a record on disk may be kept; once per session, replay one of its loops and compare.
 
-        False if it has no loop to compare. Raises RecordError if it is of another actuator.
+        False if the record has no loop to compare. Raise RecordError if it belongs to another actuator.
         """
         if self.agreement is not None or stored.name in self.played:
             return True
@@ -200,7 +200,7 @@ class Session:
         return True
 
     def _stored(self, name: str, excitation: Excitation) -> Record | None:
-        """Return the record of one axis on disk if it is complete, undamaged and of this excitation and instrument."""
+        """Return the record of one axis on disk if it is complete, undamaged, and of this excitation and instrument."""
         if self._several:
             return None
         try:
@@ -219,7 +219,7 @@ class Session:
 
 
 def claimed(folder: Path, rig: str, axis: str) -> Path:
-    """Make a `folder` for records and claim it for an instrument: its identity `rig` and its `axis` or axes.
+    """Make a `folder` for records and assign it to an instrument: its identity `rig` and its `axis` or axes.
 
     Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
     """
@@ -247,7 +247,7 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
 
 
 def set_aside(path: Path) -> None:
-    """Move a file of records, if it exists, to the folder `set-aside` beside it; raises FileFormatError."""
+    """Move a file of records, if it exists, to the folder `set-aside` next to it; raise FileFormatError on failure."""
     if os.path.lexists(path):
         aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
         try:
@@ -257,7 +257,7 @@ def set_aside(path: Path) -> None:
 
 
 def made_folder(path: Path) -> Path:
-    """Return the folder of this name, made if it does not exist; raises FileFormatError."""
+    """Return the folder of this name, created if necessary; raise FileFormatError on failure."""
     try:
         path.mkdir(exist_ok=True)
     except FileExistsError as error:

@@ -1,4 +1,4 @@
-"""Tracking: a path, the voltages for it with and without a model, and the displacement that they reach."""
+"""Tracking: a path, its voltages with and without a model, and the reached displacement."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class PlannedRun:
     """A path to follow after a homing, and a voltage for it.
 
     `wanted`: readings of the sensor [m] at each sample of the `excitation`, (n,) or (n, axes); NaN during the homing.
-    `begin`: first sample of the path, after the homing and the way to the path. `stroke`: of the major loop [m], of
-    each axis. `warnings`: where the voltage could not follow.
+    `begin`: first sample of the path, after the homing and the way to the path. `stroke`: stroke of the major loop of
+    each axis [m]. `warnings`: sentences on where the voltage could not follow.
     """
 
     wanted: Array
@@ -38,10 +38,10 @@ class PlannedRun:
 
 
 class _Place(NamedTuple):
-    """Where a path lies: readings [m] of each axis (axes,).
+    """Place of a path, as sensor readings [m] of each axis (axes,).
 
-    `low`: at its lowest voltage, the others at theirs. `stroke`: of its major loop. `origin`, `reach`: the path is
-    `origin` and from 0 to 1 of the `reach`.
+    `low`: reading with all axes at their lowest voltage. `stroke`: stroke of the major loop. `origin`, `reach`: the
+    path covers `origin` plus 0 to 1 times `reach`.
     """
 
     low: Array
@@ -51,18 +51,18 @@ class _Place(NamedTuple):
 
     @classmethod
     def between(cls, low: float, high: float) -> _Place:
-        """Return the place of a path of one axis between two readings [m]."""
+        """Return the place of a path of one axis between two sensor readings [m]."""
         return cls(*(np.array([value]) for value in (low, high - low, low, high - low)))
 
 
 @dataclass(frozen=True, eq=False)
 class PathPlanner:
-    """A planner of a path through most of the stroke after a homing, of one axis or of several that move together.
+    """A planner of a path through most of the stroke after a homing, for one axis or several that move together.
 
-    `homing`: two major cycles, from and to the lowest voltage: after them the state is known. It sets the sample rate
-    too. `limits`: voltages allowed on each axis, and their slew rate. `leg`: samples from one turning point to the
-    next, of the first axis; several axes have periods that do not repeat. `ends`: of one axis, measured displacement
-    [m] at the lowest and highest voltage of the homing; those of several axes follow from the model.
+    `homing`: two major cycles, from and to the lowest voltage: after them the state is known; it also sets the sample
+    rate. `limits`: allowed voltages and slew rate of each axis. `leg`: samples between turning points of the first
+    axis; several axes have periods that do not repeat together. `ends`: measured displacement [m] of a single axis at
+    the lowest and highest voltage of the homing; for several axes they follow from the model.
     """
 
     homing: Excitation
@@ -76,9 +76,9 @@ class PathPlanner:
         return self.leg + (len(TURNS) - 1) * max(self._legs)
 
     def nominal(self, model: Actuator | Stage | None = None, before: Sequence[Record] = ()) -> PlannedRun:
-        """Plan the run with a constant ratio of voltage to displacement, as if there was no coupling.
+        """Plan the run with a constant ratio of voltage to displacement, without coupling.
 
-        Of several axes, the path lies where the `model` expects it after all records until now, `before`.
+        With several axes, the `model` determines the place of the path after all records so far, `before`.
         """
         if self.ends is not None or model is None:
             place = _Place.between(*(self.ends or (0.0, 1.0)))
@@ -93,8 +93,8 @@ class PathPlanner:
     def compensated(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a `model`; its state follows from all earlier records, its zero from the last.
 
-        `before`: all records until now, in order; the last is that of the nominal run. Its path corrects for what
-        happened before the records, and for the drift of the sensor.
+        `before`: all records so far, in order; the last one is the nominal run, whose path corrects for the history
+        before the records and for the drift of the sensor.
         """
         place, start, states, datum = self._homed(model, before)
         wanted = self._wanted(place, start)
@@ -123,9 +123,9 @@ class PathPlanner:
     def _homed(
         self, model: Actuator | Stage, before: Sequence[Record]
     ) -> tuple[_Place, Array, tuple[State, ...], Array]:
-        """Return the place of the path, and after the next homing the readings [m], states, and zeros [m] of sensors.
+        """Return the place of the path, and the readings [m], states and sensor zeros [m] after the next homing.
 
-        The zeros are those of the last record.
+        The zeros come from the last record.
         """
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement = _joined(before)
@@ -151,7 +151,7 @@ class PathPlanner:
         return place, start, homed.state, datum
 
     def _wanted(self, place: _Place, start: Array) -> Array:
-        """Return the way from the end of the homing to the path, and the path [m]: (n, axes)."""
+        """Return the way from the end of the homing to the path, and the path (n, axes) [m]."""
         legs = self._legs
         # As many samples as the slowest axis needs for all its turning points.
         count = (len(TURNS) - 1) * max(legs) + 1
@@ -204,7 +204,7 @@ class TrackedPath:
 
     @classmethod
     def of(cls, played: PlannedRun, record: Record, rows: NDArray[np.intp]) -> TrackedPath:
-        """Compare the `record` of a run `played` with its path; `rows` maps its samples to those of the excitation."""
+        """Compare the `record` of a run `played` with its path; `rows` maps samples of the record to the excitation."""
         along = rows >= played.begin
         time = record.time[along] - record.time[along][0]
         return cls(time, played.wanted[rows[along]], record.displacement[along], played.stroke, record.axes)
@@ -216,13 +216,13 @@ class TrackedPath:
 
     @property
     def largest_percent(self) -> Any:
-        """Largest error in % of the stroke; of several axes a tuple, one each."""
+        """Largest error [% of the stroke]; for several axes a tuple with one for each."""
         found = tuple(percent(largest(one.error), one.stroke) for one in self.each)
         return found if self.axes else found[0]
 
     @property
     def rms_percent(self) -> Any:
-        """RMS error in % of the stroke; of several axes a tuple, one each."""
+        """RMS error [% of the stroke]; for several axes a tuple with one for each."""
         found = tuple(percent(rms(one.error), one.stroke) for one in self.each)
         return found if self.axes else found[0]
 
@@ -235,7 +235,7 @@ class TrackedPath:
         return tuple(TrackedPath(self.time, wanted, reached, stroke) for wanted, reached, stroke in columns)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; of several axes by their names."""
+        """Return JSON values; for several axes by name."""
         if self.axes:
             return {axis: one.as_dict() for axis, one in zip(self.axes, self.each, strict=True)}
         return {

@@ -48,11 +48,11 @@ Stack: the deepest chain of calls, without that arithmetic."""
 
 
 class Exported(NamedTuple):
-    """An exported `folder`, and what was measured of it.
+    """An exported `folder`, and its measured size and error.
 
-    `footprints`: bytes by processor, for each compiler that was found. `error`: of floats, the largest of the trace, as
-    a share of the limits or of the reach; None if not measured. `unmeasured`: why bytes or error were not measured on
-    this computer; None if they were.
+    `footprints`: bytes by processor, for each compiler that was found. `error`: largest error of floats in the trace,
+    as a share of the limits or of the reach; None if not measured. `unmeasured`: why bytes or error were not measured
+    on this computer; None if they were.
     """
 
     folder: Path
@@ -64,8 +64,8 @@ class Exported(NamedTuple):
 def code(compensator: Loop, number: Number = "double", name: str | None = None) -> dict[str, str]:
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
-    Raise `ModelError` if it is no Compensator, the number type is another one, floats cannot hold this model, or the
-    name is no name in C or has a meaning there.
+    Raise `ModelError` if `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model,
+    or the name is not valid in C or has a meaning there.
     """
     coupled = isinstance(compensator, StageCompensator)
     if not coupled:
@@ -140,19 +140,19 @@ def export(
 ) -> Exported:
     """Write a compensator as C: the whole folder, or nothing.
 
-    Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte the one that
-    Python runs; `dehyst_config.h` with the number type; the model, `piezo.c` and `piezo.h`, with its numbers and calls.
-    Those of a stage, stage.c and stage.h, have the coupling matrix and the numbers of each axis. Beside them are a
-    golden trace that ``make check`` replays, and a README with the usage and the bytes that it takes.
+    Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs
+    it; `dehyst_config.h` with the number type; and the model, `piezo.c` and `piezo.h`, with its numbers and functions.
+    For a stage, the model is in stage.c and stage.h, with the coupling matrix and the numbers of each axis. The folder
+    also has a golden trace that ``make check`` replays, and a README with usage and size.
 
     Parameters
     ----------
     compensator : Compensator or StageCompensator
-        The export has the state in which it was made or last reset. It does not change.
+        The export starts in the compensator's state at construction or last reset. The compensator does not change.
     directory : path
         A new or an empty folder.
     number : {'double', 'float'}, optional
-        float: every number is rounded once; the error is measured if there is a compiler. Coupled axes have double.
+        float: every number is rounded once, and the error is measured if there is a compiler. Coupled axes need double.
     force : bool, optional
         Replace an earlier export. A folder with other files is always refused.
     name : str, optional
@@ -167,7 +167,7 @@ def export(
         If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
         in C or has a meaning there.
     FileFormatError
-        If it is no path, the folder holds other files, or it cannot be written.
+        If `directory` is not a path, the folder holds other files, or it cannot be written.
     """
     folder = path_of(directory)
     files, own = code(compensator, number, name), _name(compensator, name)

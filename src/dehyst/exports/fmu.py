@@ -96,10 +96,10 @@ class _NoBinaryError(Exception):
 
 
 def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0", kind: Kind = "compensator") -> None:
-    """Write an FMU for co-simulation, which starts from the state in which the compensator was made or last reset.
+    """Write an FMU for co-simulation, which starts in the compensator's state at construction or last reset.
 
-    Its step is the compensator's period, or a whole multiple of it, over which the input is held; without a period any
-    step is one sample. An input at the beginning of a step takes effect by its end, when the output may be read.
+    Its step is the compensator's period or a whole multiple of it, during which the input is constant; without a
+    period, any step is one sample. The output at the end of a step includes the effect of the input at its beginning.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
     Raises
     ------
     ModelError
-        If it is no Compensator, the version or the kind is none of these, or it lacks a period that it needs.
+        If `compensator` is not a Compensator, the version or the kind is unknown, or a required period is missing.
     FileFormatError
         If the file cannot be written, or its name does not end in .fmu.
 
@@ -231,7 +231,7 @@ class Variable(NamedTuple):
 
 
 def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable]]:
-    """Return what an FMU is, in a sentence or two, and its variables: time, the input, and outputs."""
+    """Return the description of an FMU in a sentence or two, and its variables: time, the input, and outputs."""
     words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
     period, (low, high), ahead = compensator.period, compensator.limits, compensator.samples_ahead
     time = Variable("time", "independent", "s", "Simulation time")

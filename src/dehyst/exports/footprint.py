@@ -1,4 +1,4 @@
-"""What an exported folder takes and how exact its floats are, by the compilers at hand: flash, RAM, stack, error."""
+"""Footprint of an exported folder (flash, RAM, stack) and error of its floats, by the installed compilers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Footprint(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """Bytes by processor, the largest error of floats as a share of the range, and why some were not measured."""
+    """Bytes by processor, the largest error of floats as a share of the range, and why a value is missing."""
 
     footprints: dict[str, Footprint]
     error: float | None
@@ -52,7 +52,7 @@ class Measurement(NamedTuple):
 
 
 def measure(folder: Path, number: str, name: str) -> Measurement:
-    """Measure an exported folder, whose model has a `name`, by the compilers at hand."""
+    """Measure an exported folder, whose model has a `name`, with the installed compilers."""
     error, reason, footprints = None, None, {}
     try:
         if number == "float":
@@ -89,12 +89,12 @@ def _float_error(folder: Path, name: str) -> float:
 def sizes(directory: PathLike, compiler: str = "cc", flags: Sequence[str] = ("-O2",)) -> Footprint:
     """Compile a `directory` that `dehyst.export` wrote, and measure it.
 
-    `compiler`: that for the processor, such as ``arm-none-eabi-gcc``; its ``size`` is expected beside it. `flags`:
-    optimisation and processor; ``-flto`` leaves out what this model does not need.
+    `compiler`: the compiler for the processor, such as ``arm-none-eabi-gcc``, with its ``size`` in the same folder.
+    `flags`: optimisation and processor; ``-flto`` leaves out what this model does not need.
 
-    Flash is that of a program that begins and steps, with the compiler's own arithmetic and nothing else; stack is that
-    of the deepest chain of calls without this arithmetic, which only gcc reports. Raise `FileFormatError` if there is
-    no such compiler, or it cannot compile the folder.
+    Flash is the size of a program that only begins and steps, including the compiler's own arithmetic. Stack is the
+    depth of the deepest chain of calls without this arithmetic; only gcc reports it. Raise `FileFormatError` if there
+    is no such compiler, or it cannot compile the folder.
     """
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)

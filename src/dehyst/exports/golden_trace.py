@@ -1,4 +1,4 @@
-"""The golden trace: what Python computes with a compensator, call by call, for its export to replay."""
+"""The golden trace: calls of a compensator and their results in Python, for its export to replay."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Call(IntEnum):
 
 
 class TraceRow(NamedTuple):
-    """A call, its arguments [m or V] and its results, one an axis: voltages [V], or displacements [m] after it."""
+    """A call, its arguments [m or V], and its results for each axis: voltages [V], or displacements [m] after it."""
 
     what: Call
     given: tuple[float, ...]
@@ -66,9 +66,9 @@ class TraceRow(NamedTuple):
 class GoldenTrace(NamedTuple):
     """A trace.
 
-    `clamps`: of the steps, one an axis. `refused`: number of wanted displacements that are not a number. `volts`,
-    `stroke`: ranges to which errors are referred: the largest width of limits [V] and of a reach [m]. `coupled`:
-    whether it is that of a stage, whose calls have arrays.
+    `clamps`: clamped samples of each axis. `refused`: number of wanted displacements that are not a number. `volts`,
+    `stroke`: references of errors: the largest width of limits [V] and of a reach [m]. `coupled`: whether the trace is
+    of a stage, whose calls have arrays.
     """
 
     rows: tuple[TraceRow, ...]
@@ -82,9 +82,9 @@ class GoldenTrace(NamedTuple):
 def golden_trace(compensator: Loop) -> GoldenTrace:
     """Play a trace on compensators like this one, from their start; this one does not change.
 
-    It has wanted displacements within the reach and beyond it, slow and in jumps, and some that are not a number, so
-    that of several axes one, several and all are clamped; offers that are dropped, committed, or committed with other
-    voltages; periods in which nothing is sent; and at the end voltages on the actuators alone.
+    The trace has wanted displacements within and beyond the reach, slow and in jumps, and some that are not a number.
+    With several axes, one, several and all of them are clamped. It also has offers that are dropped, committed, or
+    committed with other voltages; periods in which nothing is sent; and at the end voltages on the actuators alone.
     """
 
     def new() -> Loop:
@@ -192,7 +192,7 @@ def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:
 
 
 def _given(loop: Loop, values: Array) -> Any:
-    """Return values (axes,) as a loop takes them: of one axis as a number."""
+    """Return values (axes,) as a loop takes them: a number for one axis."""
     return float(values[0]) if isinstance(loop, Compensator) else values
 
 
@@ -201,7 +201,7 @@ def _row(values: float | Array) -> tuple[float, ...]:
 
 
 def _place(loop: Loop) -> tuple[float, ...]:
-    """Return the displacements of the body [m]: of one actuator that of its mass."""
+    """Return the displacements of the body [m]; for one actuator, of its mass."""
     if not isinstance(loop, Compensator):
         return _row(loop.displacement)
     return (loop.actuator.displacement(loop.state),)

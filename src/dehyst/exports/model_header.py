@@ -66,7 +66,7 @@ _POSITIVE = {
 
 
 class ExportedStart(NamedTuple):
-    """Displacement [m] and voltage [V] of the memory at the start, and the way there as a sentence."""
+    """The exported initial state: its displacement [m], its voltage [V], and a sentence on how to reach it."""
 
     displacement: float
     voltage: float
@@ -74,7 +74,7 @@ class ExportedStart(NamedTuple):
 
     @classmethod
     def of(cls, compensator: Compensator) -> ExportedStart:
-        """Return the start of a loop like this one, as it was made or last reset."""
+        """Return the initial state of a compensator, at its construction or last reset."""
         loop, actuator = compensator.clone(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.initial_state
         # A little beyond the limits, the requested state has the same way.
@@ -92,7 +92,7 @@ class ExportedStart(NamedTuple):
 
 
 def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, float]) -> str:
-    """Describe how the voltage leads to the state; slowly, because the words have no time in them."""
+    """Describe the slow voltage that leads to the state; the text contains no times."""
     strain, most = state.displacement - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
     rest = (
@@ -138,7 +138,7 @@ def demand_no_temperature(compensator: Compensator, target: str) -> None:
 
 
 def config_header(number: Number) -> str:
-    """Return `dehyst_config.h`, which says in one place what number type the core and the model have."""
+    """Return `dehyst_config.h`, which sets the number type of core and model."""
     return f"""/* The choices of a build, which every file of it includes. */
 #ifndef DEHYST_CONFIG_H
 #define DEHYST_CONFIG_H
@@ -153,7 +153,7 @@ def config_header(number: Number) -> str:
 class ModelText:
     """The numbers of a `compensator` as C text of a `number` type; a float is rounded once, limits inward.
 
-    Raise `ModelError` if numbers that must differ are one float, or a float cannot hold one of them.
+    Raise `ModelError` if numbers that must differ round to the same float, or a float cannot hold a number.
     """
 
     def __init__(self, compensator: Compensator, number: Number) -> None:
@@ -165,17 +165,17 @@ class ModelText:
 
     @property
     def memory(self) -> int:
-        """How many numbers the memory of a loop has."""
+        """Number of numbers in the memory of a loop."""
         return 2 * self._start.carts.size + self._start.strains.size + self._tables["tap"].size
 
     @property
     def snapshot(self) -> int:
-        """Bytes of a snapshot of it."""
+        """Size of a snapshot of this memory [bytes]."""
         return 40 + 8 * (11 + self.memory - self._start.carts.size)
 
     @property
     def room(self) -> int:
-        """How many numbers a block of these sizes and the tables that the core computes have."""
+        """Number of numbers in a block of these sizes and in the tables that the core computes."""
         tables, elements = self._tables, self._tables["rho"].size
         grades = max(tables["grade_knot"].size - 1, 0)
         computed = tables["knot"].size + 2 * tables["tau_voltage"].size
@@ -301,7 +301,7 @@ def _inward(loop: Array) -> Array:
 
 
 def _demand_float(tables: Tables) -> None:
-    """Refuse a model that single precision would change."""
+    """Raise `ModelError` for a model that single precision would change."""
     for name, values in tables.items():
         with np.errstate(over="ignore", under="ignore"):
             rounded = values.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Files that come with the package, and the names of an export: several models fit into one firmware."""
+"""Files of the package for exports, and the names in an export, so that several models fit into one firmware."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _HEADERS = (
 
 
 def demand_name(name: object) -> None:
-    """Refuse a name that cannot be that of a type in C beside the core.
+    """Raise an error for a name that cannot be a C type next to the core.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def demand_name(name: object) -> None:
 
 
 def text_of(text: str, name: str) -> str:
-    """Rename the symbols, macros and files in a template, where `piezo`, PIEZO and MODEL_ are nothing else."""
+    """Rename the symbols, macros and files in a template, in which `piezo`, PIEZO and MODEL_ have no other meaning."""
     if name == DEFAULT:
         return text
     # What is put in must not be renamed again.
@@ -74,7 +74,7 @@ def printable(name: str) -> str:
 
 
 def name_in(folder: Path) -> str | None:
-    """Return the name of the model whose export a folder holds; None if it holds none."""
+    """Return the name of the model whose export a folder holds; None if it holds no export."""
     names = []
     for path in sorted(folder.glob("*.h")):
         with path.open(encoding="utf-8", errors="replace") as stream:
@@ -88,7 +88,7 @@ def shipped(name: str) -> str:
 
 
 def shipped_bytes(name: str) -> bytes:
-    """Return a file that comes with the package; in a checkout the core's headers are where the core has them."""
+    """Return a file of the package; in a checkout, headers of the core are in the folder of the core."""
     roots = [Path(root) for root in sys.modules["dehyst"].__path__]
     folders = [root / "exports" / "templates" for root in roots]
     for folder in [*(root.parents[1] / "core" / "include" for root in roots), *folders]:

@@ -1,4 +1,4 @@
-"""The kinds of export, one row each: how `dehyst export` chooses and writes it."""
+"""The kinds of export: a table with one row for each, from which `dehyst export` chooses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dehyst.exports.wasm import export_wasm, wasm_files
 
 
 class Written(NamedTuple):
-    """What an export wrote: its numbers as JSON values, a line about it, a table below that, and remarks."""
+    """Result of an export: its numbers as JSON values, a line about it, a table below this line, and remarks."""
 
     values: dict[str, Any]
     line: str
@@ -26,9 +26,9 @@ class Written(NamedTuple):
 class Target(NamedTuple):
     """A kind of export.
 
-    `words`: it, in messages. `suffix`: of its path; empty for a folder. `options`: those of the command that have an
-    effect on it alone. `write`: writes a loop to a path by these options. `files`: all that it writes to a path;
-    None for a folder, which looks after itself.
+    `words`: its name in messages. `suffix`: suffix of its path; empty for a folder. `options`: options of the command
+    that affect only this kind. `write`: function that writes a compensator to a path with these options. `files`:
+    function that returns all files of a path; None for a folder, whose export checks its files itself.
     """
 
     words: str

@@ -19,10 +19,10 @@ _WRAPPER = {".js": "compensator.js", ".d.ts": "compensator.d.ts"}
 
 
 def export_wasm(compensator: Compensator, path: PathLike) -> None:
-    """Write a compensator as WebAssembly, and beside it a JavaScript module with types that calls it.
+    """Write a compensator as WebAssembly, with a JavaScript module and its types that call it.
 
-    NAME.wasm has the core, the same for every model, and the numbers of this one; NAME.js and NAME.d.ts are the same
-    for every model too. No compiler is needed. The voltages are those of Python, bit for bit.
+    NAME.wasm holds the core and the numbers of this model. The core, NAME.js and NAME.d.ts are the same for every
+    model. No compiler is needed. The voltages are the same as in Python, bit for bit.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def export_wasm(compensator: Compensator, path: PathLike) -> None:
 
 
 def wasm_files(path: PathLike) -> list[Path]:
-    """Return the files that an export to `path` writes, itself first; raise `FileFormatError` for another name."""
+    """Return the files that an export to `path` writes, `path` first; raise `FileFormatError` for another suffix."""
     target = path_of(path)
     if target.suffix != ".wasm":
         raise FileFormatError(f"{target}: the name of a WebAssembly module ends in .wasm; change it")
@@ -59,7 +59,7 @@ def wasm_files(path: PathLike) -> list[Path]:
 
 
 def wasm_module(compensator: Compensator) -> bytes:
-    """Return the module of a `compensator`, as `export_wasm` writes it; raise `ModelError` if it is no Compensator."""
+    """Return the module that `export_wasm` writes; raise `ModelError` if `compensator` is not a Compensator."""
     demand_compensator(compensator)
     demand_no_temperature(compensator, "WebAssembly")
     core = shipped_bytes("core.wasm")

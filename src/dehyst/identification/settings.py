@@ -1,4 +1,4 @@
-"""Options of an identification, and when its searches end."""
+"""Options of an identification, and the deadline of its searches."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class _StepLeftError(Exception):
 
 
 class Deadline:
-    """When the searches of one identification end: after some seconds, or when `end` is called.
+    """Deadline of the searches of one identification: a time limit, or a call of `end`.
 
-    Give it to `dehyst.identify` as `time_limit`. Once it has passed no step of a search begins, and the best model so
-    far is completed.
+    Pass it to `dehyst.identify` as `time_limit`. Once it has passed, no further step of a search begins, and the best
+    model so far is completed.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Deadline:
     ended : bool
         Whether `end` was called.
     cut : list of str
-        What was not begun or not finished, in words.
+        Names of steps that were not begun or not finished.
 
     Raises
     ------
@@ -92,12 +92,12 @@ class Deadline:
             self.check()
 
     def check(self) -> None:
-        """Leave the step that `attempt` runs, if the deadline has passed; do nothing outside of one."""
+        """If the deadline has passed, leave the step that `attempt` runs; without such a step, do nothing."""
         if self._inside and self.passed:
             raise _StepLeftError
 
     def watched(self, report: Progress) -> Progress:
-        """Return the same report of a step's progress, at which a step is left once the deadline has passed.
+        """Wrap a progress report so that it also leaves the step once the deadline has passed.
 
         Parameters
         ----------
@@ -112,14 +112,15 @@ class Deadline:
         return watched
 
     def attempt(self, step: Callable[[], _T], otherwise: _U, name: str) -> _T | _U:
-        """Return what a step makes; if the deadline passes before, `otherwise`, and note the name of what was cut.
+        """Return the result of a step; if the deadline passes before its end, note its `name` and return `otherwise`.
 
         Parameters
         ----------
         step : callable
-            Left where it calls `check`, or by a signal. A step inside another one is left together with it.
+            A function that may be left where it calls `check`, or by a signal. A nested step is left together with its
+            outer step.
         otherwise : object
-            What the step should improve.
+            Result if the step is left.
         name : str
             For `cut`.
         """
@@ -138,7 +139,7 @@ class Deadline:
         return otherwise
 
     def remarks(self, best: str) -> list[str]:
-        """Return the sentence about what was cut; none if all was done.
+        """Return a sentence about the steps that were cut; empty if all were done.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Measured against simulated: a model played along a record, from a state that the record itself determines."""
+"""Comparison of measurement and simulation: a model simulated from a state that the record determines."""
 
 from __future__ import annotations
 
@@ -254,10 +254,10 @@ class RecordComparison:
 def compare(
     actuator: Actuator, record: Prepared, stroke: float, *, datum: float | None = None, drifting: bool = False
 ) -> RecordComparison:
-    """Compare a record with a model: fit constants, datum and drift by least squares, the model held fixed.
+    """Compare a record with a model: fit constants, datum and drift by least squares with the model fixed.
 
     `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
-    whether a drift is set aside.
+    whether a drift is fitted too.
     """
     creep = actuator.displacement_creep
     if creep is not None:
@@ -295,7 +295,7 @@ def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as those that an actuator was identified from: before its sensor's lag, if that was given."""
+    """Prepare a record as for the identification of an actuator, with the sensor's lag removed if it was given."""
     known = actuator.identification or Identification()
     return prepare(record, ringing=known.ringing).without_lag(known.sensor_lag)
 
@@ -325,11 +325,11 @@ def compare_all(
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
-    """Return the state at a record's last sample, on the model's axis, and the offset of its voltages [V].
+    """Return the state at a record's last sample, on the model's axis, and the offset of the record's voltages [V].
 
-    Its displacements determine them, and how far its sensor's zero lies from the model's: the offset by least squares
-    over the samples that count. Where none does, for the record is too short or has no full cycle, the offset is that
-    of its last sample, and what the record leaves open of the carts is taken as none.
+    The record's displacements determine the state and the shift of its sensor's zero; the offset is fitted by least
+    squares over the samples that count. If no sample counts, because the record is too short or has no full cycle, the
+    offset is taken from its last sample, and the remaining uncertainty of the carts is ignored.
 
     `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop; default
     that between the actuator's limits.
@@ -366,13 +366,13 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
 
 
 def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
-    """Return the state in which a record began, on the model's axis, and the offset of its voltages [V].
+    """Return the state at a record's beginning, on the model's axis, and the offset of the record's voltages [V].
 
-    The start from which the model's simulation is nearest to the record, as in `RecordErrors.starts`: the carts and
-    creep strains that explain its first voltages best (`fit_start`). Smooth elements are taken as not elongated.
+    It is the start from which the simulation is nearest to the record, as in `RecordErrors.starts`: its carts and creep
+    strains explain the first voltages best (`fit_start`). Smooth elements are assumed to be not elongated.
 
-    `actuator`: the model. `record`: that began in the state. `stroke` [m]: range of the widest training loop; default
-    that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
+    `actuator`: the model. `record`: the record that began in the state. `stroke` [m]: range of the widest training
+    loop; default that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     compared = compare(actuator, prepare_for(actuator, record), stroke)
@@ -389,7 +389,7 @@ def _first_sample(piece: Record, delay: float) -> int:
 
 
 def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
-    """Simulate each piece of a record whole, from the state at its first sample that suits it best, and compare.
+    """Simulate each piece of a record whole, from the best-fitting state at its first sample, and compare.
 
     `role`: "training" or "validation".
     """

@@ -54,7 +54,7 @@ class PvNames:
 
     @property
     def all(self) -> dict[str, str]:
-        """The names by their purpose, without those that are None."""
+        """Names of the process variables by purpose, without those that are None."""
         names = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "joint"}
         return {what: name for what, name in names.items() if name is not None}
 

@@ -386,10 +386,10 @@ class Record:
         return found
 
     def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:
-        """Return one axis as a record of its own.
+        """Return one axis as a separate record.
 
-        `axis`: its name or index; a record of one axis has index 0. `displacement` (n,) [m]: another one of this axis.
-        Raise `RecordError` if there is no such axis.
+        `axis`: its name or index; a record of one axis has index 0. `displacement` (n,) [m]: replaces the displacement
+        of this axis. Raise `RecordError` if there is no such axis.
         """
         names: list[object] = [*self.axes] if self.axes else [""]
         j = names.index(axis) if axis in names else axis

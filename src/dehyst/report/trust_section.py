@@ -351,8 +351,8 @@ def _part_intervals(found: Insight) -> list[Part]:
     caption = (
         f"{100 * noise.level:.0f} % intervals from {len(noise.actuators)} identifications of resampled cycles "
         f"(bootstrap) with the same structure. {_bias(found)}The largest error on the records, {length(found.misfit)}, "
-        "comes on top: this structure cannot follow it. Single stiffnesses and the spring compensate one another: "
-        "together they are more accurate."
+        "comes on top: this structure cannot follow it. Errors of single stiffnesses and of the spring compensate one "
+        "another; the whole model is more accurate than its parts."
     )
     return ["<h3>How accurate the parts are</h3>", Charts("", caption, charts)]
 

@@ -1,4 +1,4 @@
-"""Virtual actuators that no model of this package is an instance of: for the demo, tests, benchmarks and emulators.
+"""Virtual actuators for the demo, tests, benchmarks and emulators; they are not instances of the package's models.
 
 They share no code with the models. Two of them are limits of baseline models, and so hard for ours: with ever more
 plays and segments Kuhnen's model approaches `PlayActuator` without creep; on ever finer grids the models of Preisach

@@ -30,10 +30,10 @@ class VirtualActuator(ABC):
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] at the times (n,) [s]; return the displacement (n,) [m].
 
-        `time` (n,) [s], increasing, is needed by models that move in time. Times after those of the last call continue
-        from there, so that an actuator creeps in a pause; other times begin anew, one of their own first intervals
-        after the last call. With `measured` the sensor's noise is added. Raise `ModelError` if the voltage is not
-        finite, or a time that is needed is missing or does not increase.
+        `time` (n,) [s], increasing, is needed by actuators that depend on time. If it begins after the last call's end,
+        the pause counts, and the actuator creeps in it. Other times begin anew: their first sample comes one of their
+        first intervals after the last call. With `measured`, the sensor's noise is added. Raise `ModelError` if the
+        voltage is not finite, or a time that is needed is missing or does not increase.
         """
         v = vector(voltage, "voltage")
         y = self._moved(v, time) if v.size else v
@@ -47,7 +47,7 @@ class VirtualActuator(ABC):
 class Clock:
     """Converter of the times of successive calls into time steps.
 
-    `times`: those of the last call (n,) [s], and before them the time one step earlier: (n + 1,).
+    `times` (n + 1,) [s]: the n times of the last call, after the time one step earlier.
     """
 
     def __init__(self) -> None:
@@ -57,9 +57,9 @@ class Clock:
     def steps(self, time: ArrayLike | None, count: int, why: str) -> Array:
         """Return the seconds (n,) that pass before each of `count` samples.
 
-        Times that begin after the end of the last call continue from there. Other times begin anew: one of their own
-        first intervals after the last call, or after the rest at 0 V. Raise `ModelError` if there is no time, it has
-        another length or does not increase, or it has no first interval.
+        Times that begin after the end of the last call continue from it. Other times begin anew: the first sample comes
+        one of their first intervals after the last call, or after the rest at 0 V. Raise `ModelError` if the time is
+        missing, has another length, does not increase, or has no first interval.
         """
         if time is None:
             raise ModelError(f"this actuator {why}: it needs the time of each sample; give the time [s]")
@@ -79,7 +79,7 @@ class Clock:
             return np.concatenate([[at[0] - last], gaps])
         if count < 2:
             raise ModelError(
-                "got one sample that does not go on from an earlier one", argument="time", hint="need two at least"
+                "got one sample that does not continue an earlier call", argument="time", hint="need two at least"
             )
         self.times = np.concatenate([[2 * at[0] - at[1]], at])
         return np.concatenate([gaps[:1], gaps])

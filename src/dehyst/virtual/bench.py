@@ -35,8 +35,8 @@ class Extremes:
     """The extremes of all voltages that an amplifier has put out.
 
     `lowest`, `highest`: voltages [V]. `largest_step`: largest change from one voltage to the next [V]. `steepest`:
-    largest change over the device's time between the two voltages [V/s], a servo period at least. `refused`: requests
-    outside the limits; none was put out.
+    largest slew rate [V/s]: change over the device's time between the two voltages, at least a servo period. `refused`:
+    number of requests outside the limits, which were not put out.
     """
 
     lowest: float
@@ -57,10 +57,10 @@ class Extremes:
 class BenchAxis:
     """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is that of the bench.
 
-    `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: its present output, and the voltage
-    that it moves to [V]. `log`: extremes of the output so far. `stroke`: of the actuator [m]. `sensor_range`: lowest
-    and highest displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is
-    constant. `stalled`: the wave generator plays nothing more, and does not end. `played`: samples of the present or
+    `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: present output, and target voltage
+    [V]. `log`: extremes of the output so far. `stroke`: stroke of the actuator [m]. `sensor_range`: lowest and highest
+    displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is constant.
+    `stalled`: the wave generator plays nothing more, and does not end. `played`: number of samples of the present or
     last wave that were put out so far.
     """
 
@@ -90,7 +90,7 @@ class BenchAxis:
 
     @property
     def planned(self) -> int:
-        """Samples of the present or last wave; a stopped one ends where it was stopped."""
+        """Number of samples of the present or last wave; a stopped wave ends where it was stopped."""
         return self._wave.size
 
     @property
@@ -124,7 +124,7 @@ class BenchAxis:
             self._wanted, self._error = self.displacement(), 0.0
 
     def displacement(self) -> float:
-        """Return the sensor's reading [m]: the present one, or while a wave is played that of the last sample."""
+        """Return the sensor's reading [m]: at present, or while a wave is played, at its last sample."""
         return float(self.sensed(self._stage.present()[self._index : self._index + 1])[0])
 
     def set_voltage(self, voltage: float) -> bool:
@@ -143,7 +143,7 @@ class BenchAxis:
     def move(self, target: float) -> None:
         """Move to a displacement [m] of the sensor, and hold it against creep. `target` [m].
 
-        Raise `DeviceError` if the servo is off, or the target is no number.
+        Raise `DeviceError` if the servo is off, or the target is not a number.
         """
         if not self._servo or not math.isfinite(target):
             raise DeviceError(
@@ -165,9 +165,9 @@ class BenchAxis:
         return np.clip(self._sensor.read(displacement), low, high)
 
     def admitted(self, wave: ArrayLike, divider: int, most: int) -> Array:
-        """Return the voltages (n,) [V] that `begin` would play, `most` at most; raise `DeviceError` if it cannot.
+        """Return the voltages (n,) [V] that `begin` would play, at most `most`; raise `DeviceError` if impossible.
 
-        `wave` (n,) [V]; `divider` as of `VirtualBench.start`.
+        `wave` (n,) [V]; `divider` as in `VirtualBench.start`.
         """
         self._demand_open("start")
         v = vector(wave, "wave")
@@ -278,21 +278,22 @@ class BenchAxis:
 class VirtualBench:
     """A piezo controller without a protocol: no input or output, no thread; its time is the clock's.
 
-    Every method and property of the bench first brings it up to the present. Between them time stands still: what is
-    done on several of its `axes` happens at one instant. It is not thread-safe: a server must hold a lock.
+    Every method and property of the bench first advances it to the present. In between, its time stands still, so
+    actions on several of its `axes` happen at one instant. It is not thread-safe: a server must hold a lock.
 
     Raise `ModelError` if limits are no interval, or the slew rate is not positive.
 
     Parameters
     ----------
     device : VirtualActuator, Actuator or VirtualStage
-        The connected actuator, or the body with one an axis, at rest at 0 V; its fingerprint is the `serial` number.
+        The connected actuator, or a body with one actuator for each axis, at rest at 0 V; its fingerprint is the
+        `serial` number.
     limits : (float, float) or sequence of (float, float), optional
         Of the amplifiers [V], for all axes or for each; default: 0 V to its actuator's highest.
     slew_rate : float, optional
         Of the amplifiers [V/s], for voltages and waves; default: a voltage is reached at once.
     servo_period : float, optional
-        [s]; samples of a wave are whole numbers of it apart.
+        Period of the servo [s]; the samples of a wave are a whole number of periods apart.
     wave_points, record_points : int, optional
         Sizes of the memories of each wave generator and of the recorder, for each axis.
     sensor_range : (float, float), optional
@@ -300,7 +301,7 @@ class VirtualBench:
     clock : callable, optional
         Returns seconds, which never fall.
     speed : float, optional
-        Seconds of the device in each second of the clock.
+        Seconds of the device for each second of the clock.
     noise, seed : float, int, optional
         Standard deviation [m] and seed of the sensors' noise; default: those of the device, or no noise.
     """
@@ -357,22 +358,23 @@ class VirtualBench:
 
     @property
     def recorded(self) -> int:
-        """Samples recorded of the present or last waves."""
+        """Number of samples recorded of the present or last waves."""
         self.advance()
         return self._recorded
 
     @property
     def planned(self) -> int:
-        """Samples of the longest of the present or last waves; a stopped one ends where it was stopped."""
+        """Number of samples of the longest present or last wave; a stopped wave ends where it was stopped."""
         return 0 if self._lead is None else self._lead.planned
 
     def start(self, waves: ArrayLike | Mapping[int, ArrayLike], divider: int = 1) -> None:
         """Play waves on some axes from this instant, and record all axes.
 
-        `waves`: voltages (n,) [V] of the first axis, or by axis (0, 1, ...): sample k is put out at the present + k
-        divider servo_period, and recorded just after; the output moves in straight lines from one to the next, and to
-        the first in a jump. `divider`: servo periods from one to the next. Raise `DeviceError` if one lies outside its
-        limits, there are too many or none, a wave is played or a servo is on; if one wave is refused, none is played.
+        `waves`: voltages (n,) [V] of the first axis, or by axis (0, 1, ...): sample k is put out at the present time +
+        k divider servo_period, and recorded just after. The output jumps to the first sample and then moves in straight
+        lines between samples. `divider`: servo periods between samples. Raise `DeviceError` if a voltage lies outside
+        its limits, there are no samples or too many, a wave is played or a servo is on. If one wave is refused, none is
+        played.
         """
         self.advance()
         given = waves if isinstance(waves, Mapping) else {0: waves}
@@ -395,7 +397,7 @@ class VirtualBench:
     def samples(self, first: int = 0, count: int | None = None, *, axis: int = 0) -> tuple[Array, Array, Array]:
         """Return time [s], voltage [V] and displacement [m], (n,) each, of one `axis` (0, 1, ...) as recorded.
 
-        They begin with sample `first` and are those recorded so far, `count` at most.
+        They are the samples recorded so far, from `first` on, at most `count`.
         """
         stop = self.recorded if count is None else min(self.recorded, first + count)
         rows = slice(max(first, 0), max(stop, 0))

@@ -72,7 +72,7 @@ VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
 def virtual_actuator(name: str) -> VirtualActuator | Actuator:
     """Return a virtual actuator: one of `VIRTUAL`, or the model in a file.
 
-    Raise `ModelError` if it is no such name, and no such file exists. Raise `FileFormatError` if the file cannot be
+    Raise `ModelError` if there is neither such a name nor such a file. Raise `FileFormatError` if the file cannot be
     read.
     """
     if name in VIRTUAL:
@@ -85,9 +85,9 @@ def virtual_actuator(name: str) -> VirtualActuator | Actuator:
 
 
 def fingerprint(actuator: VirtualActuator | Actuator) -> str:
-    """Return kind and hash of a virtual actuator: equal for equal parameters, whatever its name or file.
+    """Return kind and hash of a virtual actuator: equal for equal parameters, independent of name and file.
 
-    Name, provenance, state and limits of a model do not count: the same actuator may have others.
+    Name, provenance, state and limits of a model have no effect, because they may differ for the same actuator.
     """
     if isinstance(actuator, ModelledActuator):
         actuator = actuator.actuator

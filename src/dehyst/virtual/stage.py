@@ -29,7 +29,7 @@ class VirtualStage:
     Parameters
     ----------
     actuators : sequence of VirtualActuator or Actuator
-        One an axis; their own noise is not used.
+        One for each axis; their own noise is not used.
     coupling : (axes, axes) array_like
         Displacement of axis i by the displacement of actuator j; 1 on the diagonal.
     hysteretic : (axes, axes) array_like, optional
@@ -109,7 +109,7 @@ class VirtualStage:
         self._motions[axis].append(np.array([at, voltage, own, other]))
 
     def take(self) -> list[Array]:
-        """Return what each axis did since the last call, and its last sample before: rows as of `joined` (4, n)."""
+        """Return the motion of each axis since the last call and one sample before: rows (4, n) as in `joined`."""
         taken = [np.concatenate(motions, axis=1) for motions in self._motions]
         self._motions = [[motion[:, -1:]] for motion in taken]
         return taken
@@ -117,7 +117,7 @@ class VirtualStage:
     def joined(self, motions: Sequence[Array]) -> Array:
         """Return the displacements (n, axes) [m] of the body.
 
-        `motions`: of each axis time, voltage, its own displacement and that of its second element, (4, n).
+        `motions`: for each axis time, voltage, own displacement, and displacement of its second element, (4, n).
         """
         # In a fixed order: a product of matrices would depend on the number of samples in its last digits.
         parts = [(column, motion[2]) for column, motion in zip(self.coupling.T, motions, strict=True)]
@@ -128,12 +128,12 @@ class VirtualStage:
         return y
 
     def present(self) -> Array:
-        """Return the displacements (axes,) [m] of the body after all that was played."""
+        """Return the displacements (axes,) [m] of the body after all voltages so far."""
         return np.asarray(self.joined([motions[-1][:, -1:] for motions in self._motions])[0])
 
 
 def spread_coupling(axes: int, share: float) -> Array:
-    """Return a matrix (axes, axes) with zeros on its diagonal and other entries of `share` at most, no two alike."""
+    """Return a matrix (axes, axes) with zeros on its diagonal; other entries are different and at most `share`."""
     i, j = np.indices((axes, axes))
     sign = np.where((i + j) % 2 == 0, 1.0, -1.0)
     size = 1.0 - 0.5 * ((axes * i + j) % (axes * axes)) / (axes * axes)

@@ -1,4 +1,4 @@
-"""Waveforms: voltages that excite an actuator, and scans that it is to follow."""
+"""Waveforms: voltages that excite an actuator, and scans for it to follow."""
 
 from dehyst.waveforms import standard
 from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, refuse_long, volts

@@ -65,11 +65,12 @@ class Excitation:
     name : str
         Its kind.
     voltage : (n,) or (n, axes) array_like
-        [V], n >= 2, of several axes a column each; kept as a read-only copy. `RecordError` for anything else.
+        Voltage [V], n >= 2, with one column for each of several axes; kept as a read-only copy. `RecordError` for
+        anything else.
     sample_rate : float
         [Hz].
     warnings : tuple of str
-        Sentences about what takes longer than requested.
+        Sentences about legs that take longer than requested.
     axes : tuple of str
         Names of several axes.
     parts : tuple of (str, int, int)
@@ -117,7 +118,7 @@ class Excitation:
 
     @property
     def turns(self) -> Array:
-        """Voltages (k,) [V] between which it only rises or only falls: the first, those where it turns, the last."""
+        """Turning points (k,) [V]: first voltage, voltages at which it turns, and last voltage."""
         steps = np.diff(self.voltage)
         moving = np.flatnonzero(steps)
         rises = steps[moving] > 0
@@ -127,7 +128,8 @@ class Excitation:
     def then(self, other: Excitation) -> Excitation:
         """Return this excitation and the `other` one after it, without a pause.
 
-        Raise `RecordError` if the other one has another sample rate, begins at another voltage, or makes it too long.
+        Raise `RecordError` if the other excitation has another sample rate, begins at another voltage, or makes the
+        result too long.
         """
         if other.sample_rate != self.sample_rate:
             got = f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz"
@@ -168,7 +170,7 @@ class Leg(NamedTuple):
     requested: bool = True
 
     def sampled(self, count: int, shape: Shape) -> Array:
-        """Return the `count` voltages after the start [V] in a `shape`: monotone, within the ends, exact at the end."""
+        """Return `count` voltages [V] after the start, in a `shape`: monotone, within the ends, exact at the end."""
         if self.start == self.end:
             return np.full(count, self.end)
         rising = self.end > self.start
@@ -186,7 +188,7 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a voltage is played and sampled, for every kind of excitation.
+    """Speed, shape and sampling of a voltage, for every kind of excitation.
 
     Parameters
     ----------
@@ -199,14 +201,15 @@ class Sampling:
     present : float, optional
         Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the base.
     limits : (float, float), optional
-        Lowest and highest voltage [V] allowed. A voltage outside raises: clipped tops would make another protocol.
+        Lowest and highest voltage [V] allowed. A voltage outside is an error, because clipped tops would be another
+        protocol.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
     shape : {"cosine", "triangle"}
         Half a cosine for each leg (paper, Sec. 3), or a straight line.
     pace : {"frequency", "rate"}
-        Half a cycle for each leg, whatever its height (the paper's), or for the highest leg of a protocol only, and for
-        the others in proportion to their heights.
+        "frequency": half a cycle for each leg, regardless of its height (as in the paper). "rate": half a cycle for the
+        highest leg, and for others in proportion to their heights.
 
     Raises
     ------
@@ -257,7 +260,7 @@ class Sampling:
         return self.base if self.present is None else self.present
 
     def command(self, protocol: str) -> str:
-        """Return the command that writes a `protocol`, its kind and own arguments as typed, with this sampling."""
+        """Return the command that writes a `protocol` (kind and its arguments, as typed) with this sampling."""
         limits = "" if self.limits is None else f" --limits {self.limits[0]:g} {self.limits[1]:g}"
         pace = f" --base {self.base:g} --frequency {self.frequency:.4g}"
         return f"dehyst excite {protocol}{pace}{limits} -o voltage.csv"
@@ -265,7 +268,7 @@ class Sampling:
     def lead_in(self, highest: float) -> list[Leg]:
         """Return the leg from the present voltage to the base, at the mean speed of a leg of `highest` [V].
 
-        It takes half a cycle at most; no leg if the present voltage is the base.
+        It takes at most half a cycle; there is no leg if the present voltage is the base.
         """
         way = abs(self.start - self.base)
         return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
@@ -273,7 +276,7 @@ class Sampling:
     def legs(self, path: Sequence[float]) -> list[Leg]:
         """Return the legs between the voltages of a `path` (m,) [V], m >= 2, at the chosen pace.
 
-        Raise `RecordError` if a voltage comes twice in a row.
+        Raise `RecordError` if two successive voltages are equal.
         """
         heights = [abs(b - a) for a, b in pairwise(path)]
         if 0.0 in heights:
@@ -283,10 +286,10 @@ class Sampling:
         return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
 
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
-        """Return the excitation `name` of `legs` that follow one another; all is checked before memory is taken.
+        """Return the excitation `name` of successive `legs`; all checks come before memory is allocated.
 
         Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate
-        is so low that steps from one sample to the next are lost in rounding.
+        is so low that steps between samples are lost in rounding.
         """
         ends = [legs[0].start, *(leg.end for leg in legs)]
         self._refuse_outside(ends, name)

@@ -12,7 +12,7 @@ from dehyst.waveforms.two_axes import Lissajous, Raster, Spiral
 
 
 class ScanKind(NamedTuple):
-    """A named scan: its class, the options that it needs, those that it may have, and whether it is a figure."""
+    """A named scan: its class, its required and optional options, and whether it is a figure."""
 
     scan: Callable[..., Scan]
     needs: tuple[str, ...]
@@ -21,7 +21,7 @@ class ScanKind(NamedTuple):
 
     @property
     def takes(self) -> tuple[str, ...]:
-        """All of its options."""
+        """All options of the scan."""
         return (*self.needs, *self.may)
 
 
@@ -46,7 +46,7 @@ SCANS = {scan.__name__.lower(): _kind(scan) for scan in _SCANS}
 
 
 def scan_of(kind: str, options: Mapping[str, Any], sample_rate: float | None) -> Scan:
-    """Return the scan of a `kind`, a name of `SCANS`, that options define.
+    """Return the scan of a `kind`, a name in `SCANS`, with these options.
 
     Parameters
     ----------

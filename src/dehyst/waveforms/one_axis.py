@@ -20,7 +20,7 @@ _TURNS = 0.1
 
 @dataclass(frozen=True)
 class Triangle(Scan):
-    """A path up and down between two displacements; it begins at rest, at the lower one.
+    """A path up and down between two displacements; it begins at rest at the lower displacement.
 
     Both legs are whole numbers of samples. See `Scan` for the fields that are not listed.
 
@@ -30,9 +30,9 @@ class Triangle(Scan):
         Turning points [m], met exactly.
     turns : float, optional
         Share of the time of each leg that is spent turning, half of it at either end; above 0 and up to 1. By default
-        as short as the acceleration allows, or 0.1 if that is not limited.
+        as short as the acceleration allows, or 0.1 without a limit.
     rising : float
-        Share of the time that it rises; a share other than 1/2 makes a saw-tooth.
+        Share of the period in which the path rises; other than 1/2: a saw-tooth.
     """
 
     low: base.Low
@@ -59,7 +59,7 @@ class Triangle(Scan):
 
     @property
     def height(self) -> float:
-        """Displacement from the lower turn to the higher [m]."""
+        """Displacement between the turns [m]."""
         return self.high - self.low
 
     @property
@@ -123,7 +123,7 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 @dataclass(frozen=True)
 class Steps(Scan):
-    """A path from level to level that rests on each; it begins at rest, on the first.
+    """A path from level to level that rests on each; it begins at rest on the first level.
 
     By default the shortest edge has 50 samples. See `Scan` for the fields that are not listed.
 
@@ -137,10 +137,10 @@ class Steps(Scan):
         Time from one level to the next [s]; by default each edge is as short as the limits allow, and an acceleration
         is needed.
     shape : {"minimum-jerk", "trapezoid"}
-        Polynomials of least jerk, or straight lines with ends of constant acceleration, which take the whole edge if
-        no acceleration is given.
+        Polynomials of least jerk, or straight lines with ends of constant acceleration; without an acceleration limit,
+        these ends take the whole edge.
     closed : bool
-        Whether it goes back to the first level at the end, so that it can be repeated.
+        Whether the path returns to the first level at the end, so that it can be repeated.
     """
 
     levels: Annotated[tuple[float, ...], ScanOption("um", "Levels of steps")]
@@ -179,7 +179,7 @@ class Steps(Scan):
 
     @property
     def periodic(self) -> bool:
-        """Whether it can be repeated."""
+        """Whether the path can be repeated."""
         return self.closed
 
     @property

@@ -1,4 +1,4 @@
-"""What all scans share: declared options, motions of an axis, limits of motion, sampled paths."""
+"""Common parts of all scans: declared options, motions of an axis, limits of motion, sampled paths."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def above(value: float) -> str:
 def samples_of(seconds: float, rate: float) -> int:
     """Return the number of samples of a duration [s], rounded up.
 
-    Raise `RecordError` if they are fewer than a leg needs, or more than 5e7.
+    Raise `RecordError` if there are fewer than a leg needs, or more than 5e7.
     """
     samples = seconds * rate * (1 - 1e-12)
     if samples > LEG_SAMPLES - 1:
@@ -91,11 +91,11 @@ def samples_of(seconds: float, rate: float) -> int:
 
 
 class ScanOption(NamedTuple):
-    """An option of scans, the annotation of a field: an option of the command line and of the workbench by its name.
+    """An option of scans, declared as the annotation of a field, for the command line and the workbench.
 
-    `unit`: by name; "" for a pure number, lengths are in um, angles in degrees. `help`: what it is. `default`: in
-    words. `least`: of a whole number. `kind`: float, int, the words to choose from, or "numbers" or "pair"; it follows
-    from the field's type.
+    `unit`: unit as text, "um" for lengths, "degrees" for angles, "" for a pure number. `help`: description. `default`:
+    default as text. `least`: least value of a whole number. `kind`: float, int, the words to choose from, or "numbers"
+    or "pair"; it follows from the field's type.
     """
 
     unit: str
@@ -177,7 +177,7 @@ class Travel(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Iterable[Travel]) -> Travel:
-        """Return one after the other."""
+        """Return successive motions as one."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -194,8 +194,8 @@ class Edge:
     """A motion from rest to rest: at constant speed except at both ends, where it speeds up and slows down.
 
     `start`, `end` [m]. `seconds`: duration. `blend`: duration of each end [s], where the speed changes; 0 to half of
-    `seconds`. `rounding`: constant acceleration at the ends, or one that falls to 0 like half a cosine where the
-    straight part begins: then it has no jump in the turn between two edges.
+    `seconds`. `rounding`: constant acceleration at the ends, or an acceleration that falls to 0 like half a cosine
+    towards the straight part, and therefore has no jump in the turn between two edges.
     """
 
     start: float
@@ -250,7 +250,7 @@ def highest(seconds: float, speed: float | None, acceleration: float | None, rou
 
 
 def least_blend(height: float, seconds: float, acceleration: float, rounding: Rounding) -> float:
-    """Return the shortest rounded end [s] that keeps the acceleration [m/s^2], or half of the seconds if none does.
+    """Return the shortest rounded end [s] within the acceleration [m/s^2], or half of the seconds if there is none.
 
     From ``acceleration blend (seconds - 2 (1 - way) blend) = most height``.
     """
@@ -311,12 +311,12 @@ class ScanPath:
     sample_rate : float
         [Hz].
     periodic : bool
-        Whether the sample after the last one is the first again.
+        Whether the first sample follows the last one again.
 
     Raises
     ------
     RecordError
-        If the rows are empty or not of one length, or hold what is not finite.
+        If the rows are empty, have different lengths, or hold values that are not finite.
     """
 
     displacement: Array
@@ -363,10 +363,9 @@ class ScanPath:
         return ScanPath(*Travel(*(row[-1:] for row in self.rows)), self.sample_rate, periodic=False)
 
     def repeated(self, cycles: int) -> ScanPath:
-        """Return a number of periods and the sample that closes the last one; for 0 periods the first sample.
+        """Return a number of periods and the sample that closes the last period; for 0 periods the first sample.
 
-        Raise `RecordError` if the path is not periodic, `cycles` is no number of cycles, or there are more than 5e7
-        samples.
+        Raise `RecordError` if the path is not periodic, `cycles` is invalid, or there are more than 5e7 samples.
         """
         if not self.periodic:
             raise RecordError(argument="cycles", got="a path that ends elsewhere than it begins", need="a periodic one")
@@ -383,11 +382,11 @@ class ScanPath:
 class Scan(ABC):
     """A path for each axis (`axes`: their names), whose fields are its options.
 
-    Of most: `frequency`, periods a second [Hz]; `speed` [m/s] and `acceleration` [m/s^2], the largest of any axis that
-    are allowed; `rounding`, turns of constant acceleration ("parabola"), or of one without jumps and twice as high
-    ("cosine"); `sample_rate` [Hz], by default 400 samples a cycle. The number of samples of a period is rounded up: a
-    scan is never faster than requested. It raises `RecordError`, with what can be done, if a number is impossible or
-    the limits cannot be kept.
+    Fields of most scans: `frequency`: periods per second [Hz]. `speed` [m/s], `acceleration` [m/s^2]: largest allowed
+    values of any axis. `rounding`: turns of constant acceleration ("parabola"), or of an acceleration without jumps and
+    twice as high ("cosine"). `sample_rate` [Hz]: by default 400 samples per cycle. The number of samples of a period is
+    rounded up, so a scan is never faster than requested. It raises `RecordError`, with a remedy, if a number is
+    impossible or the limits cannot be kept.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
@@ -437,7 +436,7 @@ class Scan(ABC):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences about what differs from the request."""
+        """Sentences about differences from the request."""
         requested = self.requested_period
         if requested is None or abs(self.period / requested - 1) <= 1e-9:
             return ()
@@ -460,7 +459,7 @@ class Scan(ABC):
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Largest abs(velocity) `speed` [m/s] and abs(`acceleration`) [m/s^2] of an axis, each or None."""
+    """Largest abs(velocity) `speed` [m/s] and abs(`acceleration`) [m/s^2] of an axis; None: not limited."""
 
     speed: float | None = None
     acceleration: float | None = None

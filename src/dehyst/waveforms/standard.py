@@ -1,7 +1,7 @@
-"""Standard excitations: voltages that show the loops or creep of an actuator, home it, or show the coupling of a stage.
+"""Standard excitations: voltages for the loops or creep of an actuator, for homing, and for a stage's coupling.
 
-All take `drive`, how they are played, and raise `RecordError` if a voltage or a number is impossible or lies outside of
-the limits, the record would have more than 5e7 samples, or the slew rate is too low for the sample rate.
+All take `drive`, the speed, shape and sampling. They raise `RecordError` if a voltage or a number is impossible or
+outside of the limits, the record would have more than 5e7 samples, or the slew rate is too low for the sample rate.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RATIO = 1.3247179572447460
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
-    `peaks`: one or (m,) [V], above the base, each with a number of `cycles`. `drive`: how it is played. Raise
+    `peaks`: one or (m,) voltages [V] above the base; each is repeated for `cycles`. `drive`: how it is played. Raise
     `RecordError` as all excitations do.
     """
     several: Any = [peaks] if isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0 else peaks
@@ -52,13 +52,14 @@ def descending_tops(
 ) -> Excitation:
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
-    As many tops as elements determine every stiffness that loops can determine. The first cycle homes the actuator,
-    whatever its state was.
+    With as many tops as elements, they determine every stiffness that loops can determine. The first cycle homes the
+    actuator from any state.
 
-    `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first is `highest` once
-    more. `majors`: cycles up to `highest` before them. `random`: turning points anywhere in between after them, always
-    the same ones. An identification holds parts of the record out: with such turning points, 24 or so, they are unlike
-    the rest, and test the model for any path. `drive`: how it is played. Raise `RecordError` as all excitations do.
+    `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first top is `highest`.
+    `majors`: number of cycles up to `highest` before the tops. `random`: number of random turning points after the
+    tops, always the same ones. Identification holds out parts of the record; with some 24 such turning points these
+    parts differ from the rest, and test the model for any path. `drive`: speed, shape and sampling. Raise `RecordError`
+    as all excitations do.
     """
     top, number = _top(highest, drive), _count(steps, "steps")
     tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
@@ -78,9 +79,9 @@ def reversal_curves(
 ) -> Excitation:
     """Return first-order reversal curves: major cycles, then highest -> a -> highest for falling a, then the base.
 
-    `highest` [V], above the base. `lowest` [V]: the last a; by default the base. If it is below the base, major cycles
-    go down to it too. `count`: number of curves, from `highest` down in equal steps. `majors`: number of major cycles.
-    `drive`: how it is played. Raise `RecordError` as all excitations do.
+    `highest` [V], above the base. `lowest` [V]: the last a; by default the base. If `lowest` is below the base, major
+    cycles go down to it too. `count`: number of curves, from `highest` down in equal steps. `majors`: number of major
+    cycles. `drive`: how it is played. Raise `RecordError` as all excitations do.
     """
     top = _top(highest, drive)
     bottom = drive.base if lowest is None else volts(lowest, "lowest")
@@ -97,7 +98,7 @@ def minor_loop(
 ) -> Excitation:
     """Return major cycles, then a minor loop with its lead-in: base -> high -> low -> high ... -> base.
 
-    The first major cycle homes the actuator, the second one is the major loop.
+    The first major cycle homes the actuator; the second one is the major loop.
 
     `low`, `high` [V]: turning points, base <= low < high <= highest. `highest` [V]: top of the `majors`, major cycles.
     `cycles` of the minor loop. `drive`: how it is played. Raise `RecordError` as all excitations do.
@@ -134,8 +135,8 @@ def staircase(
     ramp : float, optional
         Time from one voltage to the next [s], at least four samples; by default all steps up take half a cycle.
     back : bool
-        Whether one step back follows each two steps: these inner loops, at all levels, determine what tops that all
-        fall back to the base leave open.
+        Whether one step back follows each two steps. These inner loops at all levels determine stiffnesses that tops
+        with returns to the base leave open.
     drive : Sampling
         How it is played; its pace has no effect.
 
@@ -160,9 +161,9 @@ def staircase(
 def homing(highest: float | None = None, *, turns: ArrayLike | None = None, drive: Sampling = _PAPER) -> Excitation:
     """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
 
-    `highest` [V], above the base. `turns` (m,) [V], instead of it: voltages to visit in this order, from the present
-    one (by default the base); the record ends at the last of them. `drive`: how it is played. Raise `RecordError` as
-    all excitations do, or unless exactly one of `highest` and `turns` is given.
+    `highest` [V], above the base. `turns` (m,) [V], instead of `highest`: voltages to visit in this order, from the
+    present voltage (by default the base) to the last of `turns`. `drive`: how it is played. Raise `RecordError` as all
+    excitations do, or unless exactly one of `highest` and `turns` is given.
     """
     if (turns is None) == (highest is None):
         got = f"{'neither' if turns is None else 'both'} of highest and turns"
@@ -190,8 +191,8 @@ def stage_excitation(
 ) -> Excitation:
     """Return descending tops on each axis in turn, the others at their base, then turns of all axes together.
 
-    Moving together, the axes turn at levels of their own, and their periods are powers of an irrational ratio: no
-    combination of states repeats. The excitation has the `axes`, and as its `parts` "x alone", ... and "together".
+    When moving together, each axis turns at its own levels, and the periods are powers of an irrational ratio, so that
+    no combination of states repeats. The excitation has `axes`, and `parts` "x alone", ... and "together".
 
     Parameters
     ----------
@@ -200,13 +201,13 @@ def stage_excitation(
     drive : Sampling or sequence of Sampling, optional
         How each axis is sampled: base, frequency, limits and slew rate; one sample rate for all.
     steps, majors : int
-        Of `descending_tops`, for each axis alone.
+        As in `descending_tops`, for each axis alone.
     cycles : int
-        Cycles of the first axis together with the others; 0: axes one after the other only.
+        Cycles of the first axis when all move together; 0: only one axis after the other.
     axes : sequence of str, optional
         Names of the axes; default: x, y, z.
     seed : int
-        Of the levels at which the axes turn together.
+        Seed of the levels at which the axes turn when moving together.
 
     Raises
     ------
@@ -251,7 +252,7 @@ def stage_excitation(
 
 
 def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
-    """Return a path [m] through turning points in shares of the stroke, joined by cosines of `leg` samples."""
+    """Return a path through turning points in shares of the stroke, joined by cosines of `leg` samples."""
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
     legs = [start + (end - start) * rise for start, end in pairwise(turns)]
     return stroke * np.concatenate([[turns[0]], *legs])
@@ -265,12 +266,12 @@ def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
 
 
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
-    """Return the two turning points as many times as there are cycles, for one of several such rows."""
+    """Return two turning points repeated for each cycle, for one or several such rows."""
     return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
 
 
 def _random_turns(count: int) -> list[float]:
-    """Return so many turning points, tops and bottoms by turns, as parts of the range, and the way back to 0."""
+    """Return a number of alternating top and bottom turning points, as parts of the range, and the way back to 0."""
     rng, turns = np.random.default_rng(0), [0.0]
     for k in range(count):
         below, above = (turns[-1] + _LEAST_LEG, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_LEG)

@@ -33,23 +33,23 @@ YHigh: TypeAlias = Annotated[
 
 @dataclass(frozen=True)
 class Raster(Scan):
-    """Lines along x, each forth and back, at places along y from `y_low` to `y_high`; then back to the first line.
+    """Lines along x, each forth and back, at positions along y from `y_low` to `y_high`; then back to the first line.
 
-    `low`, `high`, `frequency`, `turns` and `rising` are those of the `Triangle` along x, with the fields of `Scan`.
+    `low`, `high`, `frequency`, `turns` and `rising` define the `Triangle` along x; see `Scan` for the other fields.
 
     Parameters
     ----------
     lines : int
         2 or more.
     y_low, y_high : float, optional
-        Places of the first and the last line [m]; by default `low` and `high`. A ramp is there at the beginning of the
-        first line and at the end of the last.
+        Positions of the first and the last line [m]; by default `low` and `high`. A ramp reaches them at the beginning
+        of the first line and at the end of the last line.
     slow : {"staircase", "ramp"}
-        Whether y goes to the next line on the way back of x, with the least jerk, or moves at constant speed.
+        "staircase": y goes to the next line, with the least jerk, while x returns. "ramp": y moves at constant speed.
     back : int, optional
-        Periods of x after the last line, while y goes back to the first; by default the fewest that keep the limits or,
-        where these are not given, the largest speed and acceleration of x. A staircase also uses the way back of the
-        last line. A ramp is joined smoothly, and overshoots a little on its way.
+        Periods of x after the last line, while y goes back to the first; by default the fewest within the limits, or
+        without limits, within the largest speed and acceleration of x. A staircase also uses the way back of the last
+        line. A ramp is joined smoothly, and overshoots a little on its way.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
@@ -181,7 +181,7 @@ class Lissajous(Scan):
         p and q, without a common factor.
     phase : float, optional
         [rad]; by default the phase at which the lines of the figure lie farthest apart. Such phases are pi/p apart;
-        halfway between two of them the figure retraces its own line.
+        halfway between two of these phases, the figure retraces its own line.
     """
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
@@ -247,8 +247,8 @@ class Spiral(Scan):
 
     ``x = r cos(phi), y = r sin(phi)`` about the centre; r grows evenly with phi, except where it turns at the rim. The
     way out takes `revolutions` + 1/4, and so does the way back: then the path through the centre is straight, and the
-    scan closes. By default a revolution has 100 samples, or so many that one at the centre takes less than about 1/4
-    rad. See `Scan` for the fields that are not listed.
+    scan closes. By default a revolution has 100 samples, or more so that a sample at the centre covers less than about
+    1/4 rad. See `Scan` for the fields that are not listed.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ class Spiral(Scan):
     revolutions : int
         1 or more.
     constant : {"linear", "angular"}
-        The speed that is constant; with a constant angular speed the centre is scanned slowly.
+        Which speed is constant; with a constant angular speed, the centre is scanned slowly.
     centre : (float, float)
         [m].
     turns : float

@@ -1,3 +1,3 @@
-"""What pages are made of: charts, the editor of a path, numbers, style. One folder for reports, workbench and site."""
+"""Components of pages, shared by reports, workbench and site: charts, path editor, numbers, style."""
 
 from dehyst.web import files

@@ -1,4 +1,4 @@
-"""The modules and styles that pages share: for a server one by one, for a page without a server as one script."""
+"""Modules and styles that pages share: single files for a server, one script for a page without a server."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ def text(name: str) -> str:
 
 
 def script(*sources: str) -> str:
-    """Return the text of modules and of all that they import as one script, without imports and exports.
+    """Return modules and all their imports as one script, without import and export statements.
 
-    A source is the name of a module of this folder, or the text of another one. Names at the top of modules differ.
+    A source is the name of a module in this folder, or the text of another module. Top-level names of modules must
+    differ.
     """
     found: dict[str, str] = {}
 

@@ -1,4 +1,4 @@
-"""Numbers that the page draws: columns of records and voltages, paths of points and scans, WebAssembly."""
+"""Data for the page: columns of records and voltages, paths of points and scans, WebAssembly."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_SAMPLES, _MOST_DRAWN = 10_000_000, 2_000_000
 
 
 class RequestError(DehystError, ValueError):
-    """A request that is not understood: what was got, what is needed."""
+    """A request that is not understood."""
 
 
 def number_of(value: Any, name: str) -> float:
@@ -47,12 +47,12 @@ def limits_of(value: Any) -> tuple[float, float]:
 def written_path(file: Path, points: Any, rate: Any) -> None:
     """Write a path through points (time [s], displacement [um]), with straight lines between them, as CSV.
 
-    Of several axes, `points` are those of each, by its name.
+    With several axes, `points` holds the points of each axis by name.
 
     Raises
     ------
     RequestError
-        The points are not two at least with rising times, or the rate [Hz] asks for too many samples.
+        If there are fewer than two points, times do not rise, or the rate [Hz] gives too many samples.
     """
     hertz = number_of(rate, "rate")
     each = {"displacement_um": points} if not isinstance(points, Mapping) else {f"{k}_um": v for k, v in points.items()}
@@ -87,9 +87,9 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     Raises
     ------
     RequestError, OperationError
-        The request is no scan, or has too many samples.
+        If the request is not a scan, or has too many samples.
     RecordError
-        The scan is impossible.
+        If the scan is impossible.
     """
     given = {name: value for name, value in scan.items() if value not in (None, "")}
     hertz, axis = number_of(rate, "rate"), str(given.pop("axis", "x"))
@@ -111,14 +111,14 @@ def wasm(file: Path, period: float | None) -> bytes:
 
 
 def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
-    """Return time [s], voltage [V] and displacement [um] of a record's file, or of an `axis` of several in it."""
+    """Return time [s], voltage [V] and displacement [um] in a record's file, or of one `axis` in it."""
     names = {"voltage": f"v{axis}_V", "displacement": f"{axis}_m"} if axis else {}
     record = read(file, **names)  # type: ignore[arg-type]
     return record.time - record.time[0], record.voltage, record.displacement * _MICRO
 
 
 def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
-    """Return time [s], voltage [V], wanted and expected displacement [um] of what `compensate` wrote, of an `axis`."""
+    """Return time [s], voltage [V], wanted and expected displacement [um] of an `axis` in an output of `compensate`."""
     columns = {column.name: column.data for column in read_table(file).columns}
     voltage = columns[f"v{axis}_V" if axis else "voltage_V"]
     time = columns.get("time_s", np.arange(voltage.size, dtype=np.float64))

@@ -29,9 +29,7 @@ _SUFFIX = re.compile(r"(\.\w{1,9})?")
 
 
 class Folder:
-    """A folder that belongs to one workbench.
-
-    Nobody else may read it.
+    """A folder of one workbench, which no other user may read.
 
     Parameters
     ----------
@@ -41,12 +39,12 @@ class Folder:
     Attributes
     ----------
     privacy : str
-        What to know of its permissions, or nothing.
+        A remark on the folder's permissions, or empty.
 
     Raises
     ------
     FileFormatError
-        It holds other files, cannot be written, or another workbench uses it now.
+        If it holds other files, cannot be written, or another workbench uses it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -78,7 +76,7 @@ class Folder:
     def new(self, place: str, name: str, suffix: str = "") -> str:
         """Return a relative path that does not exist yet, with the letters of a name that files may have.
 
-        It is returned once, also if its file is written much later.
+        Each path is returned only once, even if its file is written much later.
         """
         stem = _OTHERS.sub("-", name).strip("-.")[:_LONGEST] or "unnamed"
         suffix = suffix if _SUFFIX.fullmatch(suffix) else ""
@@ -135,7 +133,7 @@ class Folder:
 
 
 class Upload:
-    """A file that arrives in parts; without `complete` nothing of it remains, and `free` gives its name to others."""
+    """A file that arrives in parts; without `complete` nothing of it remains, and `free` releases its name."""
 
     def __init__(self, path: Path, free: Callable[[], None]) -> None:
         self._path, self._draft, self._free = path, draft_of(path), free
@@ -166,7 +164,7 @@ class Upload:
 
 
 def _made_private(folder: Path, *, new: bool) -> str:
-    """Let nobody else read a folder; return a remark if others could, or still can."""
+    """Make a folder private; return a remark if other users could, or still can, read it."""
     mode = folder.stat().st_mode
     if os.name != "posix" or not mode & 0o077:
         return ""

@@ -1,4 +1,4 @@
-"""Who may ask the server, and how many at a time."""
+"""Access control of the server, and the number of its connections."""
 
 from __future__ import annotations
 
@@ -51,18 +51,18 @@ _TWICE = ""
 
 
 class Gate:
-    """An ASGI application before another one.
+    """An ASGI application that protects another one.
 
     Parameters
     ----------
     app : callable
-        What is behind it.
+        The protected application.
     port : int
         At which the server listens.
     admits : callable
         Takes the token of a link, ``/?token=...``; returns whether it lets a browser in.
     stop_port : callable
-        Returns where the page may also send a request: the emergency stop.
+        Returns the port of the emergency stop, to which the page may also send requests.
     """
 
     def __init__(self, app: App, port: int, admits: Callable[[str], bool], stop_port: Callable[[], int]) -> None:
@@ -171,7 +171,7 @@ BACKLOG = min(32, MOST // 2)
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP with a bound of open connections: beyond it, the one is closed that waits longest for a request."""
+    """HTTP with a limited number of connections; above it, the connection that waits longest is closed."""
 
     # Since when no request is being answered [s of the loop], and what ends the wait for a head.
     idle_since: float | None = None

@@ -1,4 +1,4 @@
-"""Operations of a session, in worker processes: progress, end, and the list of jobs."""
+"""Jobs of a session: operations in worker processes, with progress and result."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ class Step(NamedTuple):
 
     @property
     def command(self) -> list[str]:
-        """The words of the command that does the same."""
+        """The words of the equivalent command."""
         found = find(self.operation)
         return [*found.command(found.of_json(self.parameters)), *["--force"] * self.force]
 
 
 @dataclass
 class Finished:
-    """How an operation ended.
+    """The outcome of an operation.
 
     Attributes
     ----------
     result : dict or None
-        Its result as JSON values; None if it failed or was stopped.
+        The result as JSON values; None if the operation failed or was stopped.
     error : dict
-        Why it failed, as `DehystError.as_dict` has it, and what was known.
+        The error, as in `DehystError.as_dict`, and the values known before it.
     stopped : bool
         Whether it was stopped on request.
     """
@@ -59,19 +59,19 @@ class Finished:
 
     @property
     def words(self) -> str:
-        """Why it has no result, in a sentence."""
+        """A sentence on why there is no result."""
         return str(self.error.get("message", "it was stopped"))
 
 
 class Runner(Protocol):
-    """What runs the operations of a job."""
+    """Something that runs the operations of a job."""
 
     @property
     def alive(self) -> bool:
-        """Whether it can run another one."""
+        """Whether it can run another operation."""
 
     async def run(self, step: Step, progress: Progress) -> Finished:
-        """Run an operation to its end; call `progress` with words on what is done."""
+        """Run an operation to its end; call `progress` with texts on the present activity."""
 
     def finish(self) -> None:
         """Request the best result so far."""
@@ -84,7 +84,7 @@ class Runner(Protocol):
 
 
 class Worker:
-    """A worker process that runs operations one after another in a `folder`; it is started by the first one."""
+    """A worker process that runs operations one after another in a `folder`; the first operation starts it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._last = folder, 0
@@ -149,7 +149,7 @@ class Worker:
 
 @dataclass
 class JobEntry:
-    """A running or ended job, and the commands that do the same in `words`."""
+    """A running or ended job, and its equivalent commands in `words`."""
 
     id: str
     kind: str
@@ -198,7 +198,7 @@ class Jobs:
         return entry.id
 
     def running(self, subject: str, kind: str | None = None) -> list[str]:
-        """Return the keys of the running jobs of a subject, of any kind or one."""
+        """Return the keys of the running jobs of a subject, of one kind or of any."""
         return [
             one.id
             for one in self.entries.values()

@@ -1,4 +1,4 @@
-"""The desk of a rig: what the page may request of the process that drives it, and what that process reports."""
+"""The desk of a rig: requests of the page to the rig's process, and reports of this process."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ADDRESS = re.compile(r"(pi|epics|ni)://[^\s]+|sim://[a-z]+")
 
 
 class RigRequestError(DehystError, ValueError):
-    """A request that cannot be made of a rig now."""
+    """The rig cannot do this request now."""
 
 
 class NoAnswerError(DehystError, RuntimeError):
@@ -55,7 +55,7 @@ class NothingArmedError(DehystError, RuntimeError):
 
 
 class RigDesk:
-    """The rig of a workbench: one at most.
+    """The rig of a workbench, which has at most one.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ class RigDesk:
     origins : sequence of str
         Of the page, which may send the emergency stop to the rig's process.
     finished : callable
-        Called with what a voltage or a calibration left in the folder: a record, or a folder, relative to it.
+        Called with the result of a voltage or a calibration: a record or a folder, relative to the workbench's folder.
 
     Attributes
     ----------
     state : dict
-        What the page shows. "silent": whole seconds since when the rig's process does not answer, or None.
+        State that the page shows. "silent": whole seconds without an answer of the rig's process, or None.
     """
 
     def __init__(
@@ -100,18 +100,18 @@ class RigDesk:
         return int(self._link.stop["port"])
 
     async def request(self, what: str, body: Mapping[str, Any]) -> None:
-        """Do what the page asks for.
+        """Execute a request of the page.
 
-        Of arming and planning the outcome is waited for, of a stop the confirmation; the others are begun.
+        Wait for the outcome of arming and planning, and for the confirmation of a stop; other requests are only begun.
 
         Raises
         ------
         RigRequestError
-            That cannot be done now, or was refused by the rig's process.
+            If the request cannot be done now, or the rig's process refused it.
         NothingArmedError
-            A stop, but nothing was armed.
+            If a stop was requested, but nothing was armed.
         NoAnswerError
-            A stop that the rig's process does not confirm.
+            If the rig's process does not confirm a stop.
         """
         makers = {
             "connect": self._connect,
@@ -140,14 +140,14 @@ class RigDesk:
         self._link.alive()
 
     async def close(self) -> None:
-        """Let go of the rig: its process brings the voltage to the safe one, then ends."""
+        """Release the rig: its process brings the voltage to the safe value, then ends."""
         if self._pings is not None:
             self._pings.cancel()
             self._pings = None
         await self._link.close()
 
     async def recover(self) -> None:
-        """Make records of the journals that killed processes left, and list them."""
+        """Convert journals left by killed processes to records, and list them."""
         folder = self._folder.path / places.RECORDS
         with suppress(DehystError, OSError):
             for path in await asyncio.to_thread(salvage, folder):

@@ -1,4 +1,4 @@
-"""The HTTP interface of a workbench: its page, its news, and what the page requests."""
+"""The HTTP interface of a workbench: its page, the event stream, and the requests of the page."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _BEHIND = 50
 
 
 class Events:
-    """The news of one workbench.
+    """The event stream of one workbench.
 
     Parameters
     ----------
@@ -68,20 +68,20 @@ class Events:
         self._pending: asyncio.Task[None] | None = None
 
     def changed(self) -> None:
-        """Send the state soon; many changes at once are sent once."""
+        """Send the state soon; several changes are sent together."""
         self._text = ""
         if self._pages and (self._pending is None or self._pending.done()):
             self._pending = asyncio.get_running_loop().create_task(self._publish())
 
     def send(self, message: Mapping[str, Any]) -> None:
-        """Send a message that may be left out, such as live samples."""
+        """Send a message that may be dropped, such as live samples."""
         text = json.dumps(message, allow_nan=False)
         for page in self._pages:
             if page.news.qsize() < _BEHIND:
                 page.news.put_nowait(text)
 
     async def page(self) -> AsyncIterator[str]:
-        """Yield the messages for one page: first the state. A slow page receives the newest state only."""
+        """Yield the messages for one page, the state first. A slow page receives only the newest state."""
         page = _Page()
         page.change()
         self._pages.add(page)
@@ -131,9 +131,9 @@ _APART = ("keepalive.js", "path_trial.js", "report.css")
 
 
 class PageFiles:
-    """The page, and the scripts and styles that it asks for.
+    """The page, its scripts and styles.
 
-    A module names others, and these others: a browser would find them one round after another. The page lists all.
+    The page lists all modules, because a browser would find nested imports only one after another.
     """
 
     def __init__(self, measured: Path = MEASURED) -> None:
@@ -212,7 +212,7 @@ _Handler: TypeAlias = Callable[["Workbench", Request], Awaitable[Any]]
 
 
 def answered(handler: _Handler) -> _Handler:
-    """Answer with JSON values, or with an error and its fields: one of dehyst has a status or 400, of the disk 500."""
+    """Answer with JSON values, or with an error and its fields: status 400 or its own, 500 for disk errors."""
 
     @wraps(handler)
     async def answer(self: Workbench, request: Request) -> Response:
@@ -258,7 +258,7 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 async def archived(folder: Path) -> Response:
-    """Return a folder as a ZIP archive: its own files and folders, no links."""
+    """Return a folder as a ZIP archive of its files and folders, without links."""
     place = Path(tempfile.mkdtemp(prefix="dehyst-"))
     archive = place / f"{folder.name}.zip"
 
@@ -281,7 +281,7 @@ class Workbench:
     ----------
     folder : Path
     upload_limit : float
-        Most bytes of an upload.
+        Largest size of an upload [bytes].
     origins : sequence of str
         Of the page.
     """
@@ -325,7 +325,7 @@ class Workbench:
         return Starlette(routes=routes, lifespan=self._life)
 
     def state(self) -> dict[str, Any]:
-        """Return what all pages show."""
+        """Return the state that all pages show."""
         return {**self.session.state(), "upload_limit": self.upload_limit, "rig": self.rig.state}
 
     @asynccontextmanager
@@ -473,7 +473,7 @@ class Workbench:
 
     @answered
     async def drive(self, request: Request) -> Any:
-        """Do something with the rig."""
+        """Execute a request for the rig."""
         body = await body_of(request)
         if "voltage" in body:
             body["file"] = self.session.voltage(str(body.pop("voltage"))).file
@@ -481,7 +481,7 @@ class Workbench:
 
     @answered
     async def delete(self, request: Request) -> Any:
-        """Take an entry from the list."""
+        """Remove an entry from the list."""
         self.session.delete(request.path_params["key"])
 
     @answered

@@ -1,4 +1,4 @@
-"""Start of a workbench: its port, its links, which let one browser in each, and its server."""
+"""Start of a workbench: its port, its server, and its links, each of which lets one browser in."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Door:
     Attributes
     ----------
     remark : str
-        What to know of the folder's permissions, or nothing.
+        A remark on the folder's permissions, or empty.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Door:
         return self._file
 
     def admits(self, given: str) -> bool:
-        """Return whether a browser with this token may come in; the token is used then."""
+        """Return whether a browser with this token may enter; this uses the token up."""
         with self._lock:
             now = self._clock()
             self._ends = {token: end for token, end in self._ends.items() if now < end}
@@ -130,13 +130,13 @@ def serve(
     Parameters
     ----------
     folder : path
-        For everything that is made: new, empty, or of a workbench before.
+        Folder for all results: new, empty, or of an earlier workbench.
     port : int, optional
-        At which to listen; 0: any that is free. Default: 8754, or any if that is in use.
+        Port of the server; 0: any free port. Default: 8754, or any free port if it is in use.
     upload_limit : float, optional
         Most bytes of an upload.
     opened : callable, optional
-        Called with the door once the server listens: it has links, each of which lets one browser in.
+        Called with the door, which makes the links, once the server listens.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The session of a workbench: records, models and voltages, what can be done with them, and what is being done.
+"""The session of a workbench: records, models and voltages, and the operations on them.
 
-It knows neither HTTP nor a browser. Everything is done by operations, in worker processes, and noted as commands in the
-folder's script.
+It depends on neither HTTP nor a browser. All work is done by operations in worker processes and noted as commands in
+the folder's script.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ _EXPORTS = {"c": "", "fmu": ".fmu", "wasm": ".wasm"}
 
 
 class SessionError(DehystError, ValueError):
-    """A request that the session cannot fulfil: what was got, what is needed."""
+    """A request that the session cannot fulfil."""
 
 
 @dataclass
 class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
-    `file_columns` are name, unit and range of the file's columns, none if it is no table. `options` are those with
-    which it was read; `hint` those that may help to read it. `axes` are the names of several coupled ones.
+    `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `options`: options with
+    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes.
     """
 
     id: str
@@ -67,12 +67,12 @@ class RecordEntry:
 
     @property
     def reading(self) -> dict[str, str]:
-        """How operations read its `file`: with the columns of its axes."""
+        """Columns with which operations read its `file`."""
         pairs = (f"{axis}=v{axis}_V:{axis}_m" for axis in self.axes)
         return {"columns": ", ".join(pairs)} if self.axes else {}
 
     def fill(self, result: Mapping[str, Any]) -> None:
-        """Fill in what `show` returned."""
+        """Fill in the result of `show`."""
         parts = list(result.values()) if "samples" not in result else [result]
         first = parts[0]
         self.axes = list(result) if "samples" not in result else []
@@ -89,12 +89,12 @@ class RecordEntry:
 
 @dataclass
 class ModelEntry:
-    """A model: which records it is from, and what is known of it.
+    """A model: its records, and its results.
 
-    `rig` names the instrument of a calibrated model, which has no records of the list, and no `seconds` of its own.
-    `table` has an entry a record: role, largest and RMS error [% of the stroke]. `axes` has an entry for each of
-    several coupled ones: name, range_v, range_um and slew_v_per_s; the model's own ranges hold all of them, and its
-    verdict is that of the worst axis. `coupling` has their matrix, whether it is all of the coupling, and each verdict.
+    `rig`: instrument of a calibrated model, which has no records in the list and no `seconds`. `table`: one entry for
+    each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for each of several coupled axes:
+    name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and its verdict is the verdict of
+    the worst axis. `coupling`: the matrix, whether it describes the coupling completely, and each verdict.
     """
 
     id: str
@@ -133,7 +133,7 @@ class ModelEntry:
         return self.file.removesuffix(".json") + ".npz"
 
     def fill(self, finished: Finished) -> None:
-        """Fill in what `identify` returned, or why there is no model."""
+        """Fill in the result of `identify`, or why there is no model."""
         fit = finished.result
         if fit is None:
             stopped = self.early or finished.stopped
@@ -194,7 +194,7 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class VoltageEntry:
-    """A voltage that follows a path with a model, and what to know of it in `words`.
+    """A voltage that follows a path with a model, and remarks on it in `words`.
 
     `largest_um`: the largest error to expect of each axis, None if it is not known.
     """
@@ -212,7 +212,7 @@ class VoltageEntry:
     words: list[str] = field(default_factory=list)
 
     def fill(self, result: Mapping[str, Any], file: Path) -> None:
-        """Fill in what `compensate` returned."""
+        """Fill in the result of `compensate`."""
         several = isinstance(result["lowest_V"], Mapping)
 
         def each(name: str) -> list[Any]:
@@ -264,7 +264,7 @@ class WorkbenchSession:
             ) from error
 
     def state(self) -> dict[str, Any]:
-        """Return what the page shows, as JSON values."""
+        """Return the state that the page shows, as JSON values."""
         state: dict[str, Any] = finite(
             {
                 "revision": self.revision,
@@ -283,7 +283,7 @@ class WorkbenchSession:
         return _found(self.records, key, "record")
 
     def model(self, key: str, *, ready: bool = False) -> ModelEntry:
-        """Return a model, with `ready` one that can be used; raises SessionError if there is none."""
+        """Return a model, with `ready` only a usable one; raise SessionError if there is none."""
         entry = _found(self.models, key, "model")
         if ready and entry.status != "ready":
             raise SessionError(f"{entry.name}: is not ready ({entry.status}); wait until it is, or identify again")
@@ -301,7 +301,7 @@ class WorkbenchSession:
         return entry
 
     def read_record(self, key: str, options: Mapping[str, Any]) -> None:
-        """Read a record's file, again if need be, with options of its columns: keywords of `dehyst.read`."""
+        """Read a record's file, perhaps again, with options for its columns: keywords of `dehyst.read`."""
         entry = self.record(key)
         users = [one.name for one in self.models.values() if entry.id in (*one.train, *one.validate)]
         if users:
@@ -378,7 +378,7 @@ class WorkbenchSession:
         return entry
 
     def add_calibrated(self, place: str, result: Mapping[str, Any]) -> ModelEntry:
-        """List the model of a calibration in the folder `place`; `result` is what its calibration.json holds."""
+        """List the model of a calibration in the folder `place`; `result`: content of its calibration.json."""
         rig = f"{result['rig']}, axis {result['axis']}"
         entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json", rig=rig, seconds=None)
         entry.report = f"{place}/report.html"
@@ -390,7 +390,7 @@ class WorkbenchSession:
         return entry
 
     def end(self, key: str) -> None:
-        """End an identification: first with the best model so far, the second time at once."""
+        """End an identification: the first time with the best model so far, the second time at once."""
         entry = self.model(key)
         if entry.status != "identifying":
             raise SessionError(f"{entry.name}: is not being identified ({entry.status})")
@@ -454,7 +454,7 @@ class WorkbenchSession:
         self.jobs.stop(_found(self.jobs.entries, job, "job").id)
 
     def delete(self, key: str) -> None:
-        """Take a record, a model or a voltage from the list; its files stay in the folder."""
+        """Remove a record, a model or a voltage from the list; its files stay in the folder."""
         for entries in (self.records, self.models, self.voltages):
             if key in entries:
                 for job in self.jobs.running(key):
@@ -511,7 +511,7 @@ class WorkbenchSession:
         return f"{letter}{self._last}"
 
     def touch(self) -> None:
-        """Announce a change, and save it soon."""
+        """Announce a change of the state, and save the state soon."""
         self.revision += 1
         self.changed()
         if self._saving is None:

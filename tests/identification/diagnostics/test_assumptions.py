@@ -337,7 +337,10 @@ def test_anti_symmetry_does_not_prove_a_linear_spring():
 def test_anti_symmetry_is_split_in_what_the_spring_takes_up_and_what_not():
     curved, play = (by_name(identified(kind).checks)["Anti-symmetry"] for kind in ("curved", "play"))
     middle, width = (
-        [float(x) for x in re.search(r"middle line makes (\S+) % .* width makes (\S+) %", check.sentence).groups()]
+        [
+            float(x)
+            for x in re.search(r"middle line contributes (\S+) %.* width contributes (\S+) %", check.sentence).groups()
+        ]
         for check in (curved, play)
     )
     assert middle[0] == pytest.approx(curved.value, rel=0.1) and middle[1] < 1e-9

@@ -1,4 +1,4 @@
-"""What each voltage moves on the other axes beside the coupling matrix, or beside the model of a single axis."""
+"""Cross-talk: motion due to other voltages that the coupling matrix or the model of one axis does not describe."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST_ROWS, _LEAST_NEIGHBOUR = 12_000, 0.002
 
 @dataclass(frozen=True, eq=False)
 class CrossTalk:
-    """What each voltage moves on the other axes beside the coupling matrix.
+    """Cross-talk: motion due to each voltage on the other axes that the coupling matrix does not describe.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class CrossTalk:
 
 
 def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:
-    """Return what the voltage of each axis predicts of the residual of the others, on time that was held out.
+    """Return how well the voltage of each axis predicts the residuals of the others on held-out time.
 
     The rule: the plays of the voltage of axis j, bent by ramps, are fitted to the residual of axis i in five sixths of
     the spans of the records, together with those of axis i itself. Coupling of j into i is more than a number if they
@@ -130,10 +130,10 @@ def _fitted(rows: Array, target: Array, weights: Array) -> Array:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Another voltage that the residual of a record follows.
+    """Another voltage with which the residual of a record is correlated.
 
-    `column`: its name. `share`: RMS of what it predicts of the residual, as a share of the stroke. `explained`: the
-    share of the residual's power.
+    `column`: its name. `share`: RMS of the predicted residual, as a share of the stroke. `explained`: explained share
+    of the residual's power.
     """
 
     record: str

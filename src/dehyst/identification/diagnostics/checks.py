@@ -95,7 +95,8 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
     if imposed:
         verdict = Verdict.FAILS
         sentence += (
-            " The fit held it up: without that the spring would fall, and one voltage would have several displacements."
+            " The fit imposed this floor: otherwise the spring's voltage would fall, and one voltage would have "
+            "several displacements."
         )
     elif floor is not None and spring.slopes[least] <= floor * (1 + 1e-6):
         verdict, sentence = Verdict.UNKNOWN, sentence + _HELD_UP
@@ -207,8 +208,8 @@ def _symmetry(loop: Mirrored | None) -> tuple[Check, Check]:
         f"{named} equals its mirror image to {max(value, 0.01):.2g} % of the stroke. This does not prove that the "
         f"spring is linear: a spring that is odd about the loop's centre gives the same.{single}",
         f"{named} lies up to {value:.3g} % of the stroke from its mirror image, most at {at:.4g} um: a linear spring "
-        f"(Lemma 2) cannot follow it. The bend of the middle line makes {middle:.3g} % of it, which the nonlinear "
-        f"spring follows; the width makes {half:.2g} %.{single}",
+        f"(Lemma 2) cannot follow it. The bend of the middle line contributes {middle:.3g} %, which the nonlinear "
+        f"spring follows; the width contributes {half:.2g} %.{single}",
     )
     return mirror, _tested(
         names[1],

@@ -28,8 +28,8 @@ LONGER_ELEMENTS = (
     "whole: they are in the model."
 )
 STEPS = (
-    "After steps of the voltage the displacement rings or overshoots. The expected error is of paths without steps; "
-    "where a ring changes the hysteresis, a path is missed by more until its next full loop."
+    "After steps of the voltage the displacement rings or overshoots. The expected error holds for paths without "
+    "steps. If ringing changes the hysteresis state, the error is larger until the next full loop."
 )
 # What a step of {percent} that follows at once is.
 FALSE_CREEP = (

@@ -95,11 +95,11 @@ class Regression:
         return len(self.rows) == len(self)
 
     def thinned(self, most: int) -> Regression:
-        """Return the same on about `most` of the rows."""
+        """Return the regression on about `most` evenly spaced rows."""
         return replace(self, rows=self.rows.thinned(most), source=None)
 
     def chosen(self, which: Mask) -> Regression:
-        """Return the same on some of the rows."""
+        """Return the regression on a selection of its rows."""
         return replace(self, rows=self.rows.chosen(which), source=None)
 
     @property

@@ -23,10 +23,10 @@ _AGAIN = "write the dates as 2026-03-04, or give the sample rate in Hz"
 
 
 class Moment(NamedTuple):
-    """A timestamp: where it counts from, its day, the whole seconds of that day and their fraction.
+    """A timestamp: its origin, its day, the whole seconds of this day, and the fraction of a second.
 
-    `origin`: "UTC" or "local time"; without a date "midnight" or "midnight UTC". `days`: the day if month/day/year is
-    meant, and if day/month/year is; None where that is no date.
+    `origin`: "UTC" or "local time"; without a date "midnight" or "midnight UTC". `days`: the day read as
+    month/day/year, and read as day/month/year; None where this is not a date.
     """
 
     origin: str

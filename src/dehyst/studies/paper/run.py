@@ -30,7 +30,7 @@ class Paper:
 
     @property
     def experiments(self) -> dict[str, Experiment]:
-        """Both by name."""
+        """Both experiments by name."""
         return {name: getattr(self, name) for name in _ACTUATORS}
 
     def as_dict(self) -> dict[str, Any]:

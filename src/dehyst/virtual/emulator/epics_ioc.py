@@ -58,7 +58,7 @@ class Ioc:
     def build(self, builder: Any) -> None:
         """Create the records with softioc's `builder`.
 
-        Read-only ones are output records, which are set at once and not at the next scan.
+        Read-only variables are output records, which are set at once and not at the next scan.
         """
         bench, axis = self._instrument, self._instrument.axis
         low, high = axis.limits

@@ -35,8 +35,8 @@ _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<at>\d+(\.\d*)?)(?P<unit>s?))?")
 class Fault:
     """A fault by its `name`, one of `FAULTS`, and when it occurs.
 
-    That is at a device time of `seconds`, or after so many `samples` of a wave; without either in the middle of the
-    first wave.
+    It occurs at a device time of `seconds` [s], or after a number of `samples` of a wave; without either, in the middle
+    of the first wave.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Fault:
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
     def due(self, instrument: VirtualBench) -> bool:
-        """Return whether its time has come by the clock and the wave of an `instrument`."""
+        """Return whether the fault is due, by the clock and the wave of an `instrument`."""
         if self.seconds is not None:
             return instrument.now >= self.seconds
         recorded = instrument.recorded
@@ -66,7 +66,8 @@ class Fault:
 class Rehearsal:
     """The `faults` of one controller, each of which occurs once.
 
-    `seed`: of the garbled bytes. `report`: called with a sentence when a fault occurs; all are kept in `occurred`.
+    `seed`: seed of the garbled bytes. `report`: called with a sentence when a fault occurs; `occurred` keeps all
+    sentences.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""An emulated piezo controller with the GCS 2.0 protocol: a line in, an answer out, without sockets.
+"""An emulated piezo controller with the GCS 2.0 protocol, from a command line to its answer, without sockets.
 
-Its axes have an output channel and a wave generator each, and share the wave tables and one data recorder. One table,
-`COMMANDS`, has a row a command.
+Each axis has an output channel and a wave generator; all axes share the wave tables and one data recorder. The table
+`COMMANDS` has one row for each command.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _demand(holds: bool, error: GcsError) -> None:
 
 
 def _real(word: str) -> float:
-    """Read a finite number; Python accepts more as numbers than a controller does."""
+    """Read a finite number; stricter than Python, as a controller is."""
     try:
         value = float(word)
     except ValueError:
@@ -120,8 +120,8 @@ class ControllerAxis:
 class Controller:
     """Axes 1, 2, ... with an output channel and a wave generator each, and one data recorder, around an `instrument`.
 
-    `reported_limits`: those [V] that the controller reports, of its only axis or of each; default: the actual ones.
-    `error`: latched until ERR?. `tables`: the wave tables [V]. `rows_sent`: rows that DRR? has returned so far.
+    `reported_limits`: limits [V] that the controller reports, for its only axis or for each; default: the actual
+    limits. `error`: latched until ERR?. `tables`: the wave tables [V]. `rows_sent`: rows that DRR? has returned so far.
     """
 
     def __init__(self, instrument: VirtualBench, *, reported_limits: _Limits | Sequence[_Limits] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""A TCP server of an emulated controller: one client at a time, as on real ones. One thread, nothing blocks."""
+"""A TCP server of an emulated controller: one client at a time, as on real controllers, in one thread."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class Server:
 
 
 async def _command(reader: asyncio.StreamReader) -> bytes:
-    """Read a command: one byte, or else a line. One that is too long is replaced by a line that is too long."""
+    """Read a command: one byte, or a line. A line that is too long is cut, so that the controller refuses it."""
     first = await reader.readexactly(1)
     if first[0] in _SINGLE or first == b"\n":
         return first

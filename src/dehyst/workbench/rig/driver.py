@@ -1,4 +1,4 @@
-"""What drives the rig, in the main thread of its process: commands one by one, and the retreat when it must stop."""
+"""The driver of the rig, in the main thread of its process: it runs commands one by one, and retreats on a stop."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _NOT_SAFE = "The voltage could not be brought"
 
 
 class RigDriver:
-    """A rig, its state, and what the server may ask of it. All of it but `take` runs in the main thread.
+    """A rig, its state, and the commands that the server may request. All methods except `take` run in the main thread.
 
-    Nothing sends a voltage unless armed, and arming repeats identity, limits and slew rate in force. A request with an
-    "id" is answered once: when it is done, refused or stopped.
+    Voltages are sent only while the rig is armed. A request to arm must repeat the rig's identity, limits and slew
+    rate. A request with an "id" is answered once: when it is done, refused or stopped.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class RigDriver:
         }
 
     def take(self, request: Request) -> None:
-        """Accept a request of the server, in any thread; refuse it with an error if it cannot be done now."""
+        """Accept a request of the server, in any thread; answer with an error if it cannot be done now."""
         if "alive" in request:
             self._watchdog.alive()
             return
@@ -87,7 +87,7 @@ class RigDriver:
             self._refuse(request, f"{command}: {busy}")
 
     def run(self) -> None:
-        """Serve until the process is to end; leave the rig closed, its voltage safe if it was armed."""
+        """Serve until the process ends; then close the rig, with a safe voltage if it was armed."""
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.showwarning = lambda message, *_, **__: self._outlet.state(words=[str(message)])

@@ -31,18 +31,18 @@ _NO_RIG: Message = dict.fromkeys((*OF_RIG, "step"))
 class RigLink:
     """A link to the process that holds the rig.
 
-    The process is in a session of its own: signals to the server's group or terminal do not reach it. It ends by
-    itself, after a retreat, when this one ends in any way. If it ends while armed, without a retreat, a fresh process
-    connects to the rig and retreats.
+    The process is in a session of its own: signals to the server's group or terminal do not reach it. When this process
+    ends in any way, the rig's process retreats and ends by itself. If the rig's process ends while armed, without a
+    retreat, a fresh process connects to the rig and retreats.
 
     Parameters
     ----------
     on_message : callable
         Called in the event loop with each message: a dict whose "kind" is "rig", "live" or "error". It must not block.
     origins : sequence of str
-        Origins of the page, which may press the emergency stop: ``["http://127.0.0.1:8000", "http://localhost:8000"]``.
+        Origins of the page that may send the emergency stop: ``["http://127.0.0.1:8000", "http://localhost:8000"]``.
     errors : Path, optional
-        File that receives the standard error of the process; by default nothing does.
+        File for the standard error of the process; by default it is discarded.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class RigLink:
     async def start(self) -> None:
         """Start the process, if it does not run; raise `LinkError` if it cannot be started.
 
-        Of two calls at once the second one waits for the first. One that comes while a process ends waits for that end.
+        Of two simultaneous calls, the second one waits for the first. A call while a process ends waits for its end.
         """
         async with self._starting:
             if self._ending and self._reader is not None:
@@ -121,7 +121,7 @@ class RigLink:
             stdin.write(_ALIVE)
 
     async def close(self) -> None:
-        """Let the process retreat and end; wait for that, a minute at most, and never kill it."""
+        """Let the process retreat and end; wait for it at most a minute, and never kill it."""
         async with self._starting:
             process, reader = self._process, self._reader
         if process is not None and process.stdin is not None:

@@ -13,7 +13,7 @@ Request = dict[str, Any]
 
 
 def text(request: Request, name: str) -> str:
-    """Return the field `name` of a `request`; raise `RigError` if it is no text."""
+    """Return the field `name` of a `request`; raise `RigError` if it is not text."""
     value = request.get(name)
     if not isinstance(value, str) or not value:
         raise RigError(f"{request['do']}: got {name} {value!r}, need a text")
@@ -21,7 +21,7 @@ def text(request: Request, name: str) -> str:
 
 
 def path(request: Request, name: str) -> Path:
-    """Return the field `name` of a `request` as a path; raise `RigError` if it is no text."""
+    """Return the field `name` of a `request` as a path; raise `RigError` if it is not text."""
     value = text(request, name)
     if "\0" in value:
         raise RigError(f"{request['do']}: {name} is not the name of a file")

@@ -1,11 +1,11 @@
 """The process that holds the rig: `python -m dehyst.workbench.rig.process`.
 
 It speaks JSON lines with the workbench's server on standard input and output. The first line is
-``{"stop_key": KEY, "origins": [...]}``. It has the watchdog and the emergency stop, and ends when its input ends, after
-a retreat. See `docs/how_to/workbench_rig.md`.
+``{"stop_key": KEY, "origins": [...]}``. It contains the watchdog and the emergency stop. When its input ends, it
+retreats and ends. See `docs/how_to/workbench_rig.md`.
 
-With ``--rescue PROCESS ADDRESS LOW HIGH SLEW REASON`` it is the last resort instead: a fresh process that connects to a
-rig whose own process hangs in a driver, or ended without a retreat, and brings its voltage to the safe one.
+With ``--rescue PROCESS ADDRESS LOW HIGH SLEW REASON`` it is the last resort instead. If the rig's own process hangs in
+a driver, or ended without a retreat, this fresh process connects to the rig and brings its voltage to the safe value.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _HUNG = 70
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the process; `arguments` are those of the command line. Return the exit status."""
+    """Run the process with `arguments` of the command line; return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     # What a driver prints must neither break the protocol nor wait for its reader.
     descriptor = own_output()

@@ -1,7 +1,8 @@
 """The emergency stop: an HTTP listener of the rig's own process, which works while the workbench's server hangs.
 
 One thread serves all connections without waiting for any: slow, small or malformed requests cannot keep a stop out.
-A stop is answered when the rig's process confirms it, with 409 if nothing was armed, with 504 if it does not in time.
+The answer to a stop comes when the rig's process confirms it; it is 409 if nothing was armed, and 504 without a
+confirmation in time.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _REASONS |= {405: "Method Not Allowed", 409: "Conflict", 413: "Content Too Large
 
 
 class StopRules:
-    """Who may stop the rig.
+    """Rules on who may stop the rig.
 
     Parameters
     ----------
@@ -85,8 +86,8 @@ class StopListener:
     key, origins : str, collection of str
         As in `StopRules`.
     stop : callable
-        Called in the listener's thread with a function, which is to be called once the stop has taken effect: with
-        whether the rig was armed.
+        Called in the listener's thread with a function. This function must be called once the stop has taken effect,
+        with a bool: whether the rig was armed.
     """
 
     def __init__(

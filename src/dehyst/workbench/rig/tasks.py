@@ -30,7 +30,7 @@ _DIGITS = 6
 
 
 class LiveFeed:
-    """A listener of waves and calibrations; it sends live data and the progress, and stops where it must.
+    """A listener of waves and calibrations, which sends live data and progress and stops them if necessary.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class LiveFeed:
     state : callable
         Takes changed fields of the state, as keywords.
     check : callable
-        Called after each batch of samples, which is on disk by then; it raises to stop the wave.
+        Called after each batch of samples is on disk; it raises an error to stop the wave.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class LiveFeed:
     last : Reading or None
         The last sample.
     seen_at : float
-        When it came [s of time.monotonic].
+        Time of the last sample [s of time.monotonic].
     count : int
         Samples of the present step.
     """
@@ -75,7 +75,7 @@ class LiveFeed:
         self._state(step=name, progress=self._share, words=[])
 
     def message(self, text: str) -> None:
-        """Send a `text` on what the step does now."""
+        """Send a `text` on the present activity of the step."""
         self._check()
         self._state(words=[text])
 
@@ -222,12 +222,11 @@ def command_of(rig: AbstractRig, address: str, plan: Plan, folder: Path) -> str:
 
 
 def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) -> Task:
-    """Return the playing of the file of a `request` on `rig`, recorded to its record.
+    """Return a function that plays the file of a `request` on `rig` and writes its record.
 
-    If it is the `first` since the connection, the voltage is brought to the safe one before: the wave of a process that
-    was killed may still be playing. Every sample is on disk before `feed` receives it; the record of a wave that was
-    stopped is marked incomplete. Raise `RecordError` or `FileFormatError` if the file cannot be played; nothing was
-    sent.
+    If it is the `first` one since the connection, the voltage is brought to the safe value before, because the wave of
+    a killed process may still be playing. Every sample is on disk before `feed` receives it; the record of a stopped
+    wave is marked incomplete. Raise `RecordError` or `FileFormatError` if the file cannot be played; nothing was sent.
     """
     from dehyst.calibration.plan import read_voltage
     from dehyst.records.recording import demand_disk_space

@@ -34,7 +34,7 @@ _NUDGE = signal.SIGHUP
 
 
 class Stopped(BaseException):
-    """What the main thread is doing is to end, for a reason; no driver's `except Exception` catches it."""
+    """Interrupts the main thread's activity for a reason; no driver's `except Exception` catches it."""
 
 
 class _Nap:
@@ -75,13 +75,13 @@ class Watchdog:
     Attributes
     ----------
     reason : str or None
-        Why it must stop, until it has.
+        Reason of the stop, until the rig has stopped.
     ends : bool
-        Whether the process is to end then.
+        Whether the process ends after the stop.
     armed : bool
         Whether voltages may be sent, and signs of life are needed.
     active : bool
-        Whether the main thread does something that a `Stopped` may interrupt.
+        Whether the main thread runs something that `Stopped` may interrupt.
     ramp : float
         Time [s] of the longest ramp to the safe voltage.
     """
@@ -121,7 +121,7 @@ class Watchdog:
         self._alive_at = time.monotonic()
 
     def trip(self, reason: str, *, ends: bool = False) -> None:
-        """Stop for a `reason`; the first one counts. With `ends` the process ends then."""
+        """Stop for a `reason`; only the first reason counts. With `ends` the process ends afterwards."""
         # Plain assignments in this order: a signal handler may interrupt any line.
         self.ends = self.ends or ends
         if self.reason is None:
@@ -129,23 +129,23 @@ class Watchdog:
             self.reason = reason
 
     def stop(self, reason: str, confirm: Callable[[bool], None]) -> None:
-        """Stop for a `reason` as `trip` does, and confirm that.
+        """Stop for a `reason` as `trip` does, and confirm the stop.
 
-        `confirm` is called in the watchdog's thread: with True once the main thread of an armed rig is seen to retreat,
-        or has; with False if the rig was not armed. If the main thread hangs, or the rig is lost, it is not called.
+        `confirm` is called in the watchdog's thread: with True once the main thread of an armed rig retreats or has
+        retreated; with False if the rig was not armed. If the main thread hangs, or the rig is lost, it is not called.
         """
         armed = self.armed
         self.trip(reason)
         self._pressed.put((confirm, armed))
 
     def check(self) -> None:
-        """Raise `Stopped` if there is a reason that was not raised yet."""
+        """Raise `Stopped` if there is a reason for which it was not raised yet."""
         if self.reason is not None and not self._acknowledged:
             self._acknowledged = True
             raise Stopped(self.reason)
 
     def acknowledge(self) -> None:
-        """Raise no `Stopped` any more: the main thread knows of the reason."""
+        """Raise no further `Stopped`, because the main thread knows the reason."""
         self._acknowledged = True
 
     def settle(self) -> None:
