@@ -96,6 +96,13 @@ OPERATORS = {
 }
 
 
+def ordered(call):
+    """Return whether the order of the first two arguments of a call counts."""
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    plain = len(call.args) > 1 and not any(isinstance(one, ast.Starred) for one in call.args)
+    return plain and name not in ("max", "min", "maximum", "minimum", "hypot")
+
+
 def places_in(function):
     """Yield (kind, node) of what can be changed in a function; text, annotations and `zip(strict=...)` stay."""
     waiting = list(function.body)
@@ -112,7 +119,7 @@ def places_in(function):
             yield "arithmetic", node
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
             yield "constant", node
-        if isinstance(node, ast.Call) and len(node.args) > 1 and not any(isinstance(a, ast.Starred) for a in node.args):
+        if isinstance(node, ast.Call) and ordered(node):
             yield "arguments", node
         if isinstance(node, ast.Expr | ast.AugAssign) and not (
             isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant | ast.Yield | ast.YieldFrom)

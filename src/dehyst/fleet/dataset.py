@@ -1,4 +1,4 @@
-"""The records of a dataset: an index of their places and keys, found without loading measurements, and their reader."""
+"""The records of a dataset: an index of places and keys, made without loading measurements, and a reader."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _zarr_group(path: str) -> Any:
 
 
 class Place(NamedTuple):
-    """Where a record lies: `kind` is "parquet", "zarr" or "file"; `part` is the row group or the group."""
+    """Place of a record: `kind` is "parquet", "zarr" or "file"; `part` is the row group or the group."""
 
     kind: str
     path: str
@@ -59,9 +59,9 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """One record of a dataset: its `position`, its `keys` by name, its `place`, and that place within the dataset.
+    """One record of a dataset: its `position`, its `keys` by name, its `place`, and `within`, its place in the dataset.
 
-    `within` is text that every file can hold; no other record of the dataset has the same.
+    `within` is plain text and unique in the dataset.
     """
 
     position: int
@@ -89,8 +89,8 @@ def code_of(within: str) -> str:
 class Dataset:
     """The records of a dataset.
 
-    `path`: its absolute path. `by`: the names of the keys. `tasks`: in the dataset's order. `digest`: of its name, its
-    kind and the names of the keys; records may come and go, and their content has digests of its own.
+    `path`: its absolute path. `by`: the names of the keys. `tasks`: in the dataset's order. `digest`: hash of its name,
+    its kind and the names of the keys. It does not depend on the records, whose contents have their own hashes.
     """
 
     path: Path
@@ -118,14 +118,15 @@ class Dataset:
 def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
     """Return the index of a Parquet file, a Zarr store or a folder of files.
 
-    `path`: a Parquet file, each row group of which is one record; a Zarr store, each group with arrays; a folder, each
-    file that `dehyst.read` opens, and each row group of its Parquet files.
+    `path`: a Parquet file, in which each row group is a record; a Zarr store, in which each group with arrays is a
+    record; or a folder, in which each file that `dehyst.read` opens, and each row group of its Parquet files, is a
+    record.
 
     `by`: names of the keys. In Parquet they are columns, constant within a row group; in Zarr attributes of the group
     or the parts of its path; in a folder the sub-folders and the file's name, or parts of the name between "_".
     Default: one key, "record".
 
-    Raise `FileFormatError` if there is no such dataset, no record in it, or it does not have the keys;
+    Raise `FileFormatError` if the dataset does not exist, has no records, or lacks the keys;
     `MissingExtraError` if pyarrow or zarr is not installed.
     """
     target, wanted = path_of(path).absolute(), tuple(by)
@@ -151,9 +152,9 @@ def open_dataset(path: PathLike, by: Sequence[str] = ()) -> Dataset:
 
 
 def text_of(value: Any) -> Any:
-    """Return text as UTF-8 can hold it, with an escape for each lone surrogate; other values as they are.
+    """Return text with an escape for each lone surrogate, so that it is valid UTF-8; other values unchanged.
 
-    Different texts stay different: a backslash is doubled in a text with escapes, or with what looks like one.
+    Different texts stay different: backslashes are doubled in a text with escapes or with something like an escape.
     """
     if not isinstance(value, str) or not _SURROGATE.search(value):
         return value
@@ -223,7 +224,7 @@ def _groups(path: Path, by: tuple[str, ...]) -> _Found:
 def _files(folder: Path, by: tuple[str, ...]) -> _Found:
     """Yield the files below a folder that `dehyst.read` opens, by name; hidden ones are left out.
 
-    What has such a name but is no file, as a link to nowhere, is a record too, which its reader refuses.
+    An entry with such a name that is not a file, such as a broken link, is a record too, which its reader refuses.
     """
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder)
@@ -242,7 +243,7 @@ def _files(folder: Path, by: tuple[str, ...]) -> _Found:
 
 
 def _keys_of(parts: tuple[str, ...], by: tuple[str, ...], whole: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a record by its attributes, else by the parts of its path, else by those of its name."""
+    """Return the keys of a record from its attributes, else from the parts of its path, else of its name."""
     if not by:
         return {RECORD: whole}
     pairs = dict(part.split("=", 1) for part in parts if "=" in part) | dict(attributes)
@@ -268,7 +269,7 @@ class Reader:
         self._open: Any = None
 
     def record(self, task: Task) -> Record:
-        """Return the record of a task; raise `FileFormatError` or `RecordError` if there is none."""
+        """Return the record of a task; raise `FileFormatError` or `RecordError` if it cannot be read."""
         place = task.place
         path = Path(place.path)
         with reading_errors(path, place.kind):
@@ -286,7 +287,7 @@ class Reader:
             return record_of(Table(f"{path.name}[{place.part}]", "", tuple(columns)), Choice(**names), task.name)
 
     def is_current(self, row: Mapping[str, Any], task: Task) -> bool:
-        """Return whether a row is that of the record as it is now; reads the record only if its files have changed."""
+        """Return whether a row is up to date with its record, which is read only if its files have changed."""
         if row.get("keys") != dict(task.keys):
             return False
         stamp = stamp_of(task.place)
@@ -330,10 +331,11 @@ def sha256_of(record: Record) -> str:
 
 
 def stamp_of(place: Place) -> str | None:
-    """Return what shows without reading them that the files of a place are other or changed ones; None if not visible.
+    """Return a stamp of the files of a place, which differs if they have changed; None if not available.
 
-    Size and time of change are not enough: a program can set the time, as `cp -p` does. The number of the file and the
-    time when its entry changed, which no program sets, cost nothing more. Where they differ, the samples are compared.
+    Size and modification time are not enough, because a program can set the time, as `cp -p` does. The stamp also has
+    the number of the file and the time of its last change of status, which programs cannot set. If stamps differ, the
+    samples are compared.
     """
     path = Path(place.path)
     try:

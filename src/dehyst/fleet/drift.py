@@ -1,4 +1,4 @@
-"""Ageing of a fleet: what keeping the oldest model of a serial costs at its later sessions."""
+"""Ageing of a fleet: the cost (error) of keeping the oldest model of a serial at its later sessions."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Ageing:
     """One actuator, its `serial`, over its `sessions` with a model, the oldest first.
 
     `costs` (n - 1,): largest difference [% of the stroke] between the oldest model and each later one, on the same
-    path. `signed` (n - 1,): change of the stroke of that path [%]. `chart`: averages (EWMA) and cumulative sums (CUSUM)
+    path. `signed` (n - 1,): change of the stroke on this path [%]. `chart`: averages (EWMA) and cumulative sums (CUSUM)
     of the costs in excess of what is usual in the fleet.
 
-    `goal` [% of the stroke]. `usual`: largest cost [% of the stroke] that is still usual in the fleet, three deviations
-    above the median. `own`: what the oldest and the last model are expected to miss, together [% of the stroke]: two
-    models of one actuator may differ by so much.
+    `goal` [% of the stroke]. `usual`: largest usual cost in the fleet [% of the stroke], three deviations above the
+    median. `own`: sum of the expected errors of the oldest and the last model [% of the stroke], by which two models of
+    one actuator may differ.
     """
 
     serial: Any
@@ -55,25 +55,25 @@ class Ageing:
 
     @property
     def alarms(self) -> Mask:
-        """Whether average or sum of the costs is above its limit, at each later session (n - 1,); low costs are not."""
+        """Whether average or sum of the costs is above its limit, at each later session (n - 1,), except low costs."""
         return np.asarray((self.chart.average > self.chart.limits) | (self.chart.above > DECISION))
 
     @property
     def outside(self) -> bool:
-        """Whether that is so at the last session, and its cost is neither usual nor what the models themselves miss.
+        """Whether the last session has an alarm, and its cost exceeds the usual one and the models' own errors.
 
-        One bad record in the past is no ageing.
+        A single bad record in the past is not ageing.
         """
         return bool(self.alarms[-1]) and float(self.costs[-1]) > max(self.usual, self.own)
 
     @property
     def recalibrate(self) -> bool:
-        """Whether the last cost is above the goal, or the costs are out of their limits."""
+        """Whether the last cost is above the goal, or the costs are outside of their limits."""
         return float(self.costs[-1]) > self.goal or self.outside
 
     @property
     def words(self) -> str:
-        """What has happened."""
+        """The finding as a sentence."""
         inside = np.flatnonzero(~self.alarms)
         since = self.sessions[2 + int(inside[-1]) if inside.size else 1] if self.outside else None
         chart = f"; out of its limits since {since}" if self.outside else ""
@@ -93,9 +93,9 @@ class Ageing:
 class Drifts:
     """All serials with two sessions or more.
 
-    `ageing`: one for each. `goal`, `usual` [% of the stroke]: the allowed cost, and the median of the first ones.
-    `measured`, `spread` [% of the stroke]: robust deviation of the first ones, and that of the charts, a tenth of the
-    goal at least. `over`: key of the sessions; `order`: how they are sorted; `ends`: the oldest and the newest.
+    `ageing`: one entry for each serial. `goal`, `usual` [% of the stroke]: allowed cost, and median of the first costs.
+    `measured`, `spread` [% of the stroke]: robust deviation of the first costs, and deviation for the charts, at least
+    a tenth of the goal. `over`: key of the sessions; `order`: how they are sorted; `ends`: the oldest and the newest.
     `remarks`: sentences about models that are left out.
     """
 
@@ -111,7 +111,7 @@ class Drifts:
 
     @property
     def recalibrate(self) -> tuple[Ageing, ...]:
-        """Serials to recalibrate, the most costly first."""
+        """Serials to recalibrate, the largest cost first."""
         return tuple(sorted((one for one in self.ageing if one.recalibrate), key=lambda one: -one.costs[-1]))
 
     def lines(self) -> list[str]:
@@ -143,9 +143,9 @@ class Drifts:
 def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts:
     """Compare the models of each serial of a `fleet` over its sessions.
 
-    `by`, `over`: columns, what is one actuator, and what orders its sessions: numbers by value, else text in natural
-    order. Of several models with the same two values, the last one of the table is that of the session. `goal`: cost [%
-    of the stroke] above which a serial is to be recalibrated.
+    `by`, `over`: columns that identify an actuator, and that order its sessions: numbers by value, text in natural
+    order. If several models have the same two values, the last one in the table counts. `goal`: cost [% of the stroke]
+    above which a serial needs recalibration.
 
     Raise `FileFormatError` if the table has no rows or no such columns, or no serial has two sessions with a model;
     `IdentifyError` if `by` and `over` are the same, or the goal is no finite number above 0.
@@ -182,9 +182,9 @@ def drifts_of(fleet: Fleet, *, by: str, over: str, goal: float = GOAL) -> Drifts
 
 
 def natural_order(values: Iterable[Any]) -> tuple[str, Callable[[Any], Any]]:
-    """Return the name of an order of the values of a key, and its sort key.
+    """Return the name of the order of a key's values, and its sort key.
 
-    That of numbers if all values are, else that of text: 2 is before 10, 2026-02 before 2026-10.
+    The order is numeric if all values are numbers, else natural: 2 is before 10, 2026-02 before 2026-10.
     """
     if all(_NUMBER.fullmatch(str(value)) for value in values):
         return "numbers by value", lambda value: Decimal(str(value))
@@ -195,7 +195,7 @@ def natural_order(values: Iterable[Any]) -> tuple[str, Callable[[Any], Any]]:
 
 
 def chart_of(costs: Array, usual: float, spread: float) -> ControlChart:
-    """Return the control chart of costs (n,) [% of the stroke], in deviations `spread` above the usual one."""
+    """Return the control chart of costs (n,) [% of the stroke], in deviations `spread` above the usual cost."""
     return ControlChart.of("cost", np.arange(float(costs.size)), costs, (costs - usual) / spread)
 
 
@@ -212,9 +212,9 @@ def _repeated(by: str, over: str, pairs: Counter[tuple[Any, Any]]) -> tuple[str,
 
 
 class _Model(NamedTuple):
-    """A model of one session: seconds of a cycle of its record, and its largest error [% of the stroke].
+    """A model of one session: duration of a cycle of its record [s], and its largest error [% of the stroke].
 
-    The error is that of its record, or the one that is expected along other paths where that is larger.
+    The error is the larger one of the error on its record and the expected error on other paths.
     """
 
     actuator: Actuator
@@ -227,7 +227,7 @@ def _compared(
 ) -> Iterator[tuple[Any, tuple[Any, ...], Array, Array, float]]:
     """Yield serial, sessions, costs, changes of the stroke [%] and own errors of each serial with two sessions.
 
-    Models are compared at the rate of the oldest record: at another one, creep that no record showed would count.
+    Models are compared at the rate of the oldest record; at another rate, creep that no record shows would count.
     """
     counts = Counter(row[by] for row in fleet.rows if row["outcome"] == "identified")
     groups: dict[Any, dict[Any, _Model]] = defaultdict(dict)
@@ -245,7 +245,7 @@ def _compared(
 
 
 def _change(oldest: _Model, later: _Model) -> tuple[float, float]:
-    """Return what keeping the oldest model costs [% of the stroke], and the change of the stroke [%]."""
+    """Return the cost of keeping the oldest model [% of the stroke], and the change of the stroke [%]."""
     (a, b), (c, d) = oldest.actuator.voltage_range, later.actuator.voltage_range
     kept, now = (played(one.actuator, (max(a, c), min(b, d)), oldest.seconds) for one in (oldest, later))
     stroke = float(np.ptp(now))
@@ -256,7 +256,7 @@ def _change(oldest: _Model, later: _Model) -> tuple[float, float]:
 def played(actuator: Actuator, limits: tuple[float, float], seconds: float) -> Array:
     """Return the displacement [m] along `path` after one cycle through the limits, 0 at the path's first sample.
 
-    A cycle of a model that moves in time takes `seconds`.
+    A cycle of a model that depends on time takes `seconds` [s].
     """
     voltage = path(limits)
     time = seconds / (2 * _SAMPLES) * np.arange(voltage.size) if actuator.needs_time else None
@@ -274,7 +274,7 @@ def path(limits: tuple[float, float]) -> Array:
 
 
 def widths(actuator: Actuator, limits: tuple[float, float], seconds: float) -> list[float]:
-    """Return how far falling and rising displacement differ [m] on the major loop at the voltages `PLACES`."""
+    """Return falling minus rising displacement [m] on the major loop at the voltages `PLACES`."""
     y, v = played(actuator, limits, seconds)[: 2 * _SAMPLES + 1], path(limits)[: 2 * _SAMPLES + 1]
     rising, falling = slice(0, _SAMPLES + 1), slice(2 * _SAMPLES, _SAMPLES - 1, -1)
     at = limits[0] + (limits[1] - limits[0]) * np.array(PLACES)

@@ -1,4 +1,4 @@
-"""Tasks by Dask: a cluster of processes of this machine, or the workers of a scheduler."""
+"""Tasks run by Dask: on a cluster of local processes, or on the workers of a scheduler."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def run_tasks(
 ) -> Generator[dict[str, Any] | None, None, None]:
     """Yield the answer to each task, and None at least once a second; closing the iterator ends the local workers.
 
-    `head`: what a task needs beside its record. `jobs`: number of local processes, one a processor by default.
-    `scheduler`: address of a scheduler that has workers of its own.
+    `head`: data that a task needs in addition to its record. `jobs`: number of local processes, by default one for each
+    processor. `scheduler`: address of a scheduler with its own workers.
     """
     name = scheduler or "workers"
     try:
@@ -118,7 +118,7 @@ def _lost(name: str) -> LinkError:
 
 @contextmanager
 def _connected(jobs: int | None, scheduler: str | None) -> Iterator[Any]:
-    """Connect to workers, and close in any case."""
+    """Connect to workers, and close the connection in any case."""
     distributed, opened = _distributed(), list[Any]()
     try:
         if scheduler is None:
@@ -163,13 +163,13 @@ def _local(distributed: Any, jobs: int | None) -> Any:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Prepare a local worker, which preloads this module: the client decides on Ctrl-C, and the output is its own."""
+    """Prepare a local worker, which preloads this module: only the client handles Ctrl-C and prints."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)
 
 
 def run_one(head: Mapping[str, Any], task: Task) -> dict[str, Any]:
-    """Run one task in a worker; return what the client needs to know."""
+    """Run one task in a worker; return the answer for the client."""
     runner: TaskRunner | None = getattr(_here, "runner", None)
     if runner is None or runner.head != head:
         _here.runner = runner = TaskRunner(head)
@@ -178,7 +178,7 @@ def run_one(head: Mapping[str, Any], task: Task) -> dict[str, Any]:
 
 @contextmanager
 def _without_script() -> Iterator[None]:
-    """Keep workers from importing the script that runs: it may begin the run without asking for its `__name__`."""
+    """Keep workers from importing the running script, which may begin the run without a check of `__name__`."""
     script = vars(sys.modules["__main__"])
     kept = {name: script.get(name) for name in ("__file__", "__spec__")}
     try:
@@ -190,7 +190,7 @@ def _without_script() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence Dask's logs, each of which has a level of its own, while the command shows its own progress."""
+    """Silence Dask's logs (each has its own level) while the command shows its own progress."""
     _distributed()
     names = [name for name in logging.Logger.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
     levels = {name: logging.getLogger(name).level for name in names}

@@ -1,4 +1,4 @@
-"""What the table of a fleet shows: distributions, outliers, refused records with reasons, and duplicates."""
+"""Findings in the table of a fleet: distributions, outliers, refused records with reasons, and duplicates."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ MISSED = "the model misses the record"
 
 
 class ScoredQuantity(NamedTuple):
-    """A quantity: name, unit, column, whether its logarithm is taken, and the least deviation that counts as one.
+    """A quantity: name, unit, column, whether its logarithm is used, and the least standard deviation to assume.
 
-    The least is in the unit, or a part of the value for a logarithm; `relative` columns are in % of the stroke.
+    The least deviation is in the unit, or for a logarithm a part of the value; `relative` columns are in % of the
+    stroke.
     """
 
     name: str
@@ -54,10 +55,10 @@ class ScoredQuantity(NamedTuple):
         return 100 * values / np.array([float(row["stroke_um"]) for row in rows]) if self.relative else values
 
     def scores(self, values: Array) -> tuple[Array, float]:
-        """Return scores (n,) of values (n,), and the median: distances in robust standard deviations of its own side.
+        """Return scores (n,) of values (n,) and the median: distances in robust standard deviations of each side.
 
-        Two sides, because distributions of errors and widths are skewed. A value that is not known scores 0, as all do
-        of fewer than 8.
+        Each side has its own deviation, because distributions of errors and widths are skewed. Unknown values score 0;
+        with fewer than 8 values, all score 0.
         """
         known = np.flatnonzero(np.isfinite(values) & ((values > 0) | (not self.logarithm)))
         scores = np.zeros(values.size)
@@ -95,7 +96,7 @@ class Outlier:
 
     @property
     def words(self) -> str:
-        """The quantity and that of the fleet."""
+        """The quantity, and the fleet's median, as text."""
         name, unit = self.quantity.name, self.quantity.unit
         return f"{name} {self.value:.3g} {unit} (fleet {self.median:.3g}, z {self.score:+.1f})"
 
@@ -106,7 +107,7 @@ class Outlier:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What the table of a `fleet` shows.
+    """Findings in the table of a `fleet`.
 
     `outliers`: the farthest first; a record may be there several times. `refused`: reasons and names of records without
     a model, the most frequent reason first. `inaccurate`: records whose model misses them. `duplicates`: names of
@@ -121,7 +122,7 @@ class Findings:
 
     @property
     def listed(self) -> tuple[str, ...]:
-        """Names of the records to look at: outliers and inaccurate ones, each once."""
+        """Names of the records to inspect: outliers and inaccurate ones, each once."""
         return tuple(dict.fromkeys([*(one.record for one in self.outliers), *self.inaccurate]))
 
     @property
@@ -130,7 +131,7 @@ class Findings:
         return dict(Counter(str(row["outcome"]) for row in self.fleet.rows).most_common())
 
     def distributions(self) -> dict[ScoredQuantity, Array]:
-        """Return the known values (n,) of each quantity that has some."""
+        """Return the known values (n,) of each quantity that has any."""
         rows = modelled(self.fleet)
         found = {quantity: quantity.values(rows) for quantity in QUANTITIES}
         return {quantity: x[np.isfinite(x)] for quantity, x in found.items() if np.isfinite(x).any()}
@@ -171,7 +172,7 @@ class Findings:
 
 
 def _some(title: str, texts: list[str]) -> list[str]:
-    """Return a title and the first texts, and how many there are."""
+    """Return a title, the first texts, and the number of texts."""
     if not texts:
         return []
     more = [f"  and {len(texts) - _SHOWN} more, see --json"] if len(texts) > _SHOWN else []
@@ -179,9 +180,9 @@ def _some(title: str, texts: list[str]) -> list[str]:
 
 
 def findings_of(fleet: Fleet, *, threshold: float = THRESHOLD) -> Findings:
-    """Return what the table of a `fleet` shows.
+    """Return the findings in the table of a `fleet`.
 
-    `threshold`: robust standard deviations beyond which a record is listed. Raise `IdentifyError` if it is no finite
+    `threshold`: robust standard deviations beyond which a record is listed. Raise `IdentifyError` if it is not a finite
     number above 0, `FileFormatError` if the table is empty.
     """
     if not (isfinite(threshold) and threshold > 0):
@@ -216,7 +217,7 @@ def modelled(fleet: Fleet) -> list[Mapping[str, Any]]:
 
 
 def _reasons(fleet: Fleet) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the reasons, each as the first of its records has it, and the names: one if their causes are the same."""
+    """Return reasons with the names of their records; records with the same cause share the first one's text."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
     for row in fleet.rows:
         if row["outcome"] in ("refused", "lost"):

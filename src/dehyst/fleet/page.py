@@ -25,10 +25,10 @@ _ENDS = (0.002, 0.998)
 def write_fleet_page(
     path: PathLike, findings: Findings, *, drifts: Drifts | None = None, command: str | None = None
 ) -> None:
-    """Write one HTML file that loads nothing from outside.
+    """Write a self-contained HTML file.
 
-    `findings`: what a table shows. `drifts`: what ageing costs, if the table has sessions. `command`: that made it.
-    Raise `FileFormatError` if `path` cannot be written.
+    `findings`: findings in the table. `drifts`: costs of ageing, if the table has sessions. `command`: the command that
+    made the page. Raise `FileFormatError` if `path` cannot be written.
     """
     fleet = findings.fleet
     counts = ", ".join(f"{count} {outcome}" for outcome, count in findings.counts.items())
@@ -58,7 +58,7 @@ def _section(title: str, words: str, head: tuple[str, ...], rows: Sequence[html.
 
 
 def _recalibrate(drifts: Drifts) -> str:
-    """Return the actuators to recalibrate, the most costly first."""
+    """Return the actuators to recalibrate, the largest cost first."""
     due = drifts.recalibrate
     words = (
         f"{len(due)} of {counted(len(drifts.ageing), 'actuator')} with two sessions or more, {drifts.ends[0]} to "
@@ -109,7 +109,7 @@ def _histogram(values: Array) -> tuple[Array, Array]:
 
 
 def _map(findings: Findings) -> html.Charts | str:
-    """Return width and error over the stroke, one dot a record."""
+    """Return width and error over the stroke, with one dot for each record."""
     rows = modelled(findings.fleet)
     if len(rows) < 2:
         return ""

@@ -1,4 +1,4 @@
-"""A prior from a fleet: its shape, with gain and width of their own for records with few or noisy data."""
+"""A prior from a fleet: its shape, fitted by gain and width to records with few or noisy data."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _COLUMNS = ("breakaway", "stiffness", "knots", "spring")
 class Shape:
     """Normalised coefficients of a plain actuator: displacements in strokes, forces in volts.
 
-    `breakaway`, `stiffness` (N,): thresholds, and stiffness times the stroke. `knots`, `spring` (M,): of the spring.
-    `delay` [s]. `records`: how many models it is the median of.
+    `breakaway`, `stiffness` (N,): thresholds, and stiffness times the stroke. `knots`, `spring` (M,): knots and
+    voltages of the spring. `delay` [s]. `records`: number of models of which this is the median.
     """
 
     breakaway: Array
@@ -57,12 +57,12 @@ class Shape:
 
     @property
     def widest(self) -> float:
-        """The largest width with which the spring still rises everywhere."""
+        """The largest width at which the spring still rises everywhere."""
         slope = float((np.diff(self.spring) / np.diff(self.knots)).min())
         return 1 + _STEEPEST * slope / (2 * float(self.stiffness @ self.breakaway))
 
     def actuator(self, stroke: float, width: float, **more: Any) -> Actuator:
-        """Return the actuator of a stroke [m] and a width of its loop, 1 being the prior's; its ends stay."""
+        """Return the actuator with a stroke [m] and a relative width of its loop (1: the prior's); its ends stay."""
         tilt = (width - 1) * float(self.stiffness @ self.breakaway) * (1 - 2 * self.knots)
         return Actuator(
             MaxwellSlip(self.breakaway * stroke, width * self.stiffness / stroke),
@@ -73,7 +73,7 @@ class Shape:
 
 
 def shape_of(fleet: Fleet) -> Shape:
-    """Return the median shape of the plain models of a fleet; raise `IdentifyError` if they are too few."""
+    """Return the median shape of a fleet's Maxwell-slip models; raise `IdentifyError` if there are too few."""
     groups: dict[tuple[int, int], list[Array]] = defaultdict(list)
     delays = []
     for _, actuator in fleet.models():
@@ -100,9 +100,9 @@ def shape_of(fleet: Fleet) -> Shape:
 def identified_with_prior(
     record: Record, shape: Shape, options: Mapping[str, Any]
 ) -> tuple[Fit, dict[str, str | float | None]]:
-    """Return the record's own fit, or that of the prior's shape where it predicts a held-out part better.
+    """Return the record's own fit, or the fit of the prior's shape if it predicts held-out parts better.
 
-    Also returns what the row shows: which was kept, and both held-out errors. `options`: arguments of `identify`.
+    Also return fields of the row: which fit was kept, and both held-out errors. `options`: arguments of `identify`.
     """
     refusal: DehystError | None = None
     own: Fit | None = None
@@ -129,9 +129,9 @@ def identified_with_prior(
 
 
 def _held_out(record: Record, shape: Shape, options: Mapping[str, Any]) -> tuple[float | None, float | None]:
-    """Return the RMS errors [% of the stroke] of own and prior's models where they were not trained.
+    """Return the held-out RMS errors [% of the stroke] of the own and the prior's models.
 
-    About the first and the last quarter of the record are held out in turn. Without both errors there is no evidence.
+    About the first and the last quarter of the record are held out in turn. The comparison needs both errors.
     """
     own: list[float] = []
     prior: list[float] = []
@@ -147,7 +147,7 @@ def _held_out(record: Record, shape: Shape, options: Mapping[str, Any]) -> tuple
 
 
 def _folds(record: Record) -> Iterator[tuple[Record, Record]]:
-    """Yield what is trained on and what is held out, both with one cycle at least."""
+    """Yield training and held-out parts, each with at least one cycle."""
     size = len(record)
     # No record has one sample: what lies beyond a cycle that ends with the record cannot be sliced.
     ends = np.array([cycle.stop - 1 for cycle in record.cycles() if cycle.stop < size])
@@ -172,10 +172,10 @@ def _fit(record: Record, shape: Shape) -> Fit:
 
 
 def fitted(record: Record, shape: Shape) -> Actuator:
-    """Return the actuator of the prior's shape whose simulation misses a record least: its gain, width and zero.
+    """Return the actuator of the prior's shape that fits a record best, by its gain, width and zero.
 
-    Simulated from below, and compared once the record has been through its whole range; noise of the displacement does
-    not bias it. Raise `IdentifyError` if the displacement does not follow the voltage.
+    It is simulated from below, and compared after the record has been through its whole range, so that noise of the
+    displacement causes no bias. Raise `IdentifyError` if the displacement does not follow the voltage.
     """
     from scipy.optimize import minimize_scalar
 

@@ -1,4 +1,4 @@
-"""A run over a fleet: what is left to do, and the table at the end."""
+"""A run over a fleet: its remaining records, and the table at the end."""
 
 from __future__ import annotations
 
@@ -40,39 +40,39 @@ def identify_fleet(
     progress: Progress | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> Fleet:
-    """Identify every record of a dataset and write one table, one row a record.
+    """Identify every record of a dataset and write one table with one row for each record.
 
     Parameters
     ----------
     dataset, by
         As in `open_dataset`.
     output : path
-        The table, .parquet. While it is made, one file a record is kept in a folder beside it, of its name with
-        ".parts".
+        The table, .parquet. During the run, a folder next to it, with its name and ".parts", holds one file for each
+        finished record.
     options : FleetOptions, optional
     prior : path, optional
         The table of an identified fleet: records with few or noisy data may take its shape.
     jobs, dask : int, str, optional
-        Number of processes of this machine, by default that of the processors; or the address of a Dask scheduler, as
-        "tcp://host:8786", whose workers are taken instead.
+        Number of local processes, by default one for each processor; or the address of a Dask scheduler, as
+        "tcp://host:8786", whose workers are used instead.
     time_limit : float, optional
-        Seconds a record may take; its worker is then ended and replaced.
+        Largest time for one record [s]; its worker is then ended and replaced.
     resume : bool
-        Go on with a run that did not end, or complete its table: only records that are new or whose samples have
-        changed are computed. Rows of records that are gone go.
+        Continue a run that did not end, or update its table: only new records and records with changed samples are
+        computed. Rows of removed records are dropped.
     progress, remark : callable, optional
-        Called with a line of words some times a second, and with a sentence if records share their keys, or are gone
-        or have changed since the run that is resumed.
+        `progress` is called with a line of text several times per second. `remark` is called with a sentence if records
+        share their keys, or were removed or changed since the earlier run.
 
     Raises
     ------
     FileFormatError
-        The dataset or the output cannot be used; another run uses the output; shards are there and `resume` is not
-        given; shards or table to resume are of another dataset, other options or another version.
+        If the dataset or the output cannot be used; another run uses the output; there are shards but `resume` is
+        false; or the shards or the table to resume belong to another dataset, other options or another version.
     IdentifyError
-        An option is impossible.
+        If an option is impossible.
     MissingExtraError, RigError
-        A library of the extra `fleet` is not installed; the scheduler is lost.
+        If a library of the extra `fleet` is not installed, or the connection to the scheduler is lost.
     """
     target, report = Path(output).absolute(), progress or (lambda _: None)
     _check(dataset, target, jobs, dask, time_limit)
@@ -119,9 +119,10 @@ def _check(dataset: PathLike, output: Path, jobs: int | None, dask: str | None, 
 
 
 def _check_dataset(dataset: Dataset, options: FleetOptions) -> None:
-    if options.decimal is not None and all(task.place.kind != "file" for task in dataset.tasks):
+    decimal = options.columns.get("decimal")
+    if decimal is not None and all(task.place.kind != "file" for task in dataset.tasks):
         raise FileFormatError(
-            f"got '{options.decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
+            f"got '{decimal}', but {dataset.path} holds no text files", argument="decimal", hint="leave it out"
         )
     if reserved := [name for name in dataset.by if name in (*COLUMNS, "keys")]:
         raise FileFormatError(f"by: the name '{reserved[0]}' is that of a result; rename that column")
@@ -130,7 +131,7 @@ def _check_dataset(dataset: Dataset, options: FleetOptions) -> None:
 def refuse_inside(dataset: Path, output: Path) -> None:
     """Raise `FileFormatError` if the next index of the dataset would take the table for a record.
 
-    For commands, which are repeated; a script may write its table into a folder of its own once.
+    Only commands check this, because they are repeated; a script may write its table into its dataset once.
     """
     if dataset.resolve() in output.resolve().parents:
         raise FileFormatError(
@@ -142,7 +143,7 @@ def refuse_inside(dataset: Path, output: Path) -> None:
 def _earlier(output: Path, shards: Shards) -> Fleet | None:
     """Return the table of an earlier run with the same dataset, options and version; None if there is no table.
 
-    Another table is refused, unless shards are there: the run that is resumed was about to replace it.
+    Another table is an error, unless there are shards: then the run to resume was about to replace it.
     """
     if not output.exists():
         return None
@@ -161,7 +162,7 @@ def _earlier(output: Path, shards: Shards) -> Fleet | None:
 
 
 def _is_complete(fleet: Fleet, dataset: Dataset) -> bool:
-    """Return whether a table has a row of each record, and no file of the dataset has changed since."""
+    """Return whether a table has a row for each record, and no file of the dataset has changed since."""
     content = _content((task, stamp_of(task.place)) for task in dataset.tasks)
     return fleet.about.get("content") == content and all(row["outcome"] != "lost" for row in fleet.rows)
 
@@ -172,9 +173,9 @@ def _content(stamps: Iterable[tuple[Task, str | None]]) -> str:
 
 
 def _adopt(fleet: Fleet | None, dataset: Dataset, shards: Shards) -> tuple[str, ...]:
-    """Make shards of the rows of a table, if there is one, and remove those of records that are gone.
+    """Convert the rows of a table, if there is one, to shards, and remove the shards of removed records.
 
-    Rows without samples to compare are left out. Return a sentence if records are gone.
+    Rows without samples to compare are left out. Return a sentence if records were removed.
     """
     tasks, gone = {task.code: task for task in dataset.tasks}, set()
     for path in shards.files():
@@ -199,7 +200,7 @@ def _adopt(fleet: Fleet | None, dataset: Dataset, shards: Shards) -> tuple[str, 
 
 
 def _left(dataset: Dataset, options: FleetOptions, shards: Shards) -> tuple[list[Task], tuple[str, ...]]:
-    """Return the records without a row of their present samples, and a sentence if some have changed since."""
+    """Return the records without a row for their present samples, and a sentence if some have changed."""
     reader, left, changed = Reader(options.columns), list[Task](), list[Task]()
     for task in dataset.tasks:
         row = shards.read(task)
@@ -219,7 +220,7 @@ def _left(dataset: Dataset, options: FleetOptions, shards: Shards) -> tuple[list
 def _finish(
     head: Mapping[str, Any], left: list[Task], total: int, report: Progress, *, jobs: int | None, scheduler: str | None
 ) -> None:
-    """Do what is left, and report the progress."""
+    """Process the remaining records, and report the progress."""
     began = shown = time.monotonic()
     done = lost = 0
     with closing(run_tasks(head, left, jobs=jobs, scheduler=scheduler)) as answers:
@@ -240,7 +241,7 @@ def _finish(
 
 
 def _duration(seconds: float) -> str:
-    """Write a duration in two units at most."""
+    """Return a duration as text with at most two units."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)

@@ -1,4 +1,4 @@
-"""The table of a fleet: one row a record, in files of their own while a run lasts, in one Parquet file at its end."""
+"""The table of a fleet: one row for each record, in separate files during a run, and in one Parquet file at its end."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ class Fleet:
         return "/".join(str(row[key]) for key in self.by)
 
     def actuators(self, where: Callable[[Mapping[str, Any]], bool] | None = None) -> list[Actuator]:
-        """Return the identified actuators, in the order of the rows; with `where`, those of rows for which it holds."""
+        """Return the identified actuators in the order of the rows, with `where` only for rows for which it is true."""
         return [actuator for _, actuator in self.models(where)]
 
     def models(
         self, where: Callable[[Mapping[str, Any]], bool] | None = None
     ) -> Iterator[tuple[Mapping[str, Any], Actuator]]:
-        """Yield row and actuator of each identified record; with `where`, of rows for which it holds."""
+        """Yield row and actuator of each identified record, with `where` only for rows for which it is true."""
         for k, (row, text) in enumerate(self.texts()):
             if row["outcome"] == "identified" and (where is None or where(row)):
                 try:
@@ -94,9 +94,9 @@ class Fleet:
 
 
 def load(path: PathLike) -> Fleet:
-    """Read the table that `dehyst fleet identify` wrote to `path`; models are read when they are asked for.
+    """Read the table that `dehyst fleet identify` wrote to `path`; models are read on request.
 
-    Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
+    Raise `FileFormatError` if the file is not such a table, `MissingExtraError` without pyarrow.
     """
     target = io.path_of(path)
     with io.reading_errors(target, "Parquet"), arrow().parquet.ParquetFile(target) as file:
@@ -197,10 +197,10 @@ _TRIED = ".tried"
 
 
 class Shards:
-    """The rows of a run that has not written its table: one file a record, each written wholly or not at all.
+    """The rows of a run that has not written its table: one file for each record, written completely or not at all.
 
-    `folder`: where they are. `digest`: of dataset and options; shards of another one are none of this run. A shard has
-    the name of its record's place in the dataset: records may come and go.
+    `folder`: their folder. `digest`: hash of dataset and options; shards with another hash do not belong to this run. A
+    shard is named after the place of its record in the dataset, so records may be added or removed.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:
@@ -208,7 +208,7 @@ class Shards:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder, which is made if necessary, for one run; at its end remove drafts, or all without rows.
+        """Lock the folder, created if necessary, for one run; at the end remove drafts, or without rows the folder.
 
         Raise `FileFormatError` if another run holds it, or if it holds other files.
         """
@@ -259,11 +259,11 @@ class Shards:
 
     @property
     def begun(self) -> bool:
-        """Whether the folder is that of a run that has begun."""
+        """Whether the folder belongs to a run that has begun."""
         return self.marker.exists()
 
     def prepare(self, count: int, options: Mapping[str, Any], *, resume: bool) -> None:
-        """Begin, or raise `FileFormatError` if there are shards that are not to be resumed, or others."""
+        """Begin, or raise `FileFormatError` if there are foreign shards, or own ones without `resume`."""
         if not self.begun:
             head = {"format": _MARKER[1], "version": 1, "digest": self.digest, "records": count, "options": options}
             io.write_json(self.marker, io.finite(head))
@@ -292,7 +292,7 @@ class Shards:
         return self.folder.glob("*/*.json")
 
     def read(self, task: Task) -> dict[str, Any] | None:
-        """Return the row of a record; None if there is none, or its file is not whole or of another run."""
+        """Return the row of a record; None if there is none, or its file is incomplete or from another run."""
         path = self.path(task)
         if not path.is_file():
             return None
@@ -303,14 +303,14 @@ class Shards:
         return None
 
     def write(self, task: Task, row: Mapping[str, Any]) -> None:
-        """Write the row of a record, whole or not at all."""
+        """Write the row of a record completely or not at all."""
         path = self._made(task)
         head = {"format": _ROW, "digest": self.digest, PLACE: task.within}
         io.write_atomically(path, json.dumps(io.finite({**head, **row}), allow_nan=False))
         path.with_suffix(_TRIED).unlink(missing_ok=True)
 
     def trial(self, task: Task) -> int:
-        """Count a trial of a record in this run, and return its number: that before it ended with its process."""
+        """Count a trial of a record in this run, and return its number; earlier trials ended with their process."""
         path = self._made(task).with_suffix(_TRIED)
         try:
             with path.open("ab") as stream:

@@ -1,4 +1,4 @@
-"""The task of a worker: read one record, identify it, write one row; whatever one record does, it is a row."""
+"""The task of a worker: read one record, identify it, and write one row, even if the record fails."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Literal
@@ -27,6 +27,8 @@ from dehyst.fleet.table import CAUSE, MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
 from dehyst.records import Choice, Record
 
+# Arguments of `dehyst.read` that a fleet takes.
+COLUMNS = (*Choice._fields, "decimal")
 # A task is tried so many times; status of a worker that ends itself at the time limit.
 _TRIALS, _LATE = 3, 75
 # A model that misses a record by this part of its standard deviation explains nothing.
@@ -38,10 +40,8 @@ class FleetOptions:
     """How every record is identified; raise `IdentifyError` if an option is impossible.
 
     `structure`: "maxwell_slip", slip elements and a spring, or "auto", parts selected by cross-validation. `elements`:
-    number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`.
-
-    `time`, `voltage`, `displacement`, `voltage_scale`, `displacement_scale`, `sample_rate` [Hz] and `decimal`: as in
-    `dehyst.read`. `prior`: a shape of an identified fleet, see `dehyst.fleet.prior`.
+    number of slip elements of "maxwell_slip". `norm`, `drift`, `delay` [s]: as in `dehyst.identify`. `columns`:
+    arguments of `dehyst.read`, by names in `COLUMNS`. `prior`: the shape of an identified fleet.
     """
 
     structure: Literal["maxwell_slip", "auto"] = "maxwell_slip"
@@ -49,25 +49,15 @@ class FleetOptions:
     norm: str = "l1"
     drift: bool = True
     delay: float | None = None
-    time: str | None = None
-    voltage: str | None = None
-    displacement: str | None = None
-    voltage_scale: str | None = None
-    displacement_scale: str | None = None
-    sample_rate: float | None = None
-    decimal: str | None = None
+    columns: Mapping[str, Any] = field(default_factory=dict)
     prior: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         choice(self.structure, "structure", ("maxwell_slip", "auto"))
         if self.structure == "auto" and (self.elements is not None or self.prior is not None):
             raise IdentifyError("structure: 'auto' takes neither elements nor a prior; leave them out")
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """The arguments of `dehyst.read`."""
-        given = {name: getattr(self, name) for name in (*Choice._fields, "decimal")}
-        return {name: value for name, value in given.items() if value is not None}
+        for name in self.columns:
+            choice(name, "columns", COLUMNS)
 
     @property
     def identification(self) -> dict[str, Any]:
@@ -79,7 +69,7 @@ class FleetOptions:
 class TaskRunner:
     """The tasks of one run in one thread, with one BLAS thread.
 
-    `head`: dataset, options and folder of the shards with its digest, and the most seconds of a task.
+    `head`: dataset, options, folder of the shards with its digest, and the time limit of a task [s].
     """
 
     def __init__(self, head: Mapping[str, Any]) -> None:
@@ -90,8 +80,8 @@ class TaskRunner:
     def run(self, task: Task) -> dict[str, Any]:
         """Write the shard of a task, unless there is one; return its outcome.
 
-        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk: the record did not cause
-        it, and it ends the run.
+        A "fault" is returned if dataset or shards cannot be used from here, as on a full disk. It is not due to the
+        record, and ends the run.
         """
         try:
             for path in (Path(self.head["dataset"]), self._shards.marker):
@@ -120,7 +110,7 @@ class TaskRunner:
 
     @contextmanager
     def _limited(self, task: Task) -> Iterator[None]:
-        """End this process, the record being lost, after the most seconds: nothing else ends a computation."""
+        """Mark the record as lost and end this process after the time limit."""
         limit = self.head["time_limit"]
         if limit is None:
             yield
@@ -148,7 +138,7 @@ def bare_row(task: Task, outcome: str = "", detail: str = "", reason: str = "") 
 
 
 def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any]:
-    """Return the row of a record, as JSON values; only a missing library or too little memory for anything raises."""
+    """Return the row of a record, as JSON values; only a missing library or a general lack of memory is an error."""
     began, wall = time.process_time(), time.perf_counter()
     row = bare_row(task)
     try:
@@ -166,7 +156,7 @@ def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any
 
 
 def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[str, Any]:
-    """Return what a row shows of a refusal; its cause, module and line, is the same for all records of one reason."""
+    """Return the fields of a row for a refusal; records with the same reason have the same cause (module and line)."""
     row = {"outcome": "refused", "detail": detail, "reason": reason}
     if error is not None:
         *_, (frame, line) = walk_tb(error.__traceback__)
@@ -175,7 +165,7 @@ def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[s
 
 
 def _identified(record: Record, options: FleetOptions, row: dict[str, Any]) -> dict[str, Any]:
-    """Identify a record; what is known before it is refused is put into the row."""
+    """Identify a record; values known before a refusal are put into the row."""
     row |= {"sha256": sha256_of(record), "samples": len(record), "stroke_um": 1e6 * record.stroke}
     row |= {"noise_nm": 1e9 * record.noise}
     if options.prior is None:

@@ -1,4 +1,4 @@
-"""Rigs: where a voltage meets an actuator. Each driver serves one kind of instrument and imports no other driver."""
+"""Rigs: instruments that drive an actuator. Each driver serves one kind of instrument and imports no other driver."""
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig

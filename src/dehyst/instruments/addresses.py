@@ -18,7 +18,7 @@ _Options: TypeAlias = dict[str, Any]
 def open_rig(
     address: str, axes: Sequence[str] | None = None, *, limits: AxisLimits = None, slew_rate: AxisSlewRates = None
 ) -> AbstractRig:
-    """Open the rig at an address, of one axis or of several that move together.
+    """Open the rig at an address, with one axis or several that move together.
 
     Raise `RigError` if the address is not valid or names other axes, or no instrument with these axes answers there;
     `MissingExtraError` if a required package is not installed.
@@ -27,18 +27,18 @@ def open_rig(
     ----------
     address : str
         ``pi://host:port``, ``pi://host:port/axis`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
-        ``epics://PREFIX``: process variables that begin so.
+        ``epics://PREFIX``: process variables with this prefix.
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
         without a link, as fast as it computes.
         ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     axes : sequence of str, optional
-        Names of the axes of a controller, unless they are in the address; default: its only one.
+        Names of the axes of a controller, unless they are in the address; default: its only axis.
     limits : (float, float) or sequence of (float, float), optional
-        Allowed voltages [V], of all axes or of each; they are narrowed to those of the device.
+        Allowed voltages [V], for all axes or for each; they are narrowed to the limits of the device.
     slew_rate : float or sequence of float, optional
-        Largest abs(dv/dt) [V/s], of all axes or of each; the device's where that is lower.
+        Largest abs(dv/dt) [V/s], for all axes or for each; a lower one of the device has priority.
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     word, separator, rest = address.partition("://")
@@ -116,7 +116,7 @@ def _ni(rest: str, options: _Options) -> AbstractRig:
 
 
 class Scheme(NamedTuple):
-    """A kind of address: its `form`, for messages, and what opens the rest of it, after ``://``, with options.
+    """A kind of address: its `form`, for messages, and a function that opens the rest after ``://`` with options.
 
     If it may have `several` axes, the options contain `axes` besides limits and slew rate.
     """

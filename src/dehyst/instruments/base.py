@@ -61,26 +61,26 @@ _NOTE = "The voltage"
 class AbstractRig(ABC):
     """An amplifier and a sensor around an actuator, or around each of several that move together.
 
-    A driver opens its link in ``__init__``, calls ``super().__init__`` with what the device reports, and implements
-    the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that send a
-    voltage are final. A rig of several axes is made of a rig of each axis, whose limits, readings, ramps and stops are
-    used; its own are `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no voltage is
-    allowed by both device and user, or two axes have one name.
+    A driver opens its link in ``__init__``, calls ``super().__init__`` with the limits that the device reports, and
+    implements the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that
+    send a voltage are final. A rig of several axes contains a rig for each axis and uses its limits, readings, ramps
+    and stops; it implements only `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no
+    voltage is allowed by both device and user, or two axes have one name.
 
     Parameters
     ----------
     name : str
         Name of the instrument.
     device : VoltageLimits or sequence of AbstractRig
-        Limits of the device, whose slew rate may be None; of several axes, the rigs of the axes.
+        Limits of the device, whose slew rate may be None; for several axes, the rigs of the axes.
     limits : (float, float), optional
         Voltages that the user allows [V]; they are narrowed to those of the device.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s] that the user allows; by default the device's, or the whole range in 0.1 s.
     longest : int, optional
-        Most samples of one `_wave`; default any number.
+        Largest number of samples of one `_wave`; default: any number.
     axis : str
-        Of the device; of several axes their names, joined by commas. They are `axes`.
+        Name of the axis; for several axes, their names joined by commas. They are `axes`.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
     """
@@ -121,7 +121,7 @@ class AbstractRig(ABC):
 
     @property
     def limits(self) -> VoltageLimits:
-        """Limits in force of the only axis: never wider than the device's or the user's, always with a slew rate.
+        """Effective limits of the only axis: never wider than the device's or the user's, always with a slew rate.
 
         Raise `RigError` if there are several axes: each of `rigs` has its own.
         """
@@ -135,7 +135,7 @@ class AbstractRig(ABC):
 
     @property
     def safe(self) -> float:
-        """The voltage [V] to retreat to, of the only axis: the one within the limits nearest to 0 V."""
+        """Voltage [V] for a retreat of the only axis: the voltage within the limits that is nearest to 0 V."""
         return self.limits.nearest(0.0)
 
     def __enter__(self) -> Self:
@@ -152,7 +152,7 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a `voltage` [V] within the slew rate, the whole range in a second at least; return the voltage sent.
+        """Ramp to a `voltage` [V] within the slew rate, or the range per second if slower; return the voltage sent.
 
         A voltage outside the limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite
         number: nothing was sent; `RigError` if the device fails: a retreat was attempted.
@@ -177,7 +177,7 @@ class AbstractRig(ABC):
     def read(self) -> Reading:
         """Read the instrument once; raise `RigError` if there is no answer, or a number in it is not finite.
 
-        Of several axes, each of `rigs` is read.
+        With several axes, read each of `rigs`.
         """
         self._refuse_closed()
         self._refuse_several()
@@ -190,11 +190,12 @@ class AbstractRig(ABC):
     def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
         """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
-        Returns voltage and displacement as the device recorded them, in its own time; several axes play together, a
-        column each. `listen` is called with each batch of `Samples` as it arrives. After any error, in `listen` too,
-        and on Ctrl-C or SIGTERM, the wave is stopped and all voltages ramped to the safe ones; `listen` has received
-        all samples that arrived. Raise `RecordError` if the excitation has not one voltage for each axis, leaves the
-        limits or is too steep: nothing was sent; `RigError` if the device, its link or its sensor fails.
+        Return voltage and displacement as recorded by the device, with its time; several axes play together, with one
+        column for each. `listen` is called with each batch of `Samples` as it arrives. After any error (also in
+        `listen`), Ctrl-C or SIGTERM, the wave is stopped and all voltages are ramped to their safe values; `listen` has
+        received all samples that arrived. Raise `RecordError` if the excitation does not have one voltage for each
+        axis, leaves the limits or is too steep: nothing was sent. Raise `RigError` if the device, its link or its
+        sensor fails.
         """
         rate, axes = self.check(excitation), self.axes if self._parts else ()
         spans = np.array([one.limits.high - one.limits.low for one in self.rigs])
@@ -228,7 +229,7 @@ class AbstractRig(ABC):
 
     @final
     def check(self, excitation: Excitation) -> float:
-        """Return the rate [Hz] at which `play` would play an `excitation`; raises its RecordError, sends nothing."""
+        """Return the rate [Hz] at which `play` would play an `excitation`; raise its RecordError. Nothing is sent."""
         self._refuse_closed()
         columns = columns_of(excitation.voltage)
         if len(columns) != len(self.axes) or (excitation.voltage.ndim > 1) != bool(self._parts):
@@ -279,8 +280,8 @@ class AbstractRig(ABC):
     def retreat(self) -> Any:
         """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
-        Several axes ramp side by side, and their voltages (axes,) are returned; one that fails does not keep the others
-        from it. Raise `RigError` if the device fails.
+        Several axes ramp simultaneously, and their voltages (axes,) are returned; if one axis fails, the others still
+        ramp. Raise `RigError` if the device fails.
         """
         self._refuse_closed()
         errors: list[Exception] = []
@@ -298,7 +299,7 @@ class AbstractRig(ABC):
 
     @final
     def close(self) -> None:
-        """Close the link and leave the voltage where it is. May be called twice."""
+        """Close the link and leave the voltage unchanged. May be called twice."""
         if not self._closed:
             self._closed = True
             for one in self._parts:
@@ -307,7 +308,7 @@ class AbstractRig(ABC):
 
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
-        """Return which of `count` voltages each sample of a record belongs to; where pieces join, two share one."""
+        """Return, for each sample, the number of its voltage (of `count`); where pieces join, two samples share one."""
         return np.concatenate(list(_pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:

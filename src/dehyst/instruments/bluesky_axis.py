@@ -1,4 +1,4 @@
-"""The compensated axis as a bluesky device: it sends the voltage that leads to the displacement that is set."""
+"""The compensated axis as a bluesky device, which sends the voltage for the displacement that is set."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
     Parameters
     ----------
     prefix, names : str, PvNames
-        Of the process variables, as for `dehyst.instruments.epics.EpicsRig`; `name` is that of the device.
+        Prefix and names of the process variables, as for `dehyst.instruments.epics.EpicsRig`; `name` is the name of the
+        device.
     actuator : Actuator
         Its inertia and its amplifier's lag are ignored: steps are slow against them.
     limits : (float, float), optional
@@ -120,7 +121,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
         return low / _MICRO, high / _MICRO
 
     async def home(self) -> None:
-        """Play the shortest voltage after which the actuator's state is known, whatever it was.
+        """Play the shortest voltage that leads from any state of the actuator to a known one.
 
         Raise `RigError` if the limits have no voltage in common, the IOC takes another voltage, or the axis is stopped
         on the way. Warn if the limits are too narrow to determine the state well.
@@ -143,7 +144,7 @@ class CompensatedAxis(StandardReadable, Locatable[float], Stoppable, Checkable[f
 
     @WatchableAsyncStatus.wrap
     async def set(self, value: float) -> AsyncIterator[WatcherUpdate[float]]:
-        """Move to a displacement [um]; done when the voltage has reached its end.
+        """Move to a displacement [um]; the move is done when the voltage has reached its final value.
 
         The status fails with `RigError` if the axis is not homed, something else sent a voltage, or it is stopped
         without success; with `ModelError` if the displacement is out of reach: nothing has moved.

@@ -233,8 +233,8 @@ class DeviceLink(AbstractGcsLink):
 class GcsClient:
     """A client of a controller over a `link`; it sends nothing twice.
 
-    `identity`: the controller's answer to *IDN?. `commands`: those that it supports. Raise `LinkError` if the answers
-    are not those of a controller, `DeviceError` if its version is not GCS 2.
+    `identity`: the controller's answer to *IDN?. `commands`: its supported commands. Raise `LinkError` if the answers
+    do not come from a GCS controller, `DeviceError` if its version is not GCS 2.
     """
 
     def __init__(self, link: AbstractGcsLink) -> None:

@@ -12,7 +12,7 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class Shield:
-    """Signal handlers that can defer signals; made by `shielded`. At first all wait.
+    """Signal handlers that can defer signals, made by `shielded`. At first all signals wait.
 
     `deferring`: whether signals wait. The first signal that raises an exception sets it.
     """

@@ -1,6 +1,6 @@
 """A rig on axes of a PI piezo controller with GCS 2.0: over TCP, or through a connected device object.
 
-What the controller has is queried; its wave generators play, and its data recorder records.
+The properties of the controller are queried; its wave generators play, and its data recorder records.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class WaveTraits(NamedTuple):
     tables: int
 
     def divider(self, rate: float) -> int:
-        """Return the number of servo periods a sample, for the rate nearest to `rate` [Hz]."""
+        """Return the number of servo periods per sample for the rate nearest to `rate` [Hz]."""
         below = max(1, int(1 / (rate * self.servo_period)))
         return min((below, below + 1), key=lambda divider: abs(1 / (divider * self.servo_period) - rate))
 
@@ -87,7 +87,7 @@ class PiRig(AbstractRig):
     sends voltages of one axis one by one, at 200 Hz at most, with a warning. Positions are assumed to be in
     micrometres. A servo that is on is switched off. No command is sent twice.
 
-    Raise `LinkError` if the answers are not those of a controller; `DeviceError` if it cannot send voltages in open
+    Raise `LinkError` if the answers do not come from a GCS controller; `DeviceError` if it cannot send voltages in open
     loop, does not report its limits and none are given, or cannot play and record several axes together; `RigError` if
     it has no such axis, or its limits and the given ones have no voltage in common.
 
@@ -186,7 +186,7 @@ class PiRig(AbstractRig):
     def connect(cls, host: str, port: int = PORT, *, timeout: float = 5.0, **options: Any) -> Self:
         """Connect to a controller by TCP; `timeout` [s] is the longest wait for an answer.
 
-        `options` are those of the class. Raise `RigError` as the class does.
+        `options`: options of `PiRig`, with the same errors.
         """
         return cls._open(TcpLink(host, port, timeout), options)
 
@@ -207,7 +207,7 @@ class PiRig(AbstractRig):
             raise
 
     def nearest_rate(self, sample_rate: float) -> float:
-        """Return the rate [Hz] nearest to `sample_rate` of those that divide the servo's."""
+        """Return the rate [Hz] nearest to `sample_rate` that divides the servo's rate."""
         if self.waves is None:
             return min(sample_rate, HIGHEST_RATE)
         return 1 / (self.waves.divider(sample_rate) * self.waves.servo_period)

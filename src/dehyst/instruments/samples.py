@@ -1,4 +1,4 @@
-"""Readings and samples of a rig, and what is checked of them as they arrive from a driver."""
+"""Readings and samples of a rig, and their checks as they arrive from a driver."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Reading(NamedTuple):
 class Samples(NamedTuple):
     """Consecutive samples of a record: `time` (n,) [s], `voltage` [V] and `displacement` [m].
 
-    Voltage and displacement are (n,) of one axis, (n, axes) of several.
+    Voltage and displacement are (n,) for one axis, (n, axes) for several.
     """
 
     time: Array
@@ -76,9 +76,9 @@ def inspected(
 ) -> Generator[Samples, None, None]:
     """Yield each batch of a `wave` that is not empty, admitted, and compared with the `sent` voltages after its use.
 
-    Raise `LinkError` if samples cannot follow those before, the last of which came at `after` [s]; `DeviceError` if
-    they are not of the sent voltages, where each axis has a range in `spans` [V], or some are missing. Whatever the
-    driver of the rig `name` raises is re-raised as `DeviceError`; its generator is closed.
+    Raise `LinkError` if samples cannot follow the previous ones, of which the last came at `after` [s]. Raise
+    `DeviceError` if they do not belong to the sent voltages, or some are missing; each axis has a range in `spans` [V].
+    Whatever the driver of the rig `name` raises is re-raised as `DeviceError`; its generator is closed.
     """
     # A recorder may be a sample or two late.
     steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
@@ -155,7 +155,7 @@ class SensorWatch:
         """Check samples (n,) [V], (n,) [m] that follow the ones before.
 
         Raise `SensorError` if the reading has not changed while the voltage crossed a fifth of its range; the message
-        depends on whether it moved before.
+        depends on whether the reading moved before.
         """
         if not displacement.size:
             return

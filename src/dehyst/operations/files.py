@@ -179,14 +179,13 @@ class Columns:
 
     def table(self, path: Path, *, several: bool = False) -> Table:
         """Read the table of a file, with the names and the joined file of the text."""
-        choice = Choice(**{name: getattr(self, name) for name in Choice._fields})
         given: dict[str, Any] = {
             "columns": self.names,
             "join": self.join,
             "decimal": self.decimal,
             "max_bytes": self.max_bytes,
         }
-        return named_and_joined(self.plain_table(path, several=several), choice, **given)
+        return named_and_joined(self.plain_table(path, several=several), self.choice, **given)
 
     def plain_table(self, path: Path, *, several: bool = True) -> Table:
         """Read the table of a file unchanged: only decimal sign and size have an effect."""
@@ -194,8 +193,7 @@ class Columns:
 
     def record_in(self, table: Table, name: str) -> Record:
         """Return the record in a table."""
-        choice = Choice(**{quantity: getattr(self, quantity) for quantity in Choice._fields})
-        return record_of(table, choice, name, axis_columns(self.pairs) if self.axes else ())
+        return record_of(table, self.choice, name, axis_columns(self.pairs) if self.axes else ())
 
     def values(self, table: Table, quantity: str) -> Array:
         """Return the voltage or the displacement in a table."""
@@ -210,20 +208,24 @@ class Columns:
         return {"time_s": time_of(table, samples, self.time, self.sample_rate)}
 
     @property
+    def choice(self) -> Choice:
+        """Selection of the columns of a record of one axis."""
+        return Choice(**{name: getattr(self, name) for name in Choice._fields})
+
+    @property
     def pairs(self) -> str:
         """The argument `axes` of `dehyst.read`."""
         return " ".join(f"{name}={columns}" for name, columns in self.axes.items())
 
     def _options(self, axes: str | None) -> dict[str, Any]:
         """Return the keywords of `dehyst.read` except the decimal sign."""
-        choice = {name: getattr(self, name) for name in Choice._fields}
         more = {
             "columns": self.names,
             "join": self.join,
             "max_bytes": self.max_bytes,
             "axes": axes or self.pairs or None,
         }
-        return choice | more
+        return self.choice._asdict() | more
 
     def _with_sign(self, reading: Callable[..., _Read], several: bool) -> _Read:
         """Read a file with the given decimal sign; with several files, one may use another sign."""

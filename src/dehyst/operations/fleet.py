@@ -9,12 +9,12 @@ from dehyst._errors import FileFormatError
 from dehyst.fleet import Drifts, Fleet, FleetOptions, drifts_of, findings_of, identify_fleet, load
 from dehyst.fleet.page import write_fleet_page
 from dehyst.fleet.run import refuse_inside
+from dehyst.fleet.task import COLUMNS
 from dehyst.operations.declaration import Input, Only, Output, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.run import Result, Run
 
 _KEYS = ("time", "voltage", "displacement", "rate", "decimal")
-_CHOICE = ("time", "voltage", "displacement", "voltage_scale", "displacement_scale", "sample_rate", "decimal")
 _slip = Only(lambda given: given.get("structure") != "auto", "with --structure auto")
 
 
@@ -37,7 +37,7 @@ def identify(
     resume: bool = False,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Identify every record of DATASET: a Parquet file (a row group a record), a Zarr store or a folder of files.
+    """Identify every record of DATASET: a Parquet file (a record in each row group), a Zarr store or a folder.
 
     The table has one row for each record. Until it is written, the folder TABLE.parquet.parts holds a file for each
     finished record; --resume continues a stopped run. The exit status is 1 if a record was lost.
@@ -63,8 +63,8 @@ def identify(
     """
     columns.demand(_KEYS, "on a dataset")
     refuse_inside(dataset, output)
-    chosen = {name: getattr(columns, name) for name in _CHOICE}
-    options = FleetOptions(structure=structure, elements=elements, norm=norm, delay=delay, drift=drift, **chosen)
+    chosen = {name: value for name in COLUMNS if (value := getattr(columns, name)) is not None}
+    options = FleetOptions(structure=structure, elements=elements, norm=norm, delay=delay, drift=drift, columns=chosen)
     remarks: list[str] = []
 
     def remark(sentence: str) -> None:

@@ -49,10 +49,10 @@ def read(
     axes: str | None = None,
     max_bytes: float = MOST,
 ) -> Record:
-    """Read a record from a file whose kind follows from its suffix.
+    """Read a record from a file; its suffix determines the format.
 
-    Temperatures and loads in further columns, as temperature_C or "Force [mN]", are the record's `others`; one that
-    cannot be is left out with a remark.
+    Temperatures and loads in further columns, as temperature_C or "Force [mN]", become the record's `others`;
+    unsuitable columns are left out with a remark.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def read(
         Columns, as "NAME" or "NAME:UNIT"; a "?" at the end marks a guess, which the record keeps in
         ``meta["guesses"]``.
     sample_rate : float, optional
-        Samples a second [Hz], for a file without a time column.
+        Samples per second [Hz], for a file without a time column.
     voltage_scale, displacement_scale : str, optional
-        What one volt of the column means, as "100 V/V" for an amplifier's monitor, "10 um/V" for a sensor.
+        Scale of the column: "100 V/V" for an amplifier's monitor, "10 um/V" for a sensor.
     columns : str, optional
         Names and units of all columns in their order, as "time:s,voltage:V,displacement:um,temperature:C"; "-" leaves
         one out. Further columns with a unit, as "humidity:%", are kept in the record's `others`.
@@ -75,13 +75,12 @@ def read(
     decimal : str, optional
         "," or ".": the decimal sign of a text file whose numbers do not show it; the other sign groups digits.
     name : str, optional
-        The record's name; by default the one that `write_hdf5` wrote, else the file's, without suffix.
+        Name of the record; by default the name written by `write_hdf5`, else the file's name without suffix.
     units : str, optional
         Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
     axes : str, optional
         For a record of several axes, instead of `voltage` and `displacement`: the columns of each axis, as
-        "vx_V:x_um vy_V:y_um". An axis has the name of its displacement, without the unit, or the one given:
-        "x=vx_V:x_um".
+        "vx_V:x_um vy_V:y_um". An axis is named after its displacement, without the unit, or explicitly: "x=vx_V:x_um".
     max_bytes : float
         Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
         are read.
@@ -89,12 +88,13 @@ def read(
     Raises
     ------
     FileFormatError
-        An argument is of another kind, the file or a column cannot be read, both a time column and a sample rate are
-        given, the file states another unit than `units`, or `axes` does not name two columns for each of two axes.
+        If an argument has a wrong type, the file or a column cannot be read, both a time column and a sample rate are
+        given, the file states another unit than `units`, or `axes` does not name two columns for each of at least two
+        axes.
     RecordError
-        The columns make no record.
+        If the columns do not form a record.
     MissingExtraError
-        The library for this kind of file is not installed.
+        If the library for this kind of file is not installed.
     """
     path = path_of(path)
     counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
@@ -206,10 +206,10 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
 
 
 def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:
-    """Read all numeric columns of a file whose kind follows from its suffix; raise as `read` does.
+    """Read all numeric columns of a file; its suffix determines the format. Errors as in `read`.
 
-    `path` is the file's. `decimal` is the decimal sign of its text, "," or ".". `max_bytes` bounds the file and its
-    numbers.
+    `decimal`: decimal sign of a text file, "," or ".". `max_bytes`: largest size of the file, and of its numbers in
+    memory.
     """
     return _load(path_of(path), max_bytes, decimal, with_meta=False)[0]
 
@@ -241,16 +241,16 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
 def write_record(path: PathLike, record: Record) -> None:
     """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
-    CSV has the columns time_s, voltage_V and displacement_um, a `path` that ends in .npz the arrays time_s, voltage_V
-    and displacement_m; of several axes they are called vx_V, x_um and so on. Further channels follow, as temperature_C.
-    What was guessed when it was read (``record.meta["guesses"]``), and which channels are no temperature or load, is
-    kept in a comment above the table or in an array beside the others. An existing file is replaced. The new file is a
+    CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
+    displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
+    Guesses from reading (``record.meta["guesses"]``), and the names of channels other than temperatures and loads, are
+    kept in a comment above the table or in an additional array. An existing file is replaced. The new file is a
     measurement, not an output: no command replaces it without --force.
 
     Raises
     ------
     FileFormatError
-        It is no record, the suffix is not one of text or .npz, or the file cannot be written.
+        If `record` is not a Record, the suffix is neither .npz nor one of a text file, or the file cannot be written.
     """
     if not isinstance(record, Record):
         need, hint = "a Record", "give the path first, then the record"
@@ -271,13 +271,13 @@ def write_hdf5(path: PathLike, record: Record) -> None:
     """Write a `record` as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
 
     The file holds the datasets time_s, voltage_V and displacement_m, and one for each further channel, as
-    temperature_C; as an attribute ``sha256`` the hash of all, one after the other as little-endian doubles; and as an
-    attribute ``dehyst`` name and meta in JSON. `path` ends in .h5 or .hdf5.
+    temperature_C; the attribute ``sha256``, the hash of all datasets in sequence as little-endian doubles; and the
+    attribute ``dehyst``, name and meta in JSON. `path` ends in .h5 or .hdf5.
 
     Raises
     ------
     FileFormatError
-        The suffix is not .h5 or .hdf5, the meta cannot be written as JSON, or the file cannot be written.
+        If the suffix is not .h5 or .hdf5, the meta cannot be written as JSON, or the file cannot be written.
     MissingExtraError
         If h5py is not installed.
     """

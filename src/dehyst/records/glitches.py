@@ -1,4 +1,4 @@
-"""Isolated glitches of a measured voltage: short excursions that neither its slew nor the displacement explains.
+"""Isolated glitches of a measured voltage: short excursions that neither its slew rate nor the displacement explains.
 
 A glitch goes away and comes back at once, within five samples. It is larger than the voltage's steps nearby, its noise,
 its resolution and most excursions of the record; and the displacement does not follow, now or somewhat later. If the
@@ -63,7 +63,7 @@ class Glitch:
 
     @property
     def words(self) -> str:
-        """Its place and its voltage in words."""
+        """Position and voltage of the glitch as text."""
         last = f"s {self.start} to {self.stop - 1}" if self.stop - self.start > 1 else f" {self.start}"
         ends = " and ".join(f"{volts:.6g}" for volts in self.neighbours)
         beside = f"between {ends} V" if len(self.neighbours) > 1 else f"beside {ends} V"

@@ -70,7 +70,7 @@ def pack(columns: Mapping[str, NDArray[np.float64]], name: str, meta: Mapping[st
 
 
 def decode(content: bytes, least: int = 0, most: int = MOST) -> Stored | None:
-    """Return what the bytes of a file store of its record; None if `pack` did not make it.
+    """Return the stored record in the bytes of a file; None if `pack` did not write it.
 
     `most`: memory that its samples may take [bytes]; the size of the file if that is larger. Raise `FileFormatError` if
     it is damaged, its samples do not have the stored hash or lie in another file, or are fewer than `least`.

@@ -1,4 +1,4 @@
-"""The quality of a record: what makes it unusable, and remarks on what is suspicious but allowed."""
+"""The quality of a record: reasons why it is unusable, and remarks on suspicious properties."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SHOWN = 5
 
 
 def fault_of(values: Array, column: str, unit: str) -> str:
-    """Return which value of a `column` is not finite, or so large that its powers would overflow; empty if none."""
+    """Return an error for the first value of a `column` that is not finite or whose powers would overflow; or empty."""
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         return (
@@ -51,7 +51,7 @@ def fault_of(values: Array, column: str, unit: str) -> str:
 
 
 def not_rising(time: Array) -> str:
-    """Return which time [s] is not above the one before; empty if all are."""
+    """Return an error for the first time [s] that is not above the one before; or empty."""
     steps = np.diff(time)
     bad = np.flatnonzero(steps < SHORTEST)
     if not len(bad):
@@ -80,7 +80,7 @@ def _rounding(time: Array) -> float:
 
 
 def other_unit(record: Record) -> str:
-    """Return that the stroke is that of no piezo actuator by orders of magnitude: its unit is another; or empty."""
+    """Return an error if the stroke is too large for a piezo actuator by orders of magnitude (wrong unit); or empty."""
     if record.stroke <= _LONGEST_STROKE:
         return ""
     return (
@@ -90,14 +90,14 @@ def other_unit(record: Record) -> str:
 
 
 def guesses(record: Record) -> tuple[str, ...]:
-    """Return a sentence about each guess with which a record was read."""
+    """Return a sentence about each guess made when a record was read."""
     guessed = record.meta.get("guesses")
     guessed = guessed if isinstance(guessed, dict) else {}
     return tuple(f"The {quantity} is guessed, verify: {words}." for quantity, words in guessed.items())
 
 
 def problems(record: Record) -> tuple[str, ...]:
-    """Return sentences about what is suspicious but allowed, see `Record.problems`."""
+    """Return sentences about suspicious but allowed properties, see `Record.problems`."""
     remarks = record.meta.get("remarks", ())
     noted = map(str, remarks) if isinstance(remarks, list | tuple) else ()
     return (*guesses(record), *_of_times(record), *_of_samples(record), *_of_units(record), *noted)
@@ -169,7 +169,7 @@ def _of_units(record: Record) -> Iterator[str]:
 
 
 def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
-    """Yield why no hysteresis loop can be identified from a record; a later check may rely on the earlier ones."""
+    """Yield reasons why no hysteresis loop can be identified from a record; later checks may rely on earlier ones."""
     if len(record) < min_samples:
         yield f"{len(record)} samples, {min_samples} are needed; record for longer"
     low, high = record.voltage_range

@@ -44,13 +44,13 @@ class Channel(NamedTuple):
     Attributes
     ----------
     name : str
-        "voltage" and "displacement" of one axis; of several "vx" and "x", by the names of the axes.
+        "voltage" and "displacement" for one axis; "vx" and "x" for several, by the names of the axes.
     unit : str
-        Of `values`: "V" or "m"; "degC" of a temperature, "N" of a load, any text of another quantity.
+        Unit of `values`: "V" or "m"; "degC" for a temperature, "N" for a load, any text for another quantity.
     role : str
         "drive" is sent to the actuator, "displacement" is its answer; others are "temperature", "load" and "other".
     axis : str
-        Name of the axis; empty if there is only one, or if it is that of none.
+        Name of the axis; empty if there is only one axis, or the channel belongs to no axis.
     values : (n,) array
     """
 
@@ -78,7 +78,7 @@ class Channel(NamedTuple):
 
     @property
     def fault(self) -> str:
-        """Why it cannot be a further channel of a record; empty if it can."""
+        """Why this cannot be a further channel of a record; empty if it can."""
         if not self.name or not self.unit or set(self.column) & set(',;\t\n"') or escaped(self.column) != self.column:
             return f"got {self.column!r}, need a name with its unit, as 'temperature_C', 'load_N' or 'humidity [%]'"
         if words := quality.fault_of(self.values, self.name, self.unit):
@@ -94,37 +94,38 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Record:
-    """One measurement of an actuator, or of several that move together; wrong input is refused at construction.
+    """One measurement of an actuator, or of several that move together. Wrong input is an error at construction.
 
-    A record of one axis has one-dimensional arrays, one of several axes a column an axis. The latter is sliced and
-    resampled as a whole; what concerns one voltage and one displacement is asked of `axis`.
+    A record of one axis has one-dimensional arrays; a record of several axes has one column for each axis. The latter
+    is sliced and resampled as a whole; methods for one voltage and one displacement need a record from `axis`.
 
     Parameters
     ----------
     time : (n,) array_like
         [s], strictly rising, n >= 2.
     voltage, displacement : (n,) or (n, axes) array_like
-        Volts and metres, all finite and at most 1e30; kept as read-only float64 copies (read-only arrays, as another
-        record's, are shared). Quantities with units are converted.
+        Voltage [V] and displacement [m], all finite and at most 1e30; kept as read-only float64 copies (read-only
+        arrays, such as another record's, are shared). Quantities with units are converted.
     name : str
         Used in messages.
     meta : mapping
-        Origin of the record: source file, sha256, columns, scales; `guesses`, by quantity, what was guessed.
+        Origin of the record: source file, sha256, columns, scales; `guesses`: guessed properties by quantity.
     set_aside : tuple of (float, float)
         First and last time [s] of stretches that do not count in a fit or an error.
     axes : sequence of str
-        Names of the axes, one a column; default: x, y, z. Empty for a record of one axis.
+        Names of the axes, one for each column; default: x, y, z. Empty for a record of one axis.
     others : mapping of str to (n,) array_like
-        What was measured besides, by its name and unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
-        Temperatures (also in K) are kept in degrees Celsius, loads (also in mN or kN) in newtons, others as they are;
+        Further measured quantities, by name with unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
+        Temperatures (also in K) are kept in degrees Celsius, loads (also in mN or kN) in newtons, others unchanged;
         kept as a tuple of `Channel`.
 
     Raises
     ------
     RecordError
-        Of another shape, not numbers, masked, of another unit, of different lengths, fewer than 2 samples, NaN, inf
-        or beyond 1e30, the time does not rise, the axes are not different names, one a column, or one of the others has
-        no unit, the name of another channel, or is a temperature outside of -273.15 to 1000 degrees Celsius.
+        If arrays have a wrong shape, unit or length, are masked or not numeric, have fewer than 2 samples, or hold NaN,
+        inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one for each column;
+        or if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
+        1000 degrees Celsius.
     """
 
     time: Array
@@ -255,8 +256,8 @@ class Record:
         """Make a record from arrays whose displacement is in `units`, by default micrometres.
 
         `time` and `voltage` (n,) [s] and [V], `displacement` (n,) in `units`: "m", "mm", "um", "nm" or "pm". Quantities
-        with units of their own are converted. `name` and `others` are those of the record. Raise `RecordError` if the
-        unit is unknown, the arrays make no record, or the stroke is over 0.1 m: another unit.
+        with units of their own are converted. `name`, `others`: as in `Record`. Raise `RecordError` if the unit is
+        unknown, the arrays do not form a record, or the stroke is over 0.1 m, which indicates another unit.
         """
         counts = per_metre(units, error=RecordError)
         try:
@@ -280,24 +281,25 @@ class Record:
         displacement_scale: str | None = None,
         name: str | None = None,
     ) -> Record:
-        """Make a record from a pandas DataFrame, whose columns are found as those of a file are.
+        """Make a record from a pandas DataFrame, whose columns are found as in a file.
 
         Parameters
         ----------
         frame : pandas.DataFrame
-            With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
-            column. Dates and durations are seconds; an index of them without a name is the time, unless a column is.
+            With units in the names of its columns, as from `to_dataframe`; an index with a name counts as a
+            column. Dates and durations become seconds; an unnamed index of dates or durations is the time, unless a
+            column is.
         time, voltage, displacement, voltage_scale, displacement_scale : str, optional
             As in `dehyst.read`: "NAME" or "NAME:UNIT"; "100 V/V", "10 um/V".
         name : str, optional
-            The record's name; default: that of `DataFrame.attrs`, else "record".
+            Name of the record; default: from `DataFrame.attrs`, else "record".
 
         Raises
         ------
         FileFormatError
             If a column is missing or has no unit.
         RecordError
-            If it is no DataFrame, or the columns make no record.
+            If `frame` is not a DataFrame, or the columns do not form a record.
         """
         columns = [
             Column(key, data, unit, foreign=foreign, kept=key in frame.attrs.get("others", ()))
@@ -322,9 +324,9 @@ class Record:
 
         Attributes `units` are converted: "um", "ms", "kV" and the like. Without one, values are in s, V and m. Further
         variables with the units of a temperature or a load, or with an attribute `role`, are the record's others.
-        `name`: the record's; default: that of the attributes, else "record".
+        `name`: name of the record; default: from the attributes, else "record".
 
-        Raise `RecordError` if a variable is missing, has another unit, or they make no record.
+        Raise `RecordError` if a variable is missing or has a wrong unit, or the variables do not form a record.
         """
         numbers = {column: tables.variable(dataset, column) for column in _COLUMNS}
         others = {}
@@ -407,7 +409,7 @@ class Record:
         )
 
     def by_axis(self) -> tuple[Record, ...]:
-        """Return each axis as a record of its own; of one axis the record itself."""
+        """Return each axis as a separate record; for one axis the record itself."""
         return tuple(map(self.axis, range(max(len(self.axes), 1))))
 
     def one_axis(self) -> Record:
@@ -469,7 +471,8 @@ class Record:
         Returns
         -------
         (k,) int array
-            The extremes themselves (the last sample of a plateau), minima and maxima in turn; never the record's ends.
+            Indices of the extremes (the last sample of a plateau), alternately minima and maxima; never the record's
+            ends.
         """
         if signal not in ("voltage", "displacement"):
             raise self._error(f"no signal '{signal}'; try 'voltage' or 'displacement'")
@@ -483,9 +486,9 @@ class Record:
     def cycles(self, band: float | None = None) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.
 
-        The record's start and end count as extremes when their leg covers 0.9 of the leg next to it, so that one
-        excursion up and down is one cycle. A slice includes both its turning points: neighbours share one sample.
-        `band` [V] is the smallest change of voltage that counts as a turn; default: by the range and the noise.
+        The record's start (or end) counts as an extreme if its leg covers 0.9 of the next leg, so that one excursion up
+        and down is one cycle. A slice includes both its turning points: neighbours share one sample. `band` [V] is the
+        smallest change of voltage that counts as a turn; default: by the range and the noise.
         """
         turns = self.reversals("voltage", band)
         if not len(turns):
@@ -501,13 +504,13 @@ class Record:
         return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]
 
     def take(self, rows: Span | Mask | NDArray[np.intp]) -> Record:
-        """Return the samples in `rows`: a slice, an array of bool (n,) or of increasing indices."""
+        """Return the samples in `rows`: a slice, a bool array (n,), or an array of increasing indices."""
         others = tuple(one._replace(values=one.values[rows]) for one in self.others)
         time, voltage, displacement = (values[rows] for values in (self.time, self.voltage, self.displacement))
         return replace(self, time=time, voltage=voltage, displacement=displacement, others=others)
 
     def slice(self, start: int | None, stop: int | None) -> Record:
-        """Return samples `start` to `stop` - 1, counted as Python slices are."""
+        """Return samples `start` to `stop` - 1, with indices as in Python slices."""
         return self.take(slice(start, stop))
 
     def between(self, t0: float, t1: float) -> Record:
@@ -515,7 +518,7 @@ class Record:
         return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
 
     def with_name(self, name: str) -> Record:
-        """Return the same record under another `name`."""
+        """Return the record with another `name`."""
         return replace(self, name=name)
 
     def resample(self, dt: float, kind: str = "linear") -> Record:
@@ -542,11 +545,11 @@ class Record:
         return replace(self, voltage=signals.interpolate(self.time, self.one_axis().voltage, times, "pchip"))
 
     def problems(self) -> tuple[str, ...]:
-        """Return sentences about everything suspicious that does not prevent the record's use; empty if nothing is."""
+        """Return sentences about suspicious properties that do not prevent the record's use; may be empty."""
         return quality.problems(self.one_axis())
 
     def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
-        """Refuse a record from which no hysteresis loop can be identified.
+        """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
         `min_samples`, `min_cycles`: least number of samples and of full voltage cycles. Raise `RecordError` for too few
         samples or cycles, constant voltage or displacement, a stroke over 0.1 m, an inverted or clipped sensor, or
@@ -566,10 +569,10 @@ def _is_frozen(raw: object) -> bool:
 def further_channels(
     table: Table, used: Iterable[Column], samples: int
 ) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the further channels in a table beside the columns that are `used`, and remarks on those left out.
+    """Return the further channels in a table besides the `used` columns, and remarks on columns left out.
 
-    They are the temperatures and loads, and the columns that are marked to be kept. What was not asked for and cannot
-    be a channel is left out; raise `RecordError` if it was asked for.
+    They are the temperatures and loads, and the columns that are marked to be kept. Raise `RecordError` if a requested
+    column cannot be a channel; other unsuitable columns are left out.
     """
     found: dict[str, tuple[Channel, Column]] = {}
     remarks, taken = [], {id(column) for column in used}

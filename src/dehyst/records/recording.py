@@ -208,10 +208,7 @@ class Journal:
 
 
 def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
-    """Refuse a record, before it begins, if the disk has no space for its journal and its file.
-
-    Raise `FileFormatError` with the bytes needed and those free.
-    """
+    """Raise `FileFormatError` before a recording if the disk has no space for its journal and its file."""
     needed = samples * columns * _NUMBER_BYTES + _MARGIN
     try:
         free = shutil.disk_usage(folder).free
@@ -225,7 +222,7 @@ def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
 
 
 def unused_path(path: Path) -> Path:
-    """Return the path or, if it exists, the first unused one of path-2, path-3, ..."""
+    """Return the path or, if it exists, the first unused path of path-2, path-3, ..."""
     # A dangling link counts as existing: data written to it would go to another place.
     if not os.path.lexists(path):
         return path
@@ -247,7 +244,7 @@ def _head(text: str) -> tuple[str, dict[str, Any], str | None] | None:
 
 
 def _rising(rows: list[_Row]) -> list[_Row]:
-    """Return the most rows whose times rise strictly: one wrong time does not remove those after it."""
+    """Return the most rows with strictly rising times, so that a wrong time does not remove later rows."""
     ends: list[float] = []
     length = []
     for row in rows:
@@ -266,7 +263,7 @@ def _rising(rows: list[_Row]) -> list[_Row]:
 class SampleBlock(Protocol):
     """Successive samples: time (n,) [s], voltage (n,) [V], displacement (n,) [m].
 
-    With a recording of `others`, a block has an attribute of that name too: arrays (n,) by the names of their columns.
+    If a recording has `others`, a block also has an attribute `others`: arrays (n,) by column name.
     """
 
     @property
@@ -287,7 +284,7 @@ class Recording:
         with Recording("tops.h5", meta={"rig": rig.name}) as recording:
             recording.finish(rig.play(excitation, recording.add))
 
-    If an exception, Ctrl-C too, ends the with-block, the samples so far are written and marked incomplete.
+    If an exception (or Ctrl-C) ends the with-block, the samples so far are written and marked incomplete.
 
     Parameters
     ----------
@@ -299,7 +296,7 @@ class Recording:
         Written with the record, as JSON. Added to it: complete (bool), ended_because (None or a sentence),
         samples, started and ended (UTC, ISO 8601), sha256 (of the samples, see `write_hdf5`), source (the file's name).
     others : sequence of str
-        Columns of further channels, as "temperature_C" and "load_N", which each block of samples has in a mapping
+        Names of further channels, as "temperature_C" and "load_N"; each block of samples holds them in a mapping
         ``samples.others``.
 
     Attributes
@@ -365,8 +362,8 @@ class Recording:
         RecordError
             If the columns are not of one length, one of `others` is missing, or the recording has ended.
         FileFormatError
-            If they cannot be written: the disk is full, or the folder was removed. They stay in memory, and are written
-            at the end if that is possible then.
+            If the samples cannot be written, because the disk is full or the folder was removed. They stay in memory,
+            and are written at the end if possible.
         """
         self._refuse_ended()
         block = self._columns(samples)
@@ -380,7 +377,7 @@ class Recording:
     def finish(self, record: Record | None = None) -> Path:
         """End a complete recording: write the file, delete the journal, and return the file's path.
 
-        `record`: the whole record, to replace the samples that were added; its meta is added.
+        `record`: the whole record, which replaces the added samples; its meta is added.
 
         Raises
         ------
@@ -445,14 +442,14 @@ class Recording:
 
 
 def salvage(folder: PathLike) -> list[Path]:
-    """Make files, marked incomplete, of the journals that killed processes left in a folder; return their paths.
+    """Convert the journals of killed processes in a folder to record files, marked incomplete; return their paths.
 
-    Nothing is overwritten: if the file exists, the new one has a number in its name. A journal that a running process
-    still writes is not touched, nor is a file whose name is not ``*.h5.part.csv``. A journal with unusable lines (not a
-    finite number for each column, or a time that does not rise, except a last line cut off) is kept as
-    ``*.part.damaged.csv`` beside the file. If it has no sample at all, it is only renamed so. `read` refuses files of
-    fewer than 2 samples, which only keep the meta. Raise `FileFormatError` if there is no such folder, or a file cannot
-    be written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
+    Nothing is overwritten: if the file exists, the new one gets a number in its name. Journals of running processes,
+    and files that are not named ``*.h5.part.csv``, are not touched. Lines are unusable if they lack a finite number for
+    a column or their time does not rise; an incomplete last line is allowed. A journal with unusable lines is kept as
+    ``*.part.damaged.csv`` next to the file; a journal without any sample is only renamed. `read` refuses files of fewer
+    than 2 samples, which only keep the meta. Raise `FileFormatError` if there is no such folder, or a file cannot be
+    written: its journal stays. Raise `MissingExtraError` if h5py is not installed.
     """
     hdf5.writer()
     folder = path_of(folder)

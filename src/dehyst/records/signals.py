@@ -21,12 +21,12 @@ _STRETCHES, _STRETCH = 16, 1 << 17
 
 
 def largest(error: ArrayLike) -> float:
-    """Return the largest absolute error; 0 without any."""
+    """Return the largest absolute error; 0 without errors."""
     return float(np.abs(error).max(initial=0.0))
 
 
 def rms(error: ArrayLike) -> float:
-    """Return the root of the mean square error; 0 without any."""
+    """Return the root mean square error; 0 without errors."""
     values = np.asarray(error, dtype=np.float64)
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
@@ -39,8 +39,8 @@ def percent(error: float, stroke: float) -> float:
 def white_noise(values: Array) -> float:
     """Estimate the standard deviation of white noise on a smooth, evenly sampled signal (n,), in its unit.
 
-    The estimate is the median absolute difference of order 6, so that the signal itself, its corners and outliers have
-    no effect; 0 below 8 samples. A long signal is sampled in stretches spread evenly over it.
+    The estimate uses the median absolute difference of order 6, so that the signal itself, its corners and outliers
+    have no effect. It is 0 below 8 samples. A long signal is sampled in evenly spread stretches.
     """
     if len(values) < _ORDER + 2:
         return 0.0
@@ -59,7 +59,7 @@ def noise_span(values: Array) -> float:
 
 
 def resolution(values: Array) -> tuple[float, float]:
-    """Return the smallest step between neighbours and its share of the range; 0 unless many neighbours are equal."""
+    """Return the smallest step between neighbours and its share of the range; 0 and 0 unless many are equal."""
     steps, span = np.abs(np.diff(values)), float(np.ptp(values))
     moving = steps[steps > 1e-12 * span]
     if not len(moving) or len(moving) > 0.8 * len(steps):
@@ -129,7 +129,7 @@ def _spectrum(signal: Array) -> Array:
 
 
 def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
-    """Return the part of a signal's energy above a `frequency` [Hz], of that of all its changes; `sample_time` [s]."""
+    """Return the share of a signal's AC energy above a `frequency` [Hz]; `sample_time` [s]."""
     power = _spectrum(signal)
     above = np.fft.rfftfreq(signal.size, sample_time) > frequency
     total = float(power[1:].sum())
@@ -137,7 +137,7 @@ def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
 
 
 def bandwidth(signal: Array, sample_time: float, share: float) -> float:
-    """Return the frequency [Hz] above which a signal has this share of the energy of its changes, its noise aside.
+    """Return the frequency [Hz] above which a signal has this share of its AC energy, without noise.
 
     White noise as strong as the median of the upper half of the spectrum is not counted. `sample_time` [s].
     """
@@ -163,8 +163,8 @@ _MOST = 1 << 18
 def recorded_slew_rate(parts: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the largest abs(dv/dt) [V/s] at which voltages were recorded; None if they hold only steps and rests.
 
-    It is the speed that 95 % of the travel do not exceed, and a margin of 5 %: a rare glitch or step does not count.
-    `parts`: time (n,) [s] and voltage (n,) [V] of each record.
+    It is the speed that 95 % of the travel does not exceed, plus a margin of 5 %, so that a rare glitch or step has no
+    effect. `parts`: time (n,) [s] and voltage (n,) [V] of each record.
     """
     found = [_speeds(time, voltage) for time, voltage in parts]
     speed, travel = (np.concatenate(column) for column in zip(*found, strict=True)) if found else (np.zeros(0),) * 2

@@ -1,8 +1,8 @@
-"""Steps of a voltage, and the transients after them: samples in which the displacement rings or overshoots.
+"""Steps of a voltage, and the transients after them, in which the displacement rings or overshoots.
 
-Hysteresis alone follows a voltage: the displacement turns back only where the voltage does. After a step it turns back
-by itself if a mass swings or an amplifier overshoots. Such samples are true, and no spikes; a model without that motion
-cannot follow them, and says nothing wrong elsewhere.
+With hysteresis alone, the displacement turns back only where the voltage does. After a step it turns back by itself if
+a mass swings or an amplifier overshoots. Such samples are real, not spikes. A model without inertia cannot follow them,
+but remains valid elsewhere.
 """
 
 from __future__ import annotations
@@ -43,11 +43,12 @@ _LEVEL = 8
 
 @dataclass(frozen=True)
 class Transient:
-    """A step of the voltage, and what rings or overshoots after it.
+    """A step of the voltage, and the ringing or overshoot of the displacement after it.
 
-    Samples `start` to `stop` - 1 of a record, counted from 0: the first one is the last before the step. `jump`: its
-    first sample after the step. `time`, `duration`: of the step and until the ring is over [s]. `voltages`: before and
-    after the step [V]. `frequency` [Hz] and `damping` (of critical) of the ring; 0 if it overshoots once.
+    Samples `start` to `stop` - 1 of a record, counted from 0: the first one is the last before the step. `jump`: first
+    sample after the step. `time`: time of the step [s]. `duration`: time until the ringing is over [s]. `voltages`:
+    voltages before and after the step [V]. `frequency` [Hz] and `damping` (of critical) of the ring; 0 if it overshoots
+    once.
     """
 
     start: int
@@ -61,7 +62,7 @@ class Transient:
 
     @property
     def words(self) -> str:
-        """What happens, when and for how long, in words."""
+        """A description with step, time and duration."""
         rings = f"rings at {self.frequency:.3g} Hz, damping {self.damping:.2g}," if self.frequency else "overshoots"
         return f"step to {self.voltages[1]:.4g} V at {self.time:.4g} s {rings} for {1e3 * self.duration:.3g} ms"
 
@@ -73,7 +74,7 @@ class Transient:
 def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
     """Return the last sample before and the first one after each step of a voltage (n,) [V].
 
-    A step takes few samples, and is large against the range, the noise and the changes beside it.
+    A step takes few samples, and is large compared with the range, the noise and neighbouring changes.
     """
     change, span = np.abs(np.diff(voltage)), float(np.ptp(voltage))
     noise = _SIGMAS * white_noise(voltage)
@@ -94,7 +95,7 @@ def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
 def transients(record: Record) -> tuple[Transient, ...]:
     """Find the steps of the voltage after which the displacement rings or overshoots, in order.
 
-    Those that were set aside before are no longer in the displacement.
+    Transients that were already replaced are not found again.
     """
     steps, counted = voltage_steps(record.voltage), record.counted
     if counted is not None:
@@ -105,9 +106,9 @@ def transients(record: Record) -> tuple[Transient, ...]:
 
 
 def settled(record: Record, found: tuple[Transient, ...]) -> Array:
-    """Return the displacement (n,) [m] with a path that follows the voltage in place of each transient.
+    """Return the displacement (n,) [m] with each transient replaced by a path that follows the voltage.
 
-    A ring behind the hysteresis is not seen by it: the path leads from one level to the other with the voltage.
+    Ringing after the hysteresis does not affect it, so the path follows the voltage from one level to the other.
     """
     v, y = record.voltage, record.displacement.copy()
     gain = float(np.ptp(record.displacement)) / max(float(np.ptp(v)), 1e-300)

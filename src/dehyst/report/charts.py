@@ -1,4 +1,4 @@
-"""Charts: what they show, whatever draws them, and their numbers inside a page."""
+"""Charts: their contents, independent of what draws them, and their numbers inside a page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CELLS = 2000
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: quantity, unit, and range if it is not that of the data. A `log` axis has positive numbers."""
+    """An axis: quantity, unit, and range, if not the data's. A `log` axis has positive numbers."""
 
     quantity: str
     unit: str = ""
@@ -46,9 +46,9 @@ class Axis:
 class Series:
     """A curve, points, an area or cells: x and y (n,), in the units of the axes; NaN breaks a curve.
 
-    `top` (n,) is the other edge of an area; `values` (m, k) are those of cells between m + 1 edges y and k + 1 edges x,
-    the larger, the darker, up to `darkest`, by default the largest; `names` those of single points. An `exact` x needs
-    more than 16 bits, as the time of a long record does.
+    `top` (n,): the other edge of an area. `values` (m, k): values of cells between m + 1 edges y and k + 1 edges x;
+    larger values are darker, up to `darkest`, by default the largest value. `names`: names of single points. An `exact`
+    x needs more than 16 bits, as the time of a long record does.
     """
 
     name: str
@@ -96,7 +96,7 @@ def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart: above it a title, such as a record, and its `role`.
+    """A chart under a title, such as a record, and its `role`.
 
     `right` is a second axis, of the numbers of y times a factor: (factor, quantity, unit). Parts of the abscissa are
     `shaded`, a part of the ordinate is the `band`, `zero` is marked if set; `notes` are words of the legend that belong
@@ -150,7 +150,7 @@ class ChartData:
         return len(self._charts) - 1
 
     def json(self) -> str:
-        """Return all of it as JSON that can stand inside a page."""
+        """Return all charts as JSON for use inside a page."""
         return in_page({"columns": self._columns, "charts": self._charts})
 
     def _series(self, one: Series, chart: Chart) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def in_page(data: Mapping[str, Any]) -> str:
-    """Return data as JSON that can stand inside a page."""
+    """Return data as JSON for use inside a page."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     # Nothing inside may end the element, whatever a name contains.
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

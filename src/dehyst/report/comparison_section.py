@@ -1,4 +1,4 @@
-"""A comparison of models, as a section of the report or as a page of its own."""
+"""A comparison of models, as a section of the report or as a separate page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FEWEST_BARS, _LONGEST = 2, 6.0
 
 
 def write_comparison(path: str | PathLike[str], found: ModelComparison, *, command: str | None = None) -> None:
-    """Write a comparison to one HTML file that loads nothing from outside.
+    """Write a comparison to a self-contained HTML file.
 
     `path`, `command` and errors are as in `write_report`, but nothing is drawn; `found` is the comparison.
     """

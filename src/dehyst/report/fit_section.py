@@ -24,7 +24,7 @@ _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_U
 
 
 def verdict(fit: Fit) -> str:
-    """Return the verdict in the colour of its readiness: its number first, then how the identification ended."""
+    """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
     expected = fit.expectation
     if expected is None:
         word = Readiness.NOT_USABLE.value.capitalize()
@@ -201,7 +201,7 @@ _DEVIATIONS = 2.0
 
 
 def before_and_after(fit: Fit) -> Charts | str:
-    """Return the error of a straight scale factor and that of the model, on the first record not trained on."""
+    """Return the errors of a straight scale factor and of the model, on the first held-out record."""
     shown = _shown(fit)
     if not shown:
         return ""
@@ -248,7 +248,7 @@ def loops_chart(traces: Sequence[Trace]) -> Chart:
 
 
 def hysteresis_chart(traces: Sequence[Trace], records: int = 1) -> Chart:
-    """Return the same less the best straight line through all measured loops, of `records` that are drawn."""
+    """Return the loops minus the best straight line through all measured loops; `records`: number of drawn records."""
     measured, slope = _off_line(traces)
     return replace(_both(traces, measured, f"off a line of {number(slope * 1e6)} µm/V", records), zero=True)
 

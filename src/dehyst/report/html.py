@@ -29,7 +29,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 class Charts:
     """A section of charts side by side, or below one another if `wide`, under a heading and a caption.
 
-    `beside`: HTML that stands beside the charts.
+    `beside`: HTML next to the charts.
     """
 
     title: str
@@ -71,7 +71,7 @@ Part: TypeAlias = str | Charts | Applet
 
 
 def document(title: str, parts: Iterable[Part]) -> str:
-    """Assemble parts to a page that loads nothing from outside; a longer one gets a list of contents."""
+    """Assemble parts to a self-contained page; a longer page gets a table of contents."""
     data, shown = ChartData(), [part for part in parts if part]
     body = "\n".join(part if isinstance(part, str) else part.html(data) for part in shown)
     applets = [part for part in shown if isinstance(part, Applet)]
@@ -120,7 +120,7 @@ def _with_contents(body: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write `value` with `digits` significant digits, as plainly as its size allows."""
+    """Return `value` as text with `digits` significant digits, without an exponent if possible."""
     if not math.isfinite(value):
         return "not known"
     if value == 0:
@@ -168,7 +168,7 @@ def folded(summary: str, tables: Mapping[str, str]) -> str:
 
 
 def reproduction(command: str | None) -> str:
-    """Set the command line that made a page; nothing if it is not known."""
+    """Return the command line that made a page; empty if it is not known."""
     return f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else ""
 
 

@@ -1,4 +1,4 @@
-"""Pictures of records, actuators, fits and assessments on axes: what their `plot` methods draw."""
+"""Plots of records, actuators, fits and assessments on axes, for their `plot` methods."""
 
 from __future__ import annotations
 

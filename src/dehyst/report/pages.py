@@ -17,7 +17,7 @@ from dehyst.trust import CheckHistory, ControlChart
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
-    """Write a `record` to one HTML file that loads nothing from outside.
+    """Write a `record` to a self-contained HTML file.
 
     `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
@@ -53,7 +53,7 @@ def loop_chart(record: Record) -> Chart:
 
 
 def write_check_history(path: PathLike, history: CheckHistory) -> None:
-    """Write a history to one HTML file: the errors with the goal, then each kind of change with its control limits.
+    """Write a history to an HTML file: errors with the goal, then each kind of change with its control limits.
 
     Points are single checks, lines their exponentially weighted moving averages. `path` and errors are as in
     `write_report`; raises IdentifyError if the `history` has no check.
@@ -106,9 +106,9 @@ def _control(history: CheckHistory, chart: ControlChart) -> Chart:
 
 
 def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:
-    """Write a report of several axes, whose identification is `fit`, to one HTML file that loads nothing from outside.
+    """Write the report of a `fit` of several axes to a self-contained HTML file.
 
-    `records` are those of the identification, training first. `path`, `command` and errors are as in `write_report`.
+    `records`: the records of the identification, training first. `path`, `command` and errors are as in `write_report`.
     """
     parts: list[Part] = [
         "<h1>Coupled axes</h1>",

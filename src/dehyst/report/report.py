@@ -45,7 +45,7 @@ def write_report(
     comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
-    """Write a report of `fit` to one HTML file that loads nothing from outside.
+    """Write a report of `fit` to a self-contained HTML file.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def write_report(
 def write_calibration(path: PathLike, calibration: Calibration, *, command: str | None = None) -> None:
     """Write the report of a calibration: its fit, what the records determine, and the path as measured.
 
-    `path`, `command` and errors are as in `write_report`; the `calibration` has all else.
+    `path`, `command` and errors are as in `write_report`.
     """
     if not isinstance(calibration.fit, Fit):
         hint = "use write_stage_report"
@@ -88,7 +88,7 @@ def render(
 ) -> str:
     """Return the text of the report; the same text for the same `fit`.
 
-    `command` is the line that made it. `insight`, `comparison` and the paths `followed` add a section each.
+    `command`: the command that made the report. `insight`, `comparison` and the paths `followed` add a section each.
     """
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
     name = actuator.name if actuator else "Actuator not identified"

@@ -1,4 +1,4 @@
-"""The assessment of a model: sections of the report, or a page of its own."""
+"""The assessment of a model: sections of the report, or a separate page."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NOISE: Colour = "simulated"
 
 
 def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str | None = None) -> None:
-    """Write an assessment to one HTML file that loads nothing from outside.
+    """Write an assessment to a self-contained HTML file.
 
     `path`, `command` and errors are as in `write_report`; `found` is the assessment, of one axis or of several.
     """
@@ -78,7 +78,7 @@ def _write_stage_insight(path: PathLike, found: StageInsight, command: str | Non
 def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
     """Return the sections of a page or of the report: the answer first, single numbers folded.
 
-    `plane` is where the records turned; without it that is not shown.
+    `plane`: plane of the records' turning points, shown if given.
     """
     band = found.band
     return [

@@ -91,7 +91,7 @@ def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
 
 
 def demand_folder(folder: PathLike) -> None:
-    """Refuse a folder that is neither new, nor empty, nor an earlier demo's, with FileFormatError."""
+    """Raise FileFormatError if a folder is neither new, nor empty, nor of an earlier demo."""
     demand_own_folder(folder, *_OWN)
 
 

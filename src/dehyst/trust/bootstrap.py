@@ -24,8 +24,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification import Coefficients, Norm, RecordComparison
 from dehyst.model import Actuator, State
-from dehyst.records import Record, turning_points
-from dehyst.trust.evidence import Evidence, rows_of
+from dehyst.records import Record
+from dehyst.trust.evidence import Evidence, leg_starts, rows_of
 
 # Fewer models have no tails.
 LEAST_REPEATS = 20
@@ -95,9 +95,7 @@ class Intervals:
     @property
     def gains(self) -> Array | None:
         """Lowest and highest slope of tau's segments, (2, K - 1) [V/V]; None without a transformer."""
-        if self.actuator.transformer is None:
-            return None
-        return self._basic(_gains)
+        return self._of_part("transformer", "slopes", -np.inf)
 
     def _of_part(self, part: str, name: str, least: float) -> Array | None:
         if getattr(self.actuator, part) is None:
@@ -112,18 +110,13 @@ class Intervals:
     @property
     def spring(self) -> Array:
         """Lowest and highest voltage of the spring at its knots, relative to the first knot, (2, M) [V]."""
-        return self._basic(_risen)
+        return self._basic(lambda a: a.spring.voltage - a.spring.voltage[0])
 
     def prediction(
         self, voltage: ArrayLike, state: Callable[[Actuator], State], time: ArrayLike | None = None
     ) -> Array:
         """Return the lowest and highest displacement (2, n) [m] for a voltage (n,) [V], from each model's `state`."""
         return self._basic(lambda a: a.simulate(voltage, time=time, state=state(a), extrapolate=True).displacement)
-
-    @property
-    def widening(self) -> float:
-        """Factor on the standard deviations of the resampled models."""
-        return self.spread * self.few
 
     def _basic(self, value: Callable[[Actuator], Array]) -> Array:
         centre = value(self.actuator)
@@ -196,12 +189,9 @@ class _Again:
 
     def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
-        rows = evidence.regression.rows
         self._most = rows_of(evidence.regression.grid, _ENTRIES)
-        self._step = max(1, len(rows) // self._most)
+        self._step = max(1, len(evidence.regression.rows) // self._most)
         self._held = open_combinations(evidence)
-        cut = np.flatnonzero(np.diff(rows.epoch)) + 1
-        self._starts = _legs(rows.voltage, cut)
 
     @property
     def by_absolutes(self) -> bool:
@@ -250,17 +240,12 @@ class _Again:
         """Mean square of the legs' mean residuals [m2]."""
         weights = self._evidence.weights[:: self._step]
         weighted = found.solved.residual[: weights.size] * weights
-        return float(np.mean(_leg_means(weighted, np.unique(self._starts // self._step)) ** 2))
+        return float(np.mean(_leg_means(weighted, np.unique(self._evidence.leg_starts // self._step)) ** 2))
 
     def slow_of_model(self) -> float:
         """Return the mean square of the legs' mean residuals [m2] that the model itself leaves."""
         weighted = self._evidence.model.solved.residual * self._evidence.weights
-        return float(np.mean(_leg_means(weighted, self._starts) ** 2))
-
-
-def _legs(voltage: Array, cut: Any) -> Any:
-    """Return the first sample of each leg: sample 0, the samples after cuts, and the turning points of the voltage."""
-    return np.unique([0, *cut, *turning_points(voltage, 0.02 * float(np.ptp(voltage)))])
+        return float(np.mean(_leg_means(weighted, self._evidence.leg_starts) ** 2))
 
 
 def _leg_means(values: Array, starts: Any) -> Array:
@@ -289,7 +274,7 @@ class _World:
         self._residual = np.concatenate([residual for *_, residual in self._parts])
         voltage = np.concatenate([self._pieces[number].voltage[span] for number, span, *_ in self._parts])
         edges = np.cumsum([residual.size for *_, residual in self._parts])[:-1]
-        self._slow = _leg_means(self._residual, _legs(voltage, edges))
+        self._slow = _leg_means(self._residual, leg_starts(voltage, edges))
         lengths = [cycle.stop - cycle.start for cycle in compared.record.record.cycles()]
         size = self._residual.size
         self._block = min(int(np.median(lengths)) if lengths else size, max(size // 4, 1))
@@ -357,12 +342,3 @@ def _spread(
         return 1.0, kept
     squares, absolutes = np.var(both, axis=0).mean(axis=1)
     return float(np.sqrt(max(1.0, absolutes / squares))) if squares else 1.0, kept
-
-
-def _gains(actuator: Actuator) -> Array:
-    tau = actuator.transformer
-    return np.zeros(0) if tau is None else tau.slopes
-
-
-def _risen(actuator: Actuator) -> Array:
-    return np.asarray(actuator.spring.voltage - actuator.spring.voltage[0])

@@ -254,7 +254,7 @@ def _regression(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFi
     scale = np.abs(x).max(axis=0)
     scale[scale == 0] = 1.0
     target = (loop.measured - loop.simulated)[kept]
-    groups = _blocks(kept.size), _sections(loop.voltage[kept], rate[kept])
+    groups = np.arange(kept.size) * _BLOCKS // kept.size, _sections(loop.voltage[kept], rate[kept])
     fits = [_jackknife(x / scale, target, group) for group in groups]
     values, errors = fits[0][0], np.max([own for _, own in fits], axis=0)
     left = target - x / scale @ values
@@ -269,11 +269,6 @@ def _rate(time: Array, values: Array) -> Array:
     gaps = np.flatnonzero(steps > 3 * np.median(steps))
     rate[gaps] = rate[gaps + 1] = np.nan
     return rate
-
-
-def _blocks(size: int) -> NDArray[np.intp]:
-    """Return the number of the block of time of each sample (n,)."""
-    return np.arange(size) * _BLOCKS // size
 
 
 def _sections(voltage: Array, rate: Array) -> NDArray[np.intp]:

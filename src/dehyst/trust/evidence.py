@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification import (
@@ -25,7 +26,7 @@ from dehyst.identification import (
     probed,
 )
 from dehyst.model import Actuator, Identification
-from dehyst.records import Record, largest, rms
+from dehyst.records import Record, largest, rms, turning_points
 
 # Of the table of rows by coefficients.
 _ENTRIES = 4_000_000
@@ -98,6 +99,12 @@ class Evidence:
         return 1 / self.regression.slope(self.model)
 
     @cached_property
+    def leg_starts(self) -> NDArray[np.intp]:
+        """First row of each rise and fall (k,)."""
+        rows = self.regression.rows
+        return leg_starts(rows.voltage, np.flatnonzero(np.diff(rows.epoch)) + 1)
+
+    @cached_property
     def reference(self) -> int:
         """The epoch whose constant is the constant of the model's spring: the one with the least offset."""
         base = float(self.actuator.spring.voltage[0])
@@ -109,7 +116,7 @@ class Evidence:
         return self.directions()
 
     def directions(self, *more: Record) -> Identifiability:
-        """Return what the turning points of the records, and of `more` on the model's axis, determine.
+        """Return the directions that the turning points of the records, and of `more` on the model's axis, determine.
 
         For Maxwell-slip models it concerns their stiffnesses, whose columns depend on turning points only. For models
         with more parts it concerns ten plain Maxwell-slip elements instead.
@@ -170,6 +177,11 @@ def _rows(
             noise.append(left_of(item.record.noise, stroke))
     source = RowSource.of(stacked, grid, noise, leads=[item.record.lead for item in compared])
     return source.thinned(rows_of(grid, _ENTRIES))
+
+
+def leg_starts(voltage: Array, cuts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the first sample of each rise and fall (k,): the first of all, those at cuts, and those at turns."""
+    return np.unique([0, *cuts, *turning_points(voltage, 0.02 * float(np.ptp(voltage)))]).astype(np.intp)
 
 
 def rows_of(grid: Grid, entries: int) -> int:

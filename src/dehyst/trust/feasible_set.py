@@ -209,15 +209,10 @@ def _means(evidence: Evidence) -> tuple[Array, Array, Array]:
 
 def _groups(evidence: Evidence) -> NDArray[np.intp]:
     """Return the group of each row: runs of neighbours, cut at epochs and at turning points."""
-    rows = evidence.regression.rows
-    length = max(1, len(rows) // _ROWS)
-    cut = np.zeros(len(rows), dtype=bool)
-    cut[1:] = rows.epoch[1:] != rows.epoch[:-1]
-    cut[turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))] = True
-    leg = np.cumsum(cut)
-    within = np.arange(len(rows)) - np.flatnonzero(np.concatenate([[True], np.diff(leg) > 0]))[leg]
-    cut |= (within % length == 0) & (np.arange(len(rows)) > 0)
-    return np.cumsum(cut)
+    size, starts = len(evidence.regression.rows), evidence.leg_starts
+    length = max(1, size // _ROWS)
+    within = np.arange(size) - np.repeat(starts, np.diff(np.append(starts, size)))
+    return np.cumsum(within % length == 0) - 1
 
 
 def _vector(evidence: Evidence, found: Coefficients) -> Array:

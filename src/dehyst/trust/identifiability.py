@@ -19,7 +19,7 @@ from dehyst._views.fields import json_values
 from dehyst.control import StateBounds, first_known_by_displacement, least_width, time_dependence
 from dehyst.identification import RecordComparison, Regression, triangle_of
 from dehyst.model import Actuator, GradedSlip, MaxwellSlip
-from dehyst.records import Record, rms, turning_points
+from dehyst.records import Record, rms
 from dehyst.trust.evidence import Evidence
 
 # A combination is known if its standard deviation is at most this part of the range of the voltages.
@@ -32,7 +32,7 @@ _SMALL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class PartIdentifiability:
-    """What records determine of a part.
+    """Identifiability of a part from records.
 
     Attributes
     ----------
@@ -143,12 +143,8 @@ def _made(evidence: Evidence) -> list[list[Record]]:
 
 def _scatter(evidence: Evidence, weights: Array) -> float:
     """Return the standard deviation of the legs' mean residuals [V]."""
-    rows, residual = evidence.regression.rows, evidence.model.solved.residual * weights
-    cuts = np.flatnonzero(np.diff(rows.epoch)) + 1
-    turns = turning_points(rows.voltage, 0.02 * float(np.ptp(rows.voltage)))
-    starts = np.unique([0, *cuts, *turns])
-    counts = np.diff(np.append(starts, residual.size))
-    means = np.add.reduceat(residual, starts) / counts
+    residual, starts = evidence.model.solved.residual * weights, evidence.leg_starts
+    means = np.add.reduceat(residual, starts) / np.diff(np.append(starts, residual.size))
     white = rms(residual) / np.sqrt(residual.size)
     return float(max(rms(means) / np.sqrt(means.size), white))
 

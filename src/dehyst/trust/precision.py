@@ -290,8 +290,10 @@ def known_numbers(
         names = "smooth element", "smooth elements", "V/m"
         judged.append(_part(names, actuator.smooth.stiffness, intervals.smooth, alone.get(names[1]), precision))
     if actuator.transformer is not None and intervals.gains is not None:
-        names, last = ("transformer segment", "transformer segments", "V/V"), _with_last(alone.get("transformer"))
-        judged.append(_part(names, actuator.transformer.slopes, intervals.gains, last, precision))
+        names, gains = ("transformer segment", "transformer segments", "V/V"), alone.get("transformer")
+        # The slope of the last segment of tau follows from the others because both ends are fixed.
+        gains = None if gains is None else np.append(gains, gains.all())
+        judged.append(_part(names, actuator.transformer.slopes, intervals.gains, gains, precision))
     # Of the Maxwell-slip class both parts are named, also without an element that slides.
     return Precision(tuple(part for part in judged if part.of_all or free is not None), precision, intervals.level)
 
@@ -306,8 +308,3 @@ def _part(
 ) -> PartPrecision:
     determined = np.zeros(estimate.size, dtype=bool) if alone is None else alone
     return PartPrecision.of(names, estimate, noise, determined, precision, compatible)
-
-
-def _with_last(alone: Mask | None) -> Mask | None:
-    """Add the last segment of tau, whose slope follows from the others because both ends are fixed."""
-    return None if alone is None else np.append(alone, alone.all())

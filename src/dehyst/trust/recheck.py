@@ -269,7 +269,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     return Recheck(
         record=record.name,
         model=actuator.name,
-        record_id=_record_id(record),
+        record_id=sha256_of((record.time, record.voltage, record.displacement))[:_DIGITS],
         model_id=_model_id(actuator),
         samples=errors.samples,
         left_out=errors.left_out,
@@ -285,11 +285,6 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         trace=trace,
         promise=None if origin.validity is None else promise(origin.validity, record.voltage, record.time),
     )
-
-
-def _record_id(record: Record) -> str:
-    """Return a hash of the samples."""
-    return sha256_of((record.time, record.voltage, record.displacement))[:_DIGITS]
 
 
 def _model_id(actuator: Actuator) -> str:

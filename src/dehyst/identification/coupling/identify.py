@@ -1,4 +1,4 @@
-"""Records of several axes to a stage: the coupling matrix, the actuator of each axis, and the summary of both."""
+"""Identification of a stage from records of several axes: coupling matrix, actuators, and summary."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ _SMALL = 0.003
 
 @dataclass(frozen=True)
 class AxisError:
-    """How far the model of a stage misses one axis of a record.
+    """Error of the model of a stage on one axis of a record.
 
     Attributes
     ----------
     record, role, axis : str
         `role` is training or validation.
     rms, largest : float
-        [m].
+        RMS and largest error [m].
     stroke : float
         Range of the axis in the training records [m], the reference of percentages.
     samples, left_out : int
-        Samples that are compared, and others.
+        Number of samples that are compared, and of others.
     """
 
     record: str
@@ -86,17 +86,18 @@ class StageFit:
     coupling, uncertainty : (axes, axes) array
         The coupling matrix, and the standard error of each entry (0 on the diagonal).
     rank_one_share : (axes,) array
-        Of the energy of all displacements by each voltage, the share that is one shape times a column of the matrix.
+        For each voltage, the share of the energy of all displacements due to it that is one shape times a column of the
+        matrix.
     cross_talk : CrossTalk
-        What is left of each axis that follows the voltage of another one.
+        Motion of each axis due to other voltages that the matrix does not describe.
     errors : tuple of AxisError
-        Of simulating each record, training first, a row an axis.
+        Errors of the simulation of each record, training first, one for each axis.
     own_motion : (axes,) array
         Share of the motion of each voltage that no other voltage explains.
     passes : int
-        How often matrix and axes were identified in turn.
+        Number of alternating identifications of matrix and axes.
     remarks : tuple of str
-        Sentences: limits of the result.
+        Sentences on the limits of the result.
     axes : tuple of str
         Names of the axes.
     """
@@ -128,16 +129,16 @@ class StageFit:
 
     @property
     def good(self) -> bool:
-        """Whether the model may be used: every axis is usable, and what no matrix describes of the coupling is small.
+        """Whether the model may be used: every axis is usable, and the coupling that no matrix describes is small.
 
-        Small is at most 0.3 % of the stroke (RMS). What the voltage of another axis moves more is no axis of its own.
+        Small is at most 0.3 % of the stroke (RMS). No axis may move more by another voltage than by its own.
         """
         small = bool(np.all(self.cross_talk.size[self.cross_talk.beyond] <= _SMALL))
         return not self.exchanged and self.stage is not None and all(fit.good for fit in self.fits) and small
 
     @property
     def exchanged(self) -> tuple[str, ...]:
-        """Axes whose displacement the voltage of another axis moves more than their own."""
+        """Axes whose displacement moves more by another axis' voltage than by their own."""
         others = np.abs(self.coupling - np.eye(len(self.axes))).max(axis=1, initial=0.0)
         return tuple(axis for axis, most in zip(self.axes, others.tolist(), strict=True) if most > 1)
 
@@ -248,13 +249,13 @@ def identify_stage(
     progress : callable, optional
         Called with a few words at each step.
     **options
-        Of `dehyst.identify`, for every axis.
+        Options of `dehyst.identify`, for every axis.
 
     Raises
     ------
     RecordError, IdentifyError
-        As `dehyst.identify`, the axis named, or if a voltage or displacement of an axis never moves, two displacements
-        are the same, two axes always move together, or records have different axes.
+        As `dehyst.identify`, with the name of the axis; or if a voltage or displacement of an axis never moves, two
+        displacements are the same, two axes always move together, or records have different axes.
     """
     training, held_out, report = _listed(records), _listed(validate), progress or (lambda _: None)
     if not training:

@@ -84,8 +84,8 @@ def coupling_by_plays(columns: PlayColumns) -> Coupling:
 def coupling_by_models(traces: Sequence[AxisTraces], share: Array) -> Coupling:
     """Return the coupling by least squares of the displacements on the outputs of the models.
 
-    Spans of time differ in what the models miss: while an axis moves it misses most. Each span has the weight of its
-    mean square residual, for each displacement by itself.
+    The models' errors differ between spans of time and are largest while an axis moves. So each span is weighted by its
+    mean square residual, separately for each displacement.
     """
     counted = [one.counted for one in traces]
     displacement = np.concatenate([one.record.displacement[rows] for one, rows in zip(traces, counted, strict=True)])
@@ -229,13 +229,13 @@ class PlayColumns:
     blocks : tuple of (m, K) array
         For each axis, plays of its voltage bent by ramps, in ranges of the voltage.
     nuisances : (m, P) array
-        Of each record: a constant, drifts, and the decaying effects of its unknown start.
+        For each record: a constant, drifts, and the decaying effects of its unknown start.
     displacement : (m, axes) array
-        [m].
+        Displacements [m].
     place : (m,) array
         Share of the record's duration, 0 to 1.
     every : int
-        How many samples a mean is taken of.
+        Number of samples in each mean.
     """
 
     blocks: tuple[Array, ...]
@@ -277,7 +277,7 @@ class PlayColumns:
         return tuple(_basis(self.without_nuisances(block), _MOVING) for block in self.blocks)
 
     def without_nuisances(self, values: Array) -> Array:
-        """Return what the nuisances do not explain of `values` (m, ...)."""
+        """Return the part of `values` (m, ...) that the nuisances do not explain."""
         return np.asarray(values - self.own @ (self.own.T @ values))
 
     def groups(self, count: int) -> NDArray[np.intp]:
@@ -286,7 +286,7 @@ class PlayColumns:
 
 
 def block_means(values: Array, every: int) -> Array:
-    """Return the means (m, ...) of `every` neighbouring rows each; what is left at the end is no block."""
+    """Return the means (m, ...) of blocks of `every` neighbouring rows; an incomplete last block is dropped."""
     whole = len(values) // every * every
     return np.asarray(values[:whole].reshape(-1, every, *values.shape[1:]).mean(axis=1))
 
@@ -339,7 +339,7 @@ def _basis(block: Array, least: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class AxisTraces:
-    """Models of all axes beside a record.
+    """Models of all axes compared with a record.
 
     Attributes
     ----------

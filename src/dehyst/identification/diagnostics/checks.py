@@ -39,9 +39,9 @@ def model_checks(
     records. A model with more parts follows loops without them: its residuals must show no pattern, no difference
     between rising and falling branches, between the ends of the stroke, or between early and late.
 
-    `actuator`: as identified. `records`: training records, then those held out. `traces`, `errors`: those of a `Fit`,
-    one for each record. `floor`: least allowed slope [V/m] of the spring; of Maxwell-slip only. `imposed`: whether the
-    spring would fall somewhere without the floor; of Maxwell-slip only.
+    `actuator`: as identified. `records`: training records, then held-out ones. `traces`, `errors`: as in `Fit`, one for
+    each record. `floor`: least allowed slope of the spring [V/m], for Maxwell-slip only. `imposed`: whether the spring
+    would fall somewhere without the floor, for Maxwell-slip only.
 
     Returns
     -------
@@ -260,7 +260,7 @@ class _Drift(NamedTuple):
         return self.value / max(self.floor, RULES.smallest_pattern)
 
     def check(self, what: str, moves: str, why: str) -> Check:
-        """Return the check of how `what` `moves`; `why`: what follows if it does."""
+        """Return the check of a drift; `what` drifts, `moves` is the verb, and `why` the consequence."""
         value, floor, unit = self.value, self.floor, "% a decade"
         sentence = (
             f"{self.record}: {what} {moves} by {value:.2g} % of the stroke a decade of time since the record's start"

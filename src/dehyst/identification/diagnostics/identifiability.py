@@ -36,8 +36,8 @@ class Identifiability:
     `breakaway` (N,): rho [m]. `movable` (N,) bool: elements that slide in some record; the others act as part of the
     spring. `values` (m,): singular values of the movable elements' columns, all else projected out, largest first
     [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring. `vectors` (m, m):
-    unit vectors of those changes, one in each row. `probing`: whether they are those of ten plain elements in place of
-    a model with more parts, whose columns turning points do not make alone.
+    unit vectors of those changes, one in each row. `probing`: whether they belong to ten Maxwell-slip elements instead
+    of a model with more parts, whose columns depend on more than turning points.
     """
 
     breakaway: Array
@@ -48,12 +48,12 @@ class Identifiability:
 
     @property
     def subject(self) -> str:
-        """What has these directions, in words."""
+        """Subject of the directions, as text."""
         return "ten plain elements" if self.probing else "the stiffnesses"
 
     @property
     def of(self) -> int:
-        """Number of directions in all."""
+        """Total number of directions."""
         return int(np.count_nonzero(self.movable))
 
     @property
@@ -80,9 +80,9 @@ class Identifiability:
         return self.movable & ~touched
 
     def sentences(self) -> tuple[str, ...]:
-        """Return sentences about what is determined and what is not: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
+        """Return sentences on determined and open combinations: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
 
-        None of plain elements in place of a model, which has other numbers.
+        There are none if `probing`, because the model has other numbers.
         """
         if self.probing:
             return ()

@@ -34,11 +34,11 @@ STEPS = (
 # What a step of {percent} that follows at once is.
 FALSE_CREEP = (
     "Creep was found and left out: {percent:.0f} % of a step would follow within a twentieth of a cycle, which is a "
-    "low-pass, of the sensor or of the amplifier, and no creep."
+    "low-pass filter of the sensor or of the amplifier, not creep."
 )
 DRIFT_OR_CREEP = (
-    "A drift was set aside. Creep predicts parts of the records that were not trained on as well: the records cannot "
-    "distinguish them. {hold}"
+    "A drift was set aside. Creep predicts held-out parts of the records equally well: the records cannot distinguish "
+    "the two. {hold}"
 )
 # `first` and `ratio`: where the first element slides [um], and over the noise.
 NOISE = (
@@ -48,7 +48,7 @@ NOISE = (
 
 
 def drive_like(limits: tuple[float, float], records: Sequence[Prepared]) -> Sampling:
-    """Return how to sample a voltage that is to be recorded: within limits [V], at the pace of the records."""
+    """Return the sampling for a voltage to record: within limits [V], at the rate of the records."""
     # A lowest voltage of 1e-15 V, as records leave it, is 0 V.
     low = 0.0 if abs(limits[0]) < RULES.voltage_margin * 1e-3 * (limits[1] - limits[0]) else limits[0]
     cycle = min(cycle_time(item.record) for item in records)

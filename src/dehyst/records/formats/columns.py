@@ -19,7 +19,7 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 
 
 class ColumnWords(NamedTuple):
-    """What is known about the columns of a quantity.
+    """Words and units by which the columns of a quantity are found.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
     in names, the usual `units`, and the plausible `range` in SI units: for proposals. `scale`: an example.
@@ -125,7 +125,7 @@ class Scale(NamedTuple):
     """The scale of an amplifier's monitor or of a sensor.
 
     `factor`: SI units of the quantity for one volt (or one `per`) at the plug. `per`: the unit of the column if the
-    file states none. `words`: the scale as it was given.
+    file states none. `words`: the given text.
     """
 
     factor: float
@@ -137,16 +137,16 @@ class Scale(NamedTuple):
         return "" if quantity_of(unit) == quantity_of(self.per) else f"the scale {self.words} is for {self.per}"
 
     def apply(self, unit: str) -> float:
-        """Return what one `unit` of the column means in SI units of the quantity."""
+        """Return one `unit` of the column in SI units of the quantity."""
         known = FACTORS[quantity_of(self.per)]
         return self.factor * known[symbol_of(unit)] / known[self.per]
 
 
 def scale_of(quantity: str, text: str) -> Scale:
-    """Parse a scale as "100 V/V" or "10 um/V".
+    """Parse a scale such as "100 V/V" or "10 um/V".
 
-    Raise `FileFormatError` if it is no number with two units, its first unit is not of the quantity, or the number is
-    0 or not finite.
+    Raise `FileFormatError` if the text is not a number with two units, the first unit is not of the quantity, or the
+    number is 0 or not finite.
     """
     got = f"'{text}'" if isinstance(text, str) else repr(text)
     what = f"{quantity}_scale: got {got}, need a number with two units, as in '{QUANTITIES[quantity].scale}'"
@@ -173,10 +173,10 @@ class Column:
     """One named column of a file.
 
     `unit`: if the file states it outside the name. `fault`: why it cannot be used, and what to try. `foreign`: whether
-    its samples lie in another file, are computed, or lie in a structure beside plain arrays: it is ignored if another
-    column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
+    its samples are in another file, are computed, or are in a structure next to plain arrays; it is then ignored if
+    another column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
     `divided`: whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group. `guessed`:
-    what the file does not state about it. `ends`: its first and last cell as a text file has them. `began`: of
+    properties that the file does not state. `ends`: its first and last cell as a text file has them. `began`: of
     timestamps, what the first may be: what it counts from, whole seconds and their fraction; two if the order of day
     and month is unknown. `kept`: whether a record keeps it as a further channel, whatever its name is.
     """
@@ -231,7 +231,7 @@ class Column:
     def contradiction(self) -> str:
         """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
 
-        A word is no contradiction: LabVIEW states "Volts" for every channel.
+        A word is not a contradiction: LabVIEW states "Volts" for every channel.
         """
         named, known = symbol_of(self._named[1]), FACTORS.get(quantity_of(self.unit), {})
         return named if self.unit in known and known.get(named) != known[self.unit] else ""
@@ -243,7 +243,7 @@ class Column:
 
     @property
     def role(self) -> str:
-        """What it is as a further channel of a record: "temperature", "load" or "other", by its name and its unit.
+        """Role as a further channel of a record, by name and unit: "temperature", "load" or "other".
 
         A temperature has "temp" in its name, or the unit degC or °C; a load has "load", "force" or "kraft".
         """
@@ -276,7 +276,7 @@ def without_groups(column: Column) -> Column:
 class ColumnError(FileFormatError):
     """A quantity that cannot be read from its column.
 
-    `problem`: what is wrong, without the name of the file and the hint. `column`: the one it concerns if there is one.
+    `problem`: the problem, without the name of the file and the hint. `column`: the column concerned, if any.
     """
 
     def __init__(
@@ -298,10 +298,10 @@ def _option(quantity: str, value: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """The column that was decided on for a quantity.
+    """The column that was selected for a quantity.
 
-    `unit`: of the column, by the user or by the file. `scale`: that of an amplifier's monitor or of a sensor. `guess`:
-    what is guessed about the column; empty if it is known.
+    `unit`: unit of the column, from the user or the file. `scale`: scale of an amplifier's monitor or of a sensor.
+    `guess`: guessed properties of the column; empty if all are known.
     """
 
     source: str
@@ -320,8 +320,8 @@ class Selected:
     def values(self) -> Array:
         """The column (n,) in seconds, volts or metres.
 
-        Raise `ColumnError` if its cells are no numbers, its unit is unknown, the scale does not fit, or it is a voltage
-        that looks like a monitor's, without a scale.
+        Raise `ColumnError` if its cells are not numbers, its unit is unknown, the scale does not fit, or it seems to be
+        a monitor's voltage without a scale.
         """
         column, scale = self.column, self.scale
         if column.fault:
@@ -403,7 +403,7 @@ class Selected:
 class Table:
     """The columns of one file, still in the file's units.
 
-    `remarks`: sentences about what was done to them, for the notes of a record.
+    `remarks`: sentences about changes to the columns, for the notes of a record.
     """
 
     source: str
@@ -413,7 +413,7 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Column names as the file has them, with their groups."""
+        """Column names as in the file, with their groups."""
         return tuple(column.name for column in self.columns)
 
     def column(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Array:
@@ -421,12 +421,12 @@ class Table:
         return self.select(quantity, wanted, scale).values
 
     def select(self, quantity: str, wanted: str | None = None, scale: str | None = None) -> Selected:
-        """Decide on the column of a `quantity` ("time", "voltage" or "displacement").
+        """Select the column of a `quantity` ("time", "voltage" or "displacement").
 
         `wanted`: name, unique last part of the name, or "name:unit"; by default the one column named like the quantity.
-        A "?" at its end marks it as a guess. `scale`: that of an amplifier's monitor or of a sensor, as "100 V/V" or
-        "10 um/V". Raise `FileFormatError` for no such column, several of them, contradicting units, or an invalid
-        scale.
+        A "?" at its end marks it as a guess. `scale`: scale of an amplifier's monitor or of a sensor, as "100 V/V" or
+        "10 um/V". Raise `FileFormatError` if there are no or several such columns, units contradict, or the scale is
+        invalid.
         """
         if not isinstance(wanted, str | None):
             need = f"the name of a column, as '{QUANTITIES[quantity].example}'"

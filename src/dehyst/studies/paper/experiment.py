@@ -65,13 +65,13 @@ class ClosedLoop:
 
 
 def symmetric_width_floor(loop: ClosedLoop) -> float:
-    """Return the least largest error [% of the range] of any model whose loop is equally wide at mirrored places.
+    """Return a lower bound of the largest error [% of the range] of models with equal widths at mirrored places.
 
     At one y the branches of a plain Maxwell-slip model lie ``sum_i 2 kappa_i min(...)`` apart, which is the same at the
     mirror image of y about the loop's centre (theory, section 6), whatever N and the spring. If the error of the model
-    is at most e on both branches, its width at y lies between that of the true loop with the branches moved together by
-    e and that with them moved apart. The bound is the least e for which these intervals overlap at every mirrored pair;
-    the centre of the model's loop is free within e.
+    is at most e on both branches, its width at y lies between two bounds: the widths of the true loop with the branches
+    moved together, and moved apart, by e. The bound is the least e for which these intervals overlap at every mirrored
+    pair; the centre of the model's loop is free within e.
     """
     places = np.linspace(float(loop.falling[0, 0]), float(loop.falling[0, -1]), _PLACES)
 
@@ -126,7 +126,7 @@ class PaperError(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A record whose sensor reads zero at its first sample, and what a perfect sensor of the same zero would read.
+    """A record whose sensor reads zero at its first sample, and the readings of a perfect sensor with the same zero.
 
     `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m]. `start`: one of `STARTS`.
     """
@@ -173,8 +173,8 @@ class PaperTracking:
 class PaperPlan:
     """One identification to try: method, number of elements, norm and records.
 
-    `tops`: whether descending tops are in the training, beside the major and the small loop. `noiseless`: whether the
-    sensor is perfect.
+    `tops`: whether descending tops are in the training, in addition to the major and the small loop. `noiseless`:
+    whether the sensor is perfect.
     """
 
     key: str
@@ -200,7 +200,7 @@ PLANS = (
 
 @dataclass(frozen=True, eq=False)
 class PaperTrial:
-    """An identified model beside the truth.
+    """An identified model compared with the truth.
 
     `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
     of each amplitude, from the first peak on. `shift`: by how much Eq. 10 predicts the loop to lie above the relaxed

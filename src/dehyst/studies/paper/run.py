@@ -21,8 +21,8 @@ _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymme
 class Paper:
     """The result of the experiment.
 
-    `asymmetric`: on the virtual E-280.10. `symmetric`: on the same without its asymmetric map: the difference between
-    the two is due to the model class.
+    `asymmetric`: with the virtual E-280.10. `symmetric`: with the same actuator without its asymmetric map. The
+    difference between the two is due to the model class.
     """
 
     asymmetric: Experiment
@@ -50,7 +50,7 @@ def run(progress: Progress = lambda _: None) -> Paper:
 
 
 def demand_folder(folder: PathLike) -> None:
-    """Refuse a folder that is neither new, nor empty, nor one of an earlier run, with FileFormatError."""
+    """Raise FileFormatError if a folder is neither new, nor empty, nor of an earlier run."""
     demand_own_folder(folder, *_OWN)
 
 

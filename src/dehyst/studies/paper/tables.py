@@ -1,4 +1,4 @@
-"""The paper's numbers beside those of this package: the summary, the limits of the errors, and Table 1."""
+"""Comparison of the paper's numbers with this package: the summary, the limits of the errors, and Table 1."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ACTUATOR = "highest_V=highest width asymmetry bend plays"
 class Quantity:
     """A row of the summary.
 
-    `actuator`: what was measured on the virtual actuator, where no model is needed. `models`: value by model, where it
+    `actuator`: value measured on the virtual actuator, if no model is needed. `models`: value by model, where it
     applies; errors are against the truth. `against_noise`: the same against the noisy measurement.
     """
 
@@ -64,7 +64,7 @@ class Quantity:
 
 
 def summary(found: Experiment) -> tuple[Quantity, ...]:
-    """Return the paper's numbers beside those of one virtual actuator."""
+    """Return the paper's numbers and those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
     errors = [
         Quantity(
