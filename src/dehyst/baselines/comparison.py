@@ -171,7 +171,7 @@ def compare(
     Parameters
     ----------
     records : Record or sequence of Record, optional
-        Training records; default: those of the first virtual actuator, with its held-out ones.
+        Training records; default: records of the first virtual actuator, with its held-out ones.
     validate : Record or sequence of Record, optional
         Held-out records.
     truths : sequence of str, optional

@@ -60,7 +60,7 @@ class _Typed(click.ParamType):  # type: ignore[type-arg]
         self.kind, self.name = kind, kind.metavar.lower()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what one word means, or several."""
+        """Return the value of one word or several."""
         try:
             return self.kind.parse_words([value] if isinstance(value, str) else value)
         except (ValueError, DehystError) as error:

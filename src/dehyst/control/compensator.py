@@ -76,7 +76,7 @@ class Compensator(ReadOnly):
     ------
     ModelError
         If there are no limits, or they are not an interval, a number is not positive, the state does not fit the
-        actuator, a period is missing or too long for a resonance, or the unit is no length.
+        actuator, a period is missing or too long for a resonance, or the unit is not a length.
     """
 
     actuator: Actuator

@@ -386,7 +386,7 @@ class Actuator(JsonFile, AbstractModel):
         name: str = "actuator",
         extrapolate: bool = False,
     ) -> NonlinearIOSystem:
-        """Return a block for python-control: voltage [V] in, displacement [m] out, one sample a period.
+        """Return a block for python-control: voltage [V] in, displacement [m] out, with one sample per period.
 
         The block computes what `simulate` does. Its state holds all memory; pass the block's `start` (equal to `state`)
         as initial state. The displacement of a sample is reached with the voltage of the same sample (direct

@@ -286,7 +286,7 @@ class Record:
         Parameters
         ----------
         frame : pandas.DataFrame
-            With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
+            With units in the names of its columns, as from `to_dataframe`; an index with a name counts as a
             column. Dates and durations become seconds; an unnamed index of dates or durations is the time, unless a
             column is.
         time, voltage, displacement, voltage_scale, displacement_scale : str, optional
@@ -524,7 +524,7 @@ class Record:
         return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
 
     def with_name(self, name: str) -> Record:
-        """Return the same record under another `name`."""
+        """Return the record with another `name`."""
         return replace(self, name=name)
 
     def resample(self, dt: float, kind: str = "linear") -> Record:
@@ -575,7 +575,7 @@ def _is_frozen(raw: object) -> bool:
 def further_channels(
     table: Table, used: Iterable[Column], samples: int
 ) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the further channels in a table beside the columns that are `used`, and remarks on those left out.
+    """Return the further channels in a table besides the `used` columns, and remarks on columns left out.
 
     They are the temperatures and loads, and the columns that are marked to be kept. Raise `RecordError` if a requested
     column cannot be a channel; other unsuitable columns are left out.

@@ -201,7 +201,7 @@ _DEVIATIONS = 2.0
 
 
 def before_and_after(fit: Fit) -> Charts | str:
-    """Return the error of a straight scale factor and that of the model, on the first record not trained on."""
+    """Return the errors of a straight scale factor and of the model, on the first held-out record."""
     shown = _shown(fit)
     if not shown:
         return ""

@@ -214,7 +214,7 @@ class Insight:
 
     @property
     def not_judged(self) -> str:
-        """What was not judged although intervals were asked for; empty if all was."""
+        """What was not judged although intervals were requested; empty if everything was."""
         return "" if self.intervals is None or self.feasible_set is not None else _NOT_JUDGED
 
     @property

@@ -260,7 +260,7 @@ class _Drift(NamedTuple):
         return self.value / max(self.floor, RULES.smallest_pattern)
 
     def check(self, what: str, moves: str, why: str) -> Check:
-        """Return the check of how `what` `moves`; `why`: what follows if it does."""
+        """Return the check of a drift; `what` drifts, `moves` is the verb, and `why` the consequence."""
         value, floor, unit = self.value, self.floor, "% a decade"
         sentence = (
             f"{self.record}: {what} {moves} by {value:.2g} % of the stroke a decade of time since the record's start"
