@@ -143,6 +143,13 @@ class DecisionRules:
         "Least singular value of a determined direction, relative to the largest, times N squared.",
     )
 
+    temperatures: float = _rule(2.0, "kelvins", "A smaller range of temperatures does not show their effect.")
+    temperature_helps: float = _rule(
+        0.9,
+        "ratio of held-out errors",
+        "Gain and offset by temperature must lower the error at held-out temperatures to this part.",
+    )
+
     quiet: float = _rule(0.0003, "part of the range", "Less noise has no effect on elements.")
     loud: float = _rule(0.002, "part of the range", "More noise drags elements back and forth: their loops get narrow.")
     first_element_noise: float = _rule(

@@ -278,7 +278,7 @@ class RigDriver:
         known = "Its voltage was never read."
         if last is not None:
             known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
-        advice = "The device holds its voltage, or plays its wave to the end; check it by hand."
+        advice = "The device holds, or plays to its end, what it has; see to it by hand."
         self._watchdog.lose()
         self._close()
         self._show("lost", words=[*words, outcome, known, *([] if "see to it by hand" in outcome else [advice])])
