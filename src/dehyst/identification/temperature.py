@@ -103,7 +103,7 @@ class TemperatureEffect:
 def temperature_effect(records: Sequence[Record]) -> TemperatureEffect | None:
     """Return how the displacement of `records` of one axis depends on their temperature; None if that is not shown.
 
-    All need a temperature, with a range of `DecisionRules.temperatures` at least. Held-out ones must be predicted better,
+    All need a temperature, with a range of `DecisionRules.temperatures`. Held-out ones must be predicted better,
     by `DecisionRules.temperature_helps`.
     """
     given = [record.temperature for record in records]
