@@ -132,9 +132,9 @@ class ModelComparison:
         if not (self.lead and self.held_out):
             return ""
         return (
-            f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, "
-            "the models of dehyst take their state and an offset of the voltage, every other model takes a constant: "
-            "its mean error there."
+            f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, the "
+            "models of dehyst take their state and an offset of the voltage, every other model takes a constant: its "
+            "mean error there."
         )
 
     def as_dict(self) -> dict[str, Any]:

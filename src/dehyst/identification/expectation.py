@@ -291,7 +291,7 @@ def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], g
         reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
     drifted = max(abs(one.drifted_percent) for one in errors)
     if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
     return reasons
 
 

@@ -30,9 +30,13 @@ from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import simplest
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.structured_fit import refine as refine_by_simulation
+from dehyst.identification.temperature import TemperatureEffect, temperature_effect
 from dehyst.identification.training_data import TrainingData
 from dehyst.model import Actuator, Outcome
 from dehyst.records import Record
+
+# Turns of a model at the reference temperature and the gain by it, and the change of the gain that ends them.
+_TURNS, _SAME = 8, 0.002
 
 
 def identify(
@@ -145,6 +149,11 @@ def identify(
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     structure = _checked_structure(structure, settings, refine)
     _refuse_copies([*training, *held_out])
+    effect, measured = temperature_effect(training), training
+    if effect is not None:
+        effect = _converged(effect, training, settings)
+        training = [effect.at_reference(one, datum) for one, datum in zip(training, effect.datums, strict=True)]
+        held_out = [effect.at_reference(one) for one in held_out]
     report("checking the records")
     # Maxwell-slip takes every sample as it is; other structures take means of so many samples at most.
     most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
@@ -165,7 +174,24 @@ def identify(
         fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
+    if effect is not None and isinstance(fit.actuator, Actuator):
+        effect = effect.refined(measured, fit.traces)
+        found = replace(fit.actuator, thermal=effect.of(fit.actuator))
+        fit = replace(fit, actuator=found, remarks=(effect.sentence, *fit.remarks))
     return fit
+
+
+def _converged(effect: TemperatureEffect, records: list[Record], settings: Settings) -> TemperatureEffect:
+    """Return the effect of temperature by Maxwell-slip models of records at the reference, in turn with the gain."""
+    for _ in range(_TURNS):
+        at_once = [replace(effect.at_reference(*pair), others=()) for pair in zip(records, effect.datums, strict=True)]
+        fit = identify(at_once, structure="maxwell_slip", norm="l2", drift=settings.drift, throw=False)
+        if not isinstance(fit.actuator, Actuator):
+            break
+        before, effect = effect, effect.refined(records, fit.traces)
+        if abs(effect.gain - before.gain) < _SAME * abs(effect.gain):
+            break
+    return effect
 
 
 def _refuse_copies(records: list[Record]) -> None:

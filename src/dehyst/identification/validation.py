@@ -295,9 +295,9 @@ def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as for the identification of an actuator, with the sensor's lag removed if it was given."""
+    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor."""
     known = actuator.identification or Identification()
-    return prepare(record, ringing=known.ringing).without_lag(known.sensor_lag)
+    return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
 
 
 def compare_all(

@@ -206,7 +206,7 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
 
 
 def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:
-    """Read all numeric columns of a file; its suffix determines the format. Errors as in `read`.
+    """Read all numeric columns of the file at `path`; its suffix determines the format. Errors as in `read`.
 
     `decimal`: decimal sign of a text file, "," or ".". `max_bytes`: largest size of the file, and of its numbers in
     memory.

@@ -374,6 +374,12 @@ class Record:
             found.append(Channel(axis or "displacement", "m", "displacement", axis, y))
         return (*found, *self.others)
 
+    @property
+    def temperature(self) -> Array | None:
+        """The temperature (n,) [degrees Celsius]; None if the record has none, or several."""
+        found = [one.values for one in self.others if one.role == "temperature"]
+        return found[0] if len(found) == 1 else None
+
     def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
         """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
 

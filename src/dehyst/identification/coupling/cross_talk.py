@@ -56,7 +56,7 @@ class CrossTalk:
         found = []
         for i, j in np.argwhere(self.beyond | doubtful).tolist():
             moved = (
-                f"beside it the voltage of {names[j]} moves axis {names[i]} by {100 * self.size[i, j]:.2g} % of its "
+                f"in addition, the voltage of {names[j]} moves axis {names[i]} by {100 * self.size[i, j]:.2g} % of its "
                 f"stroke (RMS), {self.certainty[i, j]:.2g} times the scatter"
             )
             found.append(

@@ -224,7 +224,7 @@ class StageFit:
         elif self.is_matrix:
             yield f"{matrix} a voltage moves another axis by {largest}; {floor} would count."
         else:
-            yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."
+            yield f"Coupling is NOT a matrix: in addition, a voltage moves another axis by {largest}; {floor} counts."
 
 
 def identify_stage(

@@ -21,7 +21,7 @@ from dehyst.model import Actuator, GradedSlip, MaxwellSlip, Slopes, Spring
 from dehyst.records import turning_points, white_noise
 
 _OF_RANGE = "% of range"
-_HELD_UP = " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."
+_HELD_UP = " There the fit imposed its floor, and the free slope is not known; try a smaller slope_floor."
 
 
 def model_checks(
