@@ -461,6 +461,14 @@ def samples(one: dict) -> str:
 # docs/explanation/trust.md
 
 
+def temperature() -> list[str]:
+    """Errors at temperatures that were held out."""
+    head = ("", "constant", *(f"{kind} channel, {t} degC" for kind in ("with", "without") for t in (22, 38)))
+    keys = ("constant", "with, 22", "with, 38", "without, 22", "without, 38", "promised with", "promised without")
+    rows = [[row["truth"], *(f"{row[key]:.2f}" for key in keys)] for row in data("temperature")["rows"]]
+    return table((*head, "promised with", "promised without"), rows)
+
+
 def promise() -> list[str]:
     """Coverage and sharpness of the promise."""
     found = data("promise")
@@ -524,6 +532,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/how_to/control.md": {"loop": loop},
     "docs/explanation/safety.md": {"faults": faults},
     "docs/explanation/trust.md": {"promise": promise},
+    "docs/how_to/identify.md": {"temperature": temperature},
     "docs/reference/decision_rules.md": {"rules": rules},
 }
 

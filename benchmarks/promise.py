@@ -4,10 +4,11 @@ Actuators by mechanisms that are no instance of the model are recorded, identifi
 kinds in the open loop. A promise is kept if the largest error of the path, its mean aside, is not above it; it is sharp
 if it is not much larger than the error that was reached.
 
-    python benchmarks/promise.py [calibrate] [unseen] [--jobs N]
+    python benchmarks/promise.py [calibrate] [unseen] [last] [--jobs N]
 
 calibrate  ten mechanisms; prints the factors that they ask for
 unseen     three mechanisms that had no part in finding the factors
+last       three more, made and run once when all was finished
 
 The factors in `dehyst.model.promise` are the medians over fits that leave one mechanism out each; the table beside
 them is of the mechanism that was left out.
@@ -33,6 +34,7 @@ from dehyst.model.promise import newness
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.disturbances import QUIET, Raw, Scale, filtered
+from strangers.last_truths import LAST
 from strangers.more_truths import MORE, UNSEEN
 from strangers.protocols import PROTOCOLS, Part, Protocol, leg_samples, random_turns, through
 from strangers.truths import TRUTHS, Bench
@@ -42,7 +44,7 @@ CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "u
 KINDS = ("tops", "curves", "growing", "random", "tops and random", "staircase", "speeds", "decaying")
 PATHS = ("random", "inner", "loops", "raster", "stairs")
 SHARE = 0.9
-PARTS = ("calibrate", "unseen")
+PARTS = {"calibrate": {**TRUTHS, **MORE}, "unseen": UNSEEN, "last": LAST}
 
 
 def _tops_and_random(rng, fast):
@@ -132,7 +134,7 @@ def recorded(stage, protocol, condition, rng):
 def case(job):
     """Identify one truth from one protocol under one condition, and follow all paths: a row for each."""
     name, kind, condition, seed = job
-    truth, protocol = {**TRUTHS, **MORE, **UNSEEN}[name], ALL_PROTOCOLS[kind]
+    truth, protocol = {**TRUTHS, **MORE, **UNSEEN, **LAST}[name], ALL_PROTOCOLS[kind]
     about = {"truth": name, "protocol": kind, "condition": condition, "seed": seed}
 
     def rng(what):
@@ -255,7 +257,7 @@ def jobs_of(truths, seed, every=False):
 
 def measured(part, seed, jobs):
     """Return the rows of a part, and what `promise.json` holds of it."""
-    truths, rows = [*TRUTHS, *MORE] if part == "calibrate" else [*UNSEEN], []
+    truths, rows = [*PARTS[part]], []
     with ProcessPoolExecutor(jobs) as pool:
         for found in pool.map(case, jobs_of(truths, seed)):
             rows += found

@@ -16,6 +16,7 @@ from command_line import DEHYST
 from workbench_client import done, entry, served, until, upload
 
 from dehyst import Actuator, read
+from dehyst.identification.results import read_traces
 from dehyst.records import read_table
 
 CORNERS = [[0.0, 2.0], [0.5, 9.0], [1.0, 3.0]]
@@ -53,9 +54,6 @@ def visited(tmp_path_factory, loops):
         voltage = path[1]["voltages"][0]
         answers = {
             "record": floats(client.get(f"/api/records/{record['id']}/data"), 3),
-            "heads": client.get(f"{base}/traces").json()["records"],
-            "trace": floats(client.get(f"{base}/traces/0"), 4),
-            "fit": client.get(f"{base}/fit").json(),
             "voltage": floats(client.get(f"/api/voltages/{voltage['id']}/data"), 4),
             "archive": client.get("/files/exports/my-stage-c").content,
             "report": client.get("/files/reports/my-stage.html"),
@@ -74,17 +72,16 @@ def test_a_record_is_what_the_file_holds(visited, loops):
 
 
 def test_a_model_has_a_verdict_a_range_and_traces(visited):
-    folder, _, entries, answers = visited
+    folder, _, entries, _ = visited
     model = entries["model"]
     assert (model["status"], model["verdict"]["readiness"]) == ("ready", "READY")
     assert model["verdict"]["largest_percent"] < 1
-    assert answers["fit"]["verdict"]["largest_percent"] == model["verdict"]["largest_percent"]
     actuator = Actuator.load(folder / model["file"])
     assert model["range_v"] == list(actuator.voltage_range)
     assert model["range_um"] == [1e6 * end for end in actuator.reach]
-    (head,), (_, _, measured, simulated) = answers["heads"], answers["trace"]
-    assert (head["name"], head["role"], head["samples"]) == ("loops", "training", measured.size)
-    rms = float(np.sqrt(np.mean((measured - simulated) ** 2)))
+    (trace,) = read_traces(folder / model["file"].replace(".json", ".npz"))
+    assert (trace.record, trace.role) == ("loops", "training")
+    rms = 1e6 * float(np.sqrt(np.mean((trace.measured - trace.simulated) ** 2)))
     assert 100 * rms / (model["range_um"][1] - model["range_um"][0]) == pytest.approx(
         model["table"][0]["rms_percent"], rel=0.1
     )

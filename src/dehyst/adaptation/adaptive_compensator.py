@@ -43,7 +43,7 @@ class AdaptiveSnapshot(files.JsonFile):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> AdaptiveSnapshot:
-        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is no such snapshot."""
+        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
         files.demand_format(data, FORMAT, (VERSION,))
         files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
         learnt = {name: files.numbers(values, f"learnt.{name}") for name, values in data["learnt"].items()}

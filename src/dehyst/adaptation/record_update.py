@@ -37,25 +37,26 @@ _STEPS = 2000
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """A model after a new record of its actuator.
+    """The result of an update: a model after a new record of its actuator.
 
     Attributes
     ----------
     actuator : Actuator
-        The updated model; the old one if the record does not show that another predicts better.
+        The updated model, or the old one if the update does not predict the record better.
     recheck : Recheck
-        The old model beside the record, with `changes` of gain, width and offset and their standard errors.
+        The check of the old model against the record, with `changes` of gain, width and offset and their standard
+        errors.
     used : bool
         Whether the model was updated.
     shape, shape_error : float
-        RMS displacement [m] of what changed beside gain and width, and its standard error.
+        RMS displacement [m] of the change besides gain and width, and its standard error.
     before, after, held_out : (float, float)
-        Largest and RMS error [m]: of the old and the new model on the whole record, simulated, and of the new one on
-        parts of the record that were left out of its update in turn.
+        Largest and RMS error [m]. `before`, `after`: of the old and the new model, simulated on the whole record.
+        `held_out`: cross-validation of the update over parts of the record.
     missing : tuple of str
-        Sentences: what the record could not show, and the old model keeps.
+        Sentences on properties that the record could not show; there the old model stays.
     datum : float
-        Displacement [m] by which the sensor reads more than the updated model expects: its zero, not the actuator.
+        Sensor reading minus the updated model's displacement [m], attributed to the sensor's zero.
     """
 
     actuator: Actuator
@@ -71,17 +72,17 @@ class Update:
 
     @property
     def stroke(self) -> float:
-        """To which percentages refer: the displacement between the model's limits [m]."""
+        """Displacement between the model's limits [m], the reference of percentages."""
         return self.recheck.stroke
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """What may have changed, each with its standard error; see `Change`."""
+        """Possible changes with their standard errors; see `Change`."""
         return self.recheck.changes
 
     @property
     def sentence(self) -> str:
-        """The result in one line, with its numbers."""
+        """The result and its numbers in one line."""
         old, held = (lines.percent(largest_, self.stroke) for largest_ in (self.before[0], self.held_out[0]))
         if self.used:
             return (
@@ -91,17 +92,17 @@ class Update:
 
     @property
     def promise(self) -> Promise | None:
-        """What to expect of any path within the recorded voltages by the model; None if that is not known."""
+        """The promised error of any path within the recorded voltages; None if it is not known."""
         known = self.actuator.identification
         return None if known is None or known.validity is None else known.validity.anywhere
 
     @property
     def good(self) -> bool:
-        """Whether parts that were held out are missed by the goal at most, the sensor's noise aside."""
+        """Whether the error on held-out parts, without the sensor's noise, is within the goal."""
         return self.held_out[0] - NOISE_PEAK * self.recheck.noise <= self.recheck.goal / 100 * self.stroke
 
     def sentences(self) -> tuple[str, ...]:
-        """Return what changed, a sentence each, the largest first, and what the record could not show."""
+        """Return sentences on the changes, the largest first, and on properties that the record could not show."""
         found = list(self.recheck.change_sentences())
         if self.used and self.shape > 2 * self.shape_error:
             size, error = (lines.percent(value, self.stroke) for value in (self.shape, self.shape_error))
@@ -125,13 +126,13 @@ class Update:
 
 @dataclass(frozen=True, eq=False)
 class StageUpdate:
-    """A stage after a new record: an `Update` of each actuator, and what has changed of the coupling, which stays.
+    """A stage after a new record: an `Update` of each actuator; the coupling stays, and its changes are reported.
 
     Attributes
     ----------
     stage : Stage
     updates : tuple of Update
-        Of each actuator.
+        Update of each actuator.
     coupling_changes : tuple of str
         Sentences on entries of the coupling that have changed: they need a new identification.
     """
@@ -142,7 +143,7 @@ class StageUpdate:
 
     @property
     def good(self) -> bool:
-        """Whether each actuator is followed within the goal, and the coupling is that of the model."""
+        """Whether the error of each actuator is within the goal, and the coupling has not changed."""
         return all(one.good for one in self.updates) and not self.coupling_changes
 
     def as_dict(self) -> dict[str, Any]:
@@ -153,15 +154,15 @@ class StageUpdate:
 def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> Update:
     """Update a model from a new record of its actuator, even of one loop.
 
-    Stiffnesses of slip and smooth elements, of creep branches and of the spring are fitted anew, by non-negative least
-    squares with a prior: groups of them change little, and like their neighbours. How strong the prior is, held-out
-    parts of the record decide. Thresholds, transformer, delay, inertia and limits stay.
+    Stiffnesses of slip and smooth elements, of creep branches and of the spring are fitted again, by non-negative least
+    squares with a prior that groups of them change little, and like their neighbours. Cross-validation on the record
+    determines the strength of the prior. Thresholds, transformer, delay, inertia and limits stay.
 
     Parameters
     ----------
     actuator : Actuator
     record : Record
-        One full loop of the voltage at least; minor loops show more.
+        At least one full loop of the voltage; minor loops show more.
     goal : float, optional
         As in `dehyst.check`.
 
@@ -174,7 +175,7 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     RecordError
         If the record cannot be used: no loop, too few samples, columns swapped, a clipped sensor.
     IdentifyError
-        If it is plainly not a record of the model's actuator, or no sample counts.
+        If the record clearly belongs to another actuator, or no sample counts.
     """
     recheck = check(actuator, record, goal=goal)
     if recheck.mismatch:
@@ -205,7 +206,7 @@ def update_stage(stage: Stage, record: Record, *, goal: float | None = None) -> 
     Raises
     ------
     RecordError, IdentifyError
-        As `update`, of any axis.
+        As `update`, for any axis.
     """
     changes = check_stage(stage, record, goal=goal).changes
     found = tuple(update(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
@@ -264,7 +265,7 @@ class _Rows:
         )
 
     def _validity(self, largest: float, held_out: float) -> Validity:
-        """Return what the old records and the new one tested of the updated model; errors as measured [m]."""
+        """Return the validity of the updated model after the old records and the new one; errors as measured [m]."""
         noise, known = self.recheck.noise, self.weights.actuator.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         largest_ = max(largest - NOISE_PEAK * noise, 0.0)
@@ -275,7 +276,7 @@ class _Rows:
         return known.validity.with_record(time, voltage, rms=rms_, largest=largest_)
 
     def factors(self, sums: Array, strength: float) -> Array:
-        """Return the factors (m,) that sums over rows ask for, with a prior of a strength."""
+        """Return the factors (m,) from sums over rows, with a prior of given strength."""
         weights = self.weights
         if not strength < np.inf:
             return weights.initial
@@ -289,7 +290,7 @@ class _Rows:
         return program.x
 
     def strength(self) -> float:
-        """Return the strength with the least error on folds left out in turn; infinite if none helps."""
+        """Return the prior strength with the least cross-validation error; infinite if no update helps."""
         whole, errors = self.sums.sum(axis=0), []
         for strength in (*_STRENGTHS, np.inf):
             left = 0.0
@@ -304,7 +305,7 @@ class _Rows:
     def constant(self, factors: Array) -> tuple[float, float]:
         """Return the spring's constant [V], and the shift [m] from the sensor's axis to the model's that belongs to it.
 
-        The shift is none if a change of the weights explains the offset.
+        The shift is 0 if a change of the weights explains the offset.
         """
         fitted = float(self.mean[-1] - self.mean[:-1] @ factors)
         wanted = fitted + self.slope * self.datum

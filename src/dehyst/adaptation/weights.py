@@ -4,9 +4,10 @@ Along a path of the displacement y,
 
     tau(v) = c + sum_g factor_g column_g(y),
 
-where a column is what a group of neighbouring elements, segments of the spring, a creep branch or a smooth element
-holds in the model as it was given. Columns depend on the path and on thresholds, not on factors: factors may change at
-any sample and the memory stays. A group without stiffness gets a column of the mean stiffness and the factor 0.
+where a column is the voltage that a group of neighbouring elements, a group of spring segments, a creep branch or a
+smooth element holds in the initial model. Columns depend on the path and on thresholds, not on factors: factors may
+change at any sample and the memory stays. A group without stiffness gets a column of the mean stiffness and the factor
+0.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def _cuts(count: int, groups: int) -> NDArray[np.intp]:
 class Weights:
     """Groups of the weights of an actuator and their columns.
 
-    `actuator`: the model as it was given, whose factors are `initial`. `cuts`: where groups of elements, of grades and
-    of segments of the spring begin.
+    `actuator`: the initial model, whose factors are `initial`. `cuts`: beginnings of the groups of elements, of grades
+    and of segments of the spring.
     """
 
     actuator: Actuator
@@ -59,9 +60,10 @@ class Weights:
 
     @classmethod
     def of(cls, actuator: Actuator, elements: int = 0, grades: int = _GRADES, segments: int = _SEGMENTS) -> Weights:
-        """Group the weights of an actuator; `elements`, `grades` and `segments`: most groups of each.
+        """Group the weights of an actuator; `elements`, `grades` and `segments`: largest number of groups of each.
 
-        Raise `ModelError` if the actuator has creep in displacement or a temperature, behind which nothing adapts yet.
+        Raise `ModelError` if the actuator has creep in displacement or depends on temperature, which adaptation does
+        not support.
         """
         behind = {"creep in displacement": actuator.displacement_creep, "a temperature": actuator.thermal}
         names = [name for name, part in behind.items() if part is not None]
@@ -107,7 +109,7 @@ class Weights:
 
     @cached_property
     def initial(self) -> Array:
-        """Factors of the model as it was given (m,): 1, or 0 of a group without stiffness."""
+        """Factors (m,) of the initial model: 1, or 0 for a group without stiffness."""
         (kappa, _, internal), (units, _, whole) = self.parts, self._units
         own, unit = self._grouped(kappa[None]).ravel(), self._grouped(units[None]).ravel()
         return np.concatenate([(own > 0.5 * unit) * 1.0, np.ones(self.cuts[2].size), (internal >= whole) * 1.0])
@@ -120,7 +122,7 @@ class Weights:
 
     @cached_property
     def places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Factor of each weight: of the elements (N, M), of the spring (K,) and of what moves in time (J + L,)."""
+        """Index of the factor of each weight: elements (N, M), spring (K,), creep and smooth elements (J + L,)."""
         kappa, slopes, internal = self.parts
         rows, columns = self._group_of(self.cuts[0], len(kappa)), self._group_of(self.cuts[1], kappa.shape[1])
         spring = self.springs
@@ -152,9 +154,9 @@ class Weights:
 
     @cached_property
     def anchors(self) -> Array:
-        """Columns (2, m) at points of the model that stay where they are as it ages.
+        """Columns (2, m) at points of the model that do not move with ageing.
 
-        They are the lower turning point of slow major loops, and rest at the voltage nearest to 0 V without a strain.
+        These are the lower turning point of slow major loops, and rest without strain at the voltage nearest to 0 V.
         """
         low, high = self.actuator.voltage_range
         rest = self.actuator.relaxed(min(max(0.0, low), high))
@@ -166,7 +168,7 @@ class Weights:
         return float(kept.min()), float(kept.max())
 
     def ratios(self, factors: Array) -> tuple[float, float]:
-        """Return the mean slope of the spring and the friction of all elements, of those of the model as given."""
+        """Return the mean slope of the spring and the friction of all elements, relative to the initial model."""
         given, lengths = self.actuator, np.diff(self.actuator.spring.displacement)
         branches = 0 if given.creep is None else len(given.creep)
         smooth = np.zeros(0) if given.smooth is None else given.smooth.length
@@ -181,7 +183,7 @@ class Weights:
         return slope_now / slope, friction_now / friction if friction else 1.0
 
     def prior(self, sizes: Array, ridge: float, alike: float) -> Array:
-        """Return the quadratic form (m, m) of the prior: a change is small, and like that of neighbouring groups.
+        """Return the quadratic form (m, m) of the prior: changes are small, and similar in neighbouring groups.
 
         `sizes` (m,): squares of the columns, whose mean over groups of a kind is the unit of `ridge` and `alike`.
         """
@@ -261,7 +263,7 @@ def _springs(actuator: Actuator) -> int:
 
 
 class Tracker:
-    """The memory of an actuator along a displacement that was measured, from a `state` of it on."""
+    """The memory of an actuator along a measured displacement, from an initial `state`."""
 
     def __init__(self, weights: Weights, state: State) -> None:
         self._actuator = weights.actuator
@@ -269,7 +271,7 @@ class Tracker:
         self.state = State(whole.displacement, whole.carts, whole.creep, (), whole.smooth)
 
     def follow(self, path: Array, seconds: float | None) -> tuple[Array, Array]:
-        """Follow displacements (n,) [m], so many `seconds` apart.
+        """Follow displacements (n,) [m] with steps of `seconds` [s].
 
         Return the carts (n, N) [m], and the strains and elongations (n, J + L) [m].
         """

@@ -132,9 +132,9 @@ class ModelComparison:
         if not (self.lead and self.held_out):
             return ""
         return (
-            f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, "
-            "the models of dehyst take their state and an offset of the voltage, every other model takes a constant: "
-            "its mean error there."
+            f"The first {self.lead:g} s of held-out records do not count. From the displacement measured there, the "
+            "models of dehyst take their state and an offset of the voltage, every other model takes a constant: its "
+            "mean error there."
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def compare(
     Parameters
     ----------
     records : Record or sequence of Record, optional
-        Training records; default: those of the first virtual actuator, with its held-out ones.
+        Training records; default: records of the first virtual actuator, with its held-out ones.
     validate : Record or sequence of Record, optional
         Held-out records.
     truths : sequence of str, optional

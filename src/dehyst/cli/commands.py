@@ -34,9 +34,7 @@ dehyst identify loops.csv -o model.json         fit a model to your loops
 dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
-_OWN = {
-    "workbench": ("dehyst.cli.workbench", "Try it", "The whole way in a browser, with your records or an instrument")
-}
+_OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records or an instrument")}
 # What an option of a reader is in --columns.
 _KEYS = {
     "time": "time=NAME",
@@ -60,7 +58,7 @@ class _Typed(click.ParamType):  # type: ignore[type-arg]
         self.kind, self.name = kind, kind.metavar.lower()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what one word means, or several."""
+        """Return the value of one word or several."""
         try:
             return self.kind.parse_words([value] if isinstance(value, str) else value)
         except (ValueError, DehystError) as error:

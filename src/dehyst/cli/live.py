@@ -140,7 +140,7 @@ class Live:
             step.error, step.largest = float(errors[-1]), max(step.largest or 0.0, float(errors.max()))
 
     def message(self, text: str) -> None:
-        """Show what the step does now."""
+        """Show the present activity of the step."""
         self.text = text
 
     def _end(self, status: Status) -> None:
@@ -285,7 +285,7 @@ def _numbers(live: Live) -> Iterator[str]:
 
 
 def summary(step: ShownStep) -> str:
-    """Return what an ended step took, as words."""
+    """Return duration and error of an ended step as text."""
     parts = [_duration(step.took)]
     if step.samples:
         parts.append(f"{_grouped(step.samples)} samples")

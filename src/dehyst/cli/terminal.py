@@ -28,7 +28,7 @@ class UnprintedError(Exception):
 
 
 def echo(line: object = "", *, err: bool = False) -> None:
-    """Print one line on standard output or standard error; what would end or change a line is escaped."""
+    """Print one line on standard output or standard error; control characters are escaped."""
     _write(f"{escaped(line)}\n", err=err)
 
 
@@ -50,7 +50,7 @@ class TerminalRun(InterruptibleRun):
         self._quiet, self._show = quiet, progress_line()
 
     def progress(self, words: str) -> None:
-        """Show what is being done; empty words end that."""
+        """Show the present activity; an empty text ends this."""
         self._show(words)
 
     def note(self, sentence: object) -> None:

@@ -76,7 +76,7 @@ class Compensator(ReadOnly):
     ------
     ModelError
         If there are no limits, or they are not an interval, a number is not positive, the state does not fit the
-        actuator, a period is missing or too long for a resonance, or the unit is no length.
+        actuator, a period is missing or too long for a resonance, or the unit is not a length.
     """
 
     actuator: Actuator
@@ -208,7 +208,7 @@ class Compensator(ReadOnly):
         self._loop.commit(self._loop.sent())
 
     def run(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (n,) [V] of n steps for displacements (n,) [m, or `units`], and commit them.
+        """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
         Raises
         ------
@@ -381,7 +381,7 @@ class Compensator(ReadOnly):
         return snapshot.model == f"{self.model_ids()[0]:08x}"
 
     def exchange(self, actuator: Actuator) -> None:
-        """Continue with another model of the same actuator, e.g. with adapted weights; the memory stays.
+        """Continue with another model, `actuator`, of the same device, e.g. with adapted weights; the memory stays.
 
         Limits, slew rate and preview stay. Models of the same shape may be exchanged at any sample. They have the same
         shape if breakaway elongations, time constants of creep, lengths of smooth elements, resonance and lag agree,

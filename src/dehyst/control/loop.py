@@ -119,7 +119,7 @@ class Snapshot(files.JsonFile):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Snapshot:
-        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is no snapshot of this version."""
+        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
         files.demand_format(data, FORMAT, (VERSION,))
         files.demand_keys(data, {"format", "version", "key", "model", "state", "rest", "counts"}, "snapshot")
         rest = files.numbers(data["rest"], "rest")

@@ -164,8 +164,8 @@ def export(
     Raises
     ------
     ModelError
-        If it is no Compensator, the number type is another one, floats cannot hold this model, or the name is no name
-        in C or has a meaning there.
+        If `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model, or the name is
+        not valid in C or has a meaning there.
     FileFormatError
         If `directory` is not a path, the folder holds other files, or it cannot be written.
     """

@@ -169,7 +169,7 @@ def dask_setup(_worker: Any) -> None:
 
 
 def run_one(head: Mapping[str, Any], task: Task) -> dict[str, Any]:
-    """Run one task in a worker; return what the client needs to know."""
+    """Run one task in a worker; return the answer for the client."""
     runner: TaskRunner | None = getattr(_here, "runner", None)
     if runner is None or runner.head != head:
         _here.runner = runner = TaskRunner(head)

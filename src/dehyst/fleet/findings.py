@@ -182,7 +182,7 @@ def _some(title: str, texts: list[str]) -> list[str]:
 def findings_of(fleet: Fleet, *, threshold: float = THRESHOLD) -> Findings:
     """Return the findings in the table of a `fleet`.
 
-    `threshold`: robust standard deviations beyond which a record is listed. Raise `IdentifyError` if it is no finite
+    `threshold`: robust standard deviations beyond which a record is listed. Raise `IdentifyError` if it is not a finite
     number above 0, `FileFormatError` if the table is empty.
     """
     if not (isfinite(threshold) and threshold > 0):

@@ -96,7 +96,7 @@ class Fleet:
 def load(path: PathLike) -> Fleet:
     """Read the table that `dehyst fleet identify` wrote to `path`; models are read on request.
 
-    Raise `FileFormatError` if it is no such table, `MissingExtraError` without pyarrow.
+    Raise `FileFormatError` if the file is not such a table, `MissingExtraError` without pyarrow.
     """
     target = io.path_of(path)
     with io.reading_errors(target, "Parquet"), arrow().parquet.ParquetFile(target) as file:
@@ -303,7 +303,7 @@ class Shards:
         return None
 
     def write(self, task: Task, row: Mapping[str, Any]) -> None:
-        """Write the row of a record, whole or not at all."""
+        """Write the row of a record completely or not at all."""
         path = self._made(task)
         head = {"format": _ROW, "digest": self.digest, PLACE: task.within}
         io.write_atomically(path, json.dumps(io.finite({**head, **row}), allow_nan=False))

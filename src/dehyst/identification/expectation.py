@@ -39,25 +39,25 @@ class Expectation:
     Attributes
     ----------
     rms, largest : float
-        Bounds that nine of ten paths should keep which turn anywhere within the recorded voltages [m]: see `Validity`.
+        Bounds [m] that nine of ten paths within the recorded voltages should keep: see `Validity`.
     measured : float
-        RMS error of the records from which that comes, as measured [m].
+        Measured RMS error of the records from which the bounds follow [m].
     noise : float
         Standard deviation of the sensor [m].
     stroke : float
-        To which percentages refer [m].
+        Reference of percentages [m].
     goal : float
         Allowed largest error [% of the stroke].
     basis : str
         "validation records" or parts of the training records, in words.
     reasons : tuple of str
-        Why the model is not ready, besides its error: each a phrase.
+        Phrases on why the model is not ready, besides its error.
     if_actuator_lags : (float, float), optional
-        The same errors (rms, largest) [m] if the actuator, and not the sensor, lags: where the records leave that open.
+        `rms` and `largest` [m] if the actuator lags instead of the sensor; given if the records leave this open.
     tested : bool
-        Whether the errors are those of validation records.
+        Whether the errors come from validation records.
     untested : tuple of str
-        What the records do not test of such a path, each a sentence.
+        Sentences on properties of such a path that the records do not test.
     """
 
     rms: float
@@ -92,7 +92,7 @@ class Expectation:
 
     @property
     def why_not_ready(self) -> tuple[str, ...]:
-        """All that keeps the model from being ready, its error too: each a phrase."""
+        """Phrases on all reasons why the model is not ready, including its error."""
         above = self.largest_percent > self.goal
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
@@ -105,13 +105,13 @@ class Expectation:
 
     @property
     def words(self) -> str:
-        """The verdict with its two numbers, in a few words."""
+        """The verdict with its two numbers, as a short text."""
         errors = f"expect {self._part(self.rms)} RMS and {self._part(self.largest)} at most"
         return f"{self.readiness.value}; {errors} of {self.stroke * 1e6:.4g} um"
 
     @property
     def headline(self) -> str:
-        """The verdict and the largest error to expect, which is the number to remember, with the RMS error."""
+        """The verdict, with the largest and the RMS error to expect."""
         return (
             f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
             f"{self._both(self.rms)} RMS"
@@ -126,7 +126,7 @@ class Expectation:
 
     @property
     def origin(self) -> str:
-        """What the expected errors come from, and what they are if not the actuator but the sensor lags."""
+        """Origin of the expected errors, and their values if the sensor lags instead of the actuator."""
         text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
         if self.if_actuator_lags is None:
             return text
@@ -135,7 +135,7 @@ class Expectation:
 
     @property
     def reservations(self) -> tuple[str, ...]:
-        """Why the model is not ready, besides its error, each a sentence."""
+        """Sentences on why the model is not ready, besides its error."""
         return tuple(f"{one[0].upper()}{one[1:]}." for one in self.reasons)
 
     @property
@@ -164,7 +164,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors on parts of the records that were not trained on; 0 where that was not tried.
+    """Errors on held-out parts of the records; 0 if not computed.
 
     `in_time`: RMS error of parts of the training records that were held out in turn [m]. `disagreement`: RMS distance
     of other structures that explain the records as well, on a random path [m]. `noise`: standard deviation of the
@@ -187,7 +187,7 @@ def validity_of(
     *,
     validated: bool = True,
 ) -> Validity:
-    """Return what records tested of a model.
+    """Return the domain of validity of a model from its records.
 
     `records`, `errors`, `remaining`: one each, training first. `noise`: standard deviation of the sensor [m]. `lag` [s]
     that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out parts.
@@ -224,7 +224,7 @@ def legs_of(records: Sequence[tuple[Array, Array]], span: float) -> list[Array]:
 
 
 def new_legs(held_out: Array, others: Array) -> tuple[float, float]:
-    """Return how far held-out rises, and falls, are from others: `Validity.new`.
+    """Return the distances of held-out rises, and of held-out falls, from others: `Validity.new`.
 
     Both are legs (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
     """
@@ -246,9 +246,9 @@ def expectation(
     goal: float,
     caveats: Sequence[str] = (),
 ) -> Expectation:
-    """Return what to expect of a path that turns anywhere within the recorded voltages, at recorded speeds.
+    """Return the errors to expect on a path that turns anywhere within the recorded voltages, at recorded speeds.
 
-    `errors`, `checks`: those of a `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
+    `errors`, `checks`: as in `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
     `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.
     """
     training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
@@ -291,7 +291,7 @@ def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], g
         reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
     drifted = max(abs(one.drifted_percent) for one in errors)
     if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which a path will show")
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
     return reasons
 
 

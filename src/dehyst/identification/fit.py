@@ -34,9 +34,9 @@ class Fit:
     errors : tuple of RecordErrors
         One for each record, training first, then validation.
     repairs : tuple of str
-        Sentences: what was left out, shifted or removed before or during the fit.
+        Sentences on data that were left out, shifted or removed before or during the fit.
     remarks : tuple of str
-        Sentences: limits of the result.
+        Sentences on the limits of the result.
     traces : tuple of Trace
         Measured and simulated displacement of each record.
     status : str
@@ -50,11 +50,11 @@ class Fit:
     trials : tuple of dehyst.identification.structure_selection.StructureTrial
         Structures that were tried, if one was selected.
     expectation : Expectation or None
-        How well a path will be followed, and the verdict; None when the outcome is `Outcome.FAILED`.
+        Expected error of a path, and the verdict; None when the outcome is `Outcome.FAILED`.
     remaining : tuple of RemainingError
-        Where the error of each record comes from.
+        Sources of each record's error.
     holds : HeldOutHolds or None
-        How far held-out holds were missed with each form of creep, if the records tell; None otherwise.
+        Errors in held-out holds with each form of creep; None if the records do not show them.
     """
 
     actuator: Any
@@ -87,12 +87,12 @@ class Fit:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
 
-        `full` returns what `--all` prints: errors, structures, parts, repairs and all remarks beside.
+        `full` returns what `--all` prints: also errors, structures, parts, repairs and all remarks.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 
     def to_dataframe(self) -> DataFrame:
-        """Return the errors as a pandas DataFrame, a row a record: in % of the stroke and in nm.
+        """Return the errors as a pandas DataFrame, one row for each record: in % of the stroke and in nm.
 
         Raise `MissingExtraError` if pandas is not installed.
         """
@@ -112,9 +112,9 @@ class Fit:
         Parameters
         ----------
         kind : str
-            "loops": displacement over voltage. "hysteresis": the same less the straight line through the measured
-            loops, which shows hysteresis and misfit enlarged. "residuals": measured minus simulated over displacement,
-            rising and falling branches apart. "residuals in time".
+            "loops": displacement over voltage. "hysteresis": loops minus the straight line through the measured loops,
+            which enlarges hysteresis and misfit. "residuals": measured minus simulated over displacement, rising and
+            falling branches apart. "residuals in time".
         ax : matplotlib.axes.Axes, optional
             Where to draw; default: the axes of a new figure.
 
@@ -133,7 +133,7 @@ class Fit:
 
     @property
     def good(self) -> bool:
-        """Whether the model may be used: neither its outcome nor what is expected of it forbids that."""
+        """Whether the model may be used: neither its outcome nor its expected error forbids this."""
         usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
         return self.outcome.good and usable
 

@@ -57,9 +57,9 @@ class Dropped(NamedTuple):
 
 
 def block_error(frame: TrainingData, regression: Regression, *, detrended: bool = False) -> float:
-    """Return the error [m] of parts of the time that were not trained on; `detrended`: less a line in each record.
+    """Return the error [m] on held-out parts of the time; `detrended`: without a linear trend in each record.
 
-    The median RMS error of the parts: one with the only loops of their size says little of the others.
+    It is the median RMS error of the parts, because a part with the only loops of their size is not representative.
     """
     errors = []
     for _, time, residual, held_out in _residuals(frame, regression.thinned(_ROWS)):
@@ -72,7 +72,7 @@ def block_error(frame: TrainingData, regression: Regression, *, detrended: bool 
 
 
 def drift_and_creep(frame: TrainingData) -> tuple[bool, bool]:
-    """Return whether a drift predicts time that was not trained on, and whether creep does so as well."""
+    """Return whether a drift predicts held-out time, and whether creep predicts it equally well."""
     drifting = frame.regression(_STEADY, _ROWS // 2)
     creeping = frame.regression(replace(_STEADY, creep=_BRANCHES), _ROWS // 2)
     without, drift, creep = (block_error(frame, one) for one in (replace(drifting, drifting=()), drifting, creeping))
@@ -80,9 +80,9 @@ def drift_and_creep(frame: TrainingData) -> tuple[bool, bool]:
 
 
 def followed_at_once(frame: TrainingData, structure: Structure) -> float:
-    """Return the part of a step that creep of a structure adds within a twentieth of a cycle, where that is a low-pass.
+    """Return the part of a step that a structure's creep adds within a twentieth of a cycle, as a low-pass does.
 
-    0 if it is as slow as creep is.
+    It is 0 if it is as slow as creep.
     """
     if not structure.creep:
         return 0.0
@@ -136,7 +136,7 @@ def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Arra
 
 
 def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, report: Progress) -> Dropped | None:
-    """Return the first part that moves in time and does not predict time that was not trained on; None if all do.
+    """Return the first time-dependent part that does not predict held-out time; None if all do.
 
     `frame`, `structure`: as they were found. `still`: the same records without inertia. `report`: called with a few
     words at each step.
@@ -163,9 +163,9 @@ def unsupported(frame: TrainingData, still: TrainingData, structure: Structure, 
 
 
 def new_in_time(frame: TrainingData) -> tuple[float, float]:
-    """Return how far rises, and falls, of the parts that `block_error` holds out are from all others.
+    """Return the distances of rises, and of falls, in the parts held out by `block_error` from all others.
 
-    As a part of the range: the root mean square over the parts.
+    Each is an RMS over the parts, relative to the range.
     """
     low, high = frame.voltages
     part, pairs = [], []
@@ -212,9 +212,9 @@ def disagreement(
 
 
 def held_out_holds(frame: TrainingData, search: CreepSearch) -> HeldOutHolds | None:
-    """Return how far the drift of held-out holds is missed; None if none can be held out.
+    """Return the errors of the drift in held-out holds; None if no hold can be held out.
 
-    Creep in displacement is found anew without the time that is held out.
+    Creep in displacement is identified again without the held-out time.
     """
     forced = replace(_STEADY, creep=_BRANCHES)
     still = replace(frame, creepless=True)

@@ -1,4 +1,4 @@
-"""Records of voltage and displacement to an identified actuator: the function, and its steps in order."""
+"""Identification of an actuator from records of voltage and displacement: the function and its steps in order."""
 
 from __future__ import annotations
 
@@ -30,9 +30,13 @@ from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import simplest
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.structured_fit import refine as refine_by_simulation
+from dehyst.identification.temperature import TemperatureEffect, temperature_effect
 from dehyst.identification.training_data import TrainingData
 from dehyst.model import Actuator, Outcome
 from dehyst.records import Record
+
+# Turns of a model at the reference temperature and the gain by it, and the change of the gain that ends them.
+_TURNS, _SAME = 8, 0.002
 
 
 def identify(
@@ -63,50 +67,51 @@ def identify(
     Parameters
     ----------
     records : Record or sequence of Record
-        Training records, together with one loop at least; minor loops decide how well other motions are predicted.
+        Training records with at least one loop in total; minor loops improve the prediction of other motions.
     validate : Record or sequence of Record, optional
         Records that are only simulated. Each gets its own constant (and datum and drift), as training records do.
     method : {"record", "breakpoints", "antisymmetric"}
-        Every sample of every record (default); the paper's linear program on break points (Sec. 4.1); Remark 2's
-        closed form, without a nonlinear spring.
+        "record": every sample of every record (default). "breakpoints": the paper's linear program on break points
+        (Sec. 4.1). "antisymmetric": the closed form of Remark 2, without a nonlinear spring.
     elements : int, optional
         Number N of slip elements on the paper's uniform grid over the widest loop, rho_i = i range / (2 N);
         default 20 (10 for the paper's methods).
     breakaway : (N,) array_like, optional
-        Breakaway elongations [m] in place of the grid; "record" only.
+        Breakaway elongations [m] instead of the grid; "record" only.
     norm : {"l1", "l2", "linf"}, optional
-        Of the weighted residuals; "record" only.
+        Norm of the weighted residuals; "record" only.
     knots : int, optional
-        Knots of the spring; default N + 1, 41 at most. "record" only.
+        Number of knots of the spring; default: N + 1, at most 41. "record" only.
     slope_floor : float, optional
         Least slope of the spring as a fraction of the mean slope of the widest loop (Assumption I with a margin).
     delay : float, optional
-        Seconds by which the displacement lags the voltage; default: estimated from the training records.
+        Time by which the displacement lags the voltage [s]; default: estimated from the training records.
     sensor_lag : float, optional
         Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown.
-        Any other lag counts as the actuator's: a record does not show which of them lags.
+        Any other lag counts as the actuator's, because a record does not show whether the sensor or the actuator lags.
     shared_datum : bool, optional
-        Say that no record zeroed its sensor anew; default: each record's datum is looked for.
+        State that the sensor kept its zero in all records; default: the datum of each record is searched for.
     drift : bool, optional
-        Whether a record may creep by a logarithm of the time since its start, which is then set aside.
+        Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.
     branch : {"descending", "ascending"}, optional
         "antisymmetric" only.
     structure : {"auto", "maxwell_slip"} or Structure, optional
-        How much model: what cycles held out in turn ask for (default: more elements, a transformer, graded elements,
-        creep, smooth elements, inertia), Maxwell-slip elements and a spring as in Yeh's paper, or a structure that is
-        given. Options of Maxwell-slip only (elements, breakaway, knots, another method) imply "maxwell_slip".
+        Parts of the model. "auto": cross-validation selects them (more elements, a transformer, graded elements, creep,
+        smooth elements, inertia). "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
+        Default: "auto", but "maxwell_slip" if one of its own options is given (elements, breakaway, knots, another
+        method).
     refine : bool, optional
-        Try Gauss-Newton steps that make the error of simulation small, thresholds free, and keep them if they are
-        better on cycles held out; not for "maxwell_slip".
+        Try Gauss-Newton steps that reduce the simulation error, with free thresholds, and keep them if held-out cycles
+        improve; not for "maxwell_slip".
     goal : float, optional
         Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
     throw : bool, optional
-        Raise if the solver finds no optimum (default), or return a Fit with `Outcome.FAILED`.
+        Raise an error if the solver finds no optimum (default); otherwise return a Fit with `Outcome.FAILED`.
     progress : callable, optional
-        Called with a few words at each step.
+        Called with a short text at each step.
     time_limit : float or Deadline, optional
-        Seconds after which no further step of a search begins; the best model so far is completed, by least squares if
-        the program in another norm is not solved by then, and `Fit.remarks` names it. That takes some time more.
+        Time [s] after which no further step of a search begins. Then the best model so far is completed, by least
+        squares if the program in another norm is not solved yet, and `Fit.remarks` names it; this takes some more time.
         Another thread or a signal handler can end a `Deadline`.
     first_model : callable, optional
         Called once with a Maxwell-slip actuator, as soon as delay and sensor data are known; "record" only. It is a
@@ -121,7 +126,7 @@ def identify(
     RecordError
         If a record cannot be used: no loop, columns swapped, a clipped sensor, too few samples or cycles.
     IdentifyError
-        If an option is impossible, or no sample determines anything of the elements.
+        If an option is impossible, or no sample contains information on the elements.
     """
     settings = Settings(
         method,
@@ -144,6 +149,11 @@ def identify(
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     structure = _checked_structure(structure, settings, refine)
     _refuse_copies([*training, *held_out])
+    effect, measured = temperature_effect(training), training
+    if effect is not None:
+        effect = _converged(effect, training, settings)
+        training = [effect.at_reference(one, datum) for one, datum in zip(training, effect.datums, strict=True)]
+        held_out = [effect.at_reference(one) for one in held_out]
     report("checking the records")
     # Maxwell-slip takes every sample as it is; other structures take means of so many samples at most.
     most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
@@ -164,7 +174,24 @@ def identify(
         fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
+    if effect is not None and isinstance(fit.actuator, Actuator):
+        effect = effect.refined(measured, fit.traces)
+        found = replace(fit.actuator, thermal=effect.of(fit.actuator))
+        fit = replace(fit, actuator=found, remarks=(effect.sentence, *fit.remarks))
     return fit
+
+
+def _converged(effect: TemperatureEffect, records: list[Record], settings: Settings) -> TemperatureEffect:
+    """Return the effect of temperature by Maxwell-slip models of records at the reference, in turn with the gain."""
+    for _ in range(_TURNS):
+        at_once = [replace(effect.at_reference(*pair), others=()) for pair in zip(records, effect.datums, strict=True)]
+        fit = identify(at_once, structure="maxwell_slip", norm="l2", drift=settings.drift, throw=False)
+        if not isinstance(fit.actuator, Actuator):
+            break
+        before, effect = effect, effect.refined(records, fit.traces)
+        if abs(effect.gain - before.gain) < _SAME * abs(effect.gain):
+            break
+    return effect
 
 
 def _refuse_copies(records: list[Record]) -> None:

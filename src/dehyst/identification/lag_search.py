@@ -82,7 +82,7 @@ class _LagSearch:
         self._known: dict[tuple[str, float, float], float] = {}
 
     def delay(self, longest: float) -> float:
-        """Return the delay [s] of least residual; 0 unless that is worth it."""
+        """Return the delay [s] with the least residual; 0 unless it is significant."""
         frame = self._frame
         voltage = self._regression(frame).rows.voltage
         return searched_delay(self.residual, longest, frame.times[0], voltage, frame.stroke, _POINTS)

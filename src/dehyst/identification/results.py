@@ -33,8 +33,8 @@ class RecordErrors:
     """Measured minus simulated displacement of one `record`, where its state is known.
 
     `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
-    `largest_with_drift` [m] is as `rms_with_drift`. `offset` [m] is the constant that was set aside. `datum` [m] is
-    that of the sensor.
+    `largest_with_drift` [m] is the largest error with the drift included. `offset` [V] is the constant that was
+    removed. `datum` [m] is the datum of the sensor.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class RecordErrors:
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
         Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: the
-        first rise from an unknown state, and single outliers, are set aside. Default: those of all samples.
+        first rise from an unknown state, and single outliers, are set aside. Default: errors of all samples.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
@@ -177,17 +177,18 @@ _NEIGHBOURS, _APART = 20, 0.15
 
 @dataclass(frozen=True)
 class RemainingError:
-    """Where the error of a record comes from: shares of the power of its residual.
+    """Sources of a record's error, as shares of the power of its residual.
 
     Attributes
     ----------
     record, role : str
     rms : float
-        RMS of the residual less its mean [m].
+        RMS of the residual without its mean [m].
     noise, slow, vibration, model : float
-        Shares of white noise, of drift and the like, of a line that the voltage does not have, and of the model.
+        Shares of white noise, of drift and other slow causes, of vibration (a line not in the voltage), and of the
+        model.
     frequency : float
-        That of the line [Hz]; 0 without one.
+        Frequency of the vibration [Hz]; 0 without one.
     means : tuple of float
         Mean residual, its slow part aside [m]: where the voltage rises, in the lowest, middle and highest third of the
         displacements, then where it falls. Empty without an error.
@@ -210,7 +211,7 @@ class RemainingError:
 
     @property
     def sensed(self) -> float:
-        """RMS of what is the sensor's: white noise and vibration [m]."""
+        """RMS of the sensor's part: white noise and vibration [m]."""
         return self.rms * float(np.sqrt(self.noise + self.vibration))
 
     def sentence(self, stroke: float) -> str:
@@ -218,7 +219,7 @@ class RemainingError:
         return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
 
     def causes(self, stroke: float) -> str:
-        """Return the shares in words, lengths as parts of `stroke` [m], with what would reduce the largest one."""
+        """Return the shares as text, with lengths as parts of `stroke` [m], and a remedy for the largest share."""
         parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
         if self.vibration:
             size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"
@@ -243,9 +244,9 @@ class RemainingError:
 def remaining_error(trace: Trace) -> RemainingError:
     """Split the mean square of a record's residual.
 
-    White noise is what differs from one sample to the next. Slow is what remains in means over a cycle: drift,
-    temperature, creep that the model lacks. A line that the voltage does not have is a vibration. The rest repeats
-    with the voltage: the model's own error.
+    White noise differs from sample to sample. The slow part remains in means over a cycle: drift, temperature, creep
+    that the model lacks. A line that is not in the voltage is a vibration. The rest repeats with the voltage: it is the
+    model's own error.
     """
     residual = trace.residual - trace.residual.mean()
     total = float(np.mean(residual**2))
@@ -332,7 +333,7 @@ class Check:
         The assumption: "Assumption I", "Anti-symmetry", ...
     verdict : Verdict
     value, floor : float or None
-        The measured value, and the value that noise alone would give (for Assumption I the least allowed); None where
+        The measured value, and the largest value due to noise alone (for Assumption I the least allowed value); None if
         there is no such number.
     unit : str
         Unit of both.
@@ -361,8 +362,8 @@ _COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", 
 class HeldOutHolds:
     """RMS errors [m] of the drift in held-out holds of the voltage, by form of creep; see `held_out.held_out_holds`.
 
-    `without`: of a model without creep. `force`: with creep as a force beside the elements. `displacement`: with creep
-    in displacement, behind them.
+    `without`: of a model without creep. `force`: with creep as a force parallel to the elements. `displacement`: with
+    creep in displacement, behind them.
     """
 
     without: float
@@ -379,7 +380,7 @@ class HeldOutHolds:
         return {f"{name}_m": error for name, error in asdict(self).items()}
 
     def sentence(self, actuator: Actuator) -> str:
-        """Return which form of creep an `actuator` has, and what each form leaves of the drift."""
+        """Return a sentence on the form of creep of an `actuator`, and on the remaining drift with each form."""
         force, behind = (100 * error / self.without for error in (self.force, self.displacement))
         forms = {"as a force": (actuator.creep, force), "in displacement": (actuator.displacement_creep, behind)}
         others = [f"{left:.0f} % {form}" for form, (part, left) in forms.items() if part is None]
@@ -397,7 +398,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     It has the arrays time_s_1, voltage_V_1, measured_m_1 and simulated_m_1 of the first record, and so on; the array
     "dehyst-output" is JSON in bytes: name, role and first time [s] of each.
 
-    Raise `FileFormatError`: the suffix is another one, or the file cannot be written.
+    Raise `FileFormatError` if the suffix is not .npz, or the file cannot be written.
     """
     if Path(path).suffix.lower() != ".npz":
         raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
@@ -411,7 +412,7 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
 def read_traces(path: PathLike) -> Iterator[Trace]:
     """Yield the traces that `write_traces` wrote to a `path`, one at a time.
 
-    Raise `FileFormatError`: the file cannot be read, or is another one.
+    Raise `FileFormatError` if the file cannot be read, or holds no traces.
     """
     with reading_errors(Path(path), ".npz"), np.load(path, allow_pickle=False) as archive:
         if _HEADS not in archive:

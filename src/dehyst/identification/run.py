@@ -86,7 +86,7 @@ class IdentificationRun:
 
     @property
     def drive(self) -> Sampling:
-        """How to sample a voltage that is to be recorded, like that of the records."""
+        """Sampling for a voltage to record, like the sampling of the records."""
         return messages.drive_like(self.limits, self.training)
 
     @cached_property
@@ -234,7 +234,7 @@ class IdentificationRun:
         return actuator if self.creep is None else replace(actuator, displacement_creep=self.creep)
 
     def recorded(self) -> dict[str, Any]:
-        """Return the voltages and their slew rate in what was used, and how it was used, as arguments of `Actuator`."""
+        """Return voltages, slew rate and identification of the used records as arguments of `Actuator`."""
         settings = self.settings
         known = Identification(
             method=settings.method,
@@ -293,7 +293,7 @@ class IdentificationRun:
         return float(np.sqrt(np.average([one.rms**2 for one in errors], weights=[one.samples for one in errors])))
 
     def estimate_heldout_errors(self, frame: TrainingData, regression: Regression, actuator: Actuator) -> None:
-        """Find how far the actuator misses what it was not trained on."""
+        """Estimate the actuator's error on held-out data."""
         voltages = [item.record.voltage for item in (*self.training, *self.held_out)]
         self.remarks += messages.of_one_ended_loops(voltages, self.drive)
         grows = 1.0 if self.creep is None else self.creep.at_rest

@@ -35,8 +35,8 @@ _ALIKE, _HARDLY = 1e-2, 1e-9
 class StartState(NamedTuple):
     """Carts at the first sample of a piece.
 
-    `carts` (N,): positions [m], on the axis of the displacement. `constant`: what the voltages have beside the model's
-    [V]. `creep` (J,): what creep branches hold beside what the path since then gives them [V].
+    `carts` (N,): positions [m], on the axis of the displacement. `constant`: offset of the voltages from the model's
+    [V]. `creep` (J,): voltages that creep branches hold in addition to those due to the path since then [V].
     """
 
     carts: Array
@@ -53,12 +53,13 @@ def fit_start(
     constant: float | None = None,
     counted: Mask | None = None,
 ) -> StartState:
-    """Fit the carts and what creep branches hold at the first sample.
+    """Fit the carts, and the voltages that creep branches hold, at the first sample.
 
-    `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): what the
-    elements hold there [V], up to a constant and the creep before the first sample. `fades` (n, J): what is left of one
-    volt that each creep branch held at the first sample. `most` (J,): the largest such voltages [V]. `constant`: the
-    constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the elements only.
+    `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): voltage
+    that the elements hold there [V], up to a constant and the creep before the first sample. `fades` (n, J): the
+    remainder of one volt that each creep branch held at the first sample. `most` (J,): the largest such voltages [V].
+    `constant`: the constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the
+    elements only.
     """
     y, left, known = np.ascontiguousarray(displacement), force - (constant or 0.0), constant is not None
     problem = _Problem(slip, y, left, fades * most, known, slice(None) if counted is None else counted)

@@ -238,8 +238,8 @@ class Grid:
     def places(self, strained: int = 0) -> dict[str, slice]:
         """Return the places of each kind of unknown that is not negative, in the order of the program.
 
-        `strained`: number of records whose creep branches may not be at rest as they begin; each branch has two
-        unknowns there, what is added and what is taken away.
+        `strained`: number of records whose creep branches may not be at rest as they begin; each branch then has two
+        unknowns, a positive and a negative strain.
         """
         branches = self.time_constants.size
         sizes = {

@@ -56,7 +56,7 @@ class StructureTrial:
 
 
 class Tried(NamedTuple):
-    """A trial, and what its successors start from: weights of the rows (n,), and unknowns that are not zero."""
+    """A trial, and the start of its successors: weights of the rows (n,), and nonzero unknowns."""
 
     trial: StructureTrial
     weights: Array | None = None
@@ -72,7 +72,7 @@ def select(
     stroke: float = float("nan"),
     deadline: Deadline | None = None,
 ) -> tuple[Structure, tuple[StructureTrial, ...]]:
-    """Add the part that reduces the held-out error most, repeatedly, until no part is worth it; then tune.
+    """Add the part that reduces the held-out error most, repeatedly, until no part improves it enough; then tune.
 
     `build`: structure -> regression on the same samples, thinned. `progress`: called with a few words at each trial.
     `without`: fields of a structure that must not change. `stroke`: range of the widest loop [m], to which reported
@@ -142,7 +142,7 @@ class _Search:
         return best
 
     def straightened(self, best: Tried) -> Tried:
-        """Return the structure without a transformer, if that is hardly worse beside graded elements."""
+        """Return the structure without a transformer, if graded elements make the error hardly larger without it."""
         structure = best.trial.structure
         if self.stopped or not structure.transformer or structure.grades == 1:
             return best

@@ -37,7 +37,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class StructuredFit:
-    """What the records and a structure make.
+    """The fit of a structure to the records.
 
     `found`: of an actuator only if its solution is optimal.
     """
@@ -77,7 +77,7 @@ class StructuredFit:
         return SimulationError.of(self.actuator, self.frame.training, self.regression.datum, self.frame.stroke)
 
     def tune_dynamics(self, report: Progress) -> StructuredFit:
-        """Return the same with the dynamics that simulate the records best, if they do so better."""
+        """Return a copy with the dynamics that simulate the records best, if they improve the simulation."""
         best, playback = self, self.playback()
         error = rms(playback.errors(self.actuator))
         for _ in range(_ROUNDS):

@@ -85,7 +85,7 @@ def find_dynamics(error: Callable[[Lagging], float], delay: float, sample_time: 
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """What all structures of one identification share.
+    """Data shared by all structures of one identification.
 
     Attributes
     ----------

@@ -102,18 +102,18 @@ class RecordComparison:
 
     @property
     def offsets(self) -> list[float]:
-        """Offset [V] of each epoch; one of which thinning left no row has that of the nearest."""
+        """Offset [V] of each epoch; an epoch without rows after thinning has the offset of the nearest one."""
         known = sorted(self.found.offsets)
         nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
         return [self.found.offsets[k] - self.base for k in nearest]
 
     def last_offsets(self) -> list[float]:
-        """Offset [V] of the last epoch of each piece, that of the one before where a piece has none."""
+        """Offset [V] of the last epoch of each piece; a piece without epochs has the offset of the piece before."""
         offsets = self.offsets
         return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
 
     def played(self, actuator: Actuator) -> list[tuple[int, Epoch, tuple[Array, ...]]]:
-        """Piece number, epoch, and what `play` gives, of every epoch."""
+        """Piece number, epoch, and result of `play` for every epoch."""
         parts, left = [], iter(self.offsets)
         for number, own in enumerate(self.epochs):
             for epoch in own:
@@ -128,7 +128,7 @@ class RecordComparison:
         """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
 
         Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
-        [V]. Through what is set aside the displacement leads the model.
+        [V]. In excluded stretches, the measured displacement drives the model.
         """
         (_, piece, curve), (state, offset), block = self.whole[number], begin, self.given.block
         last = len(piece) if span.stop == len(self.measured[number]) else span.stop * block
@@ -295,9 +295,9 @@ def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as for the identification of an actuator, with the sensor's lag removed if it was given."""
+    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor."""
     known = actuator.identification or Identification()
-    return prepare(record, ringing=known.ringing).without_lag(known.sensor_lag)
+    return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
 
 
 def compare_all(
@@ -308,7 +308,7 @@ def compare_all(
     Returns
     -------
     tuple of RecordComparison, float, float
-        One a record, the range of the widest loop [m], and the least slope that the spring was allowed [V/m].
+        One for each record, the range of the widest loop [m], and the least allowed slope of the spring [V/m].
     """
     prepared = [prepare_for(actuator, record) for record in as_list(records)]
     known = actuator.identification or Identification()
@@ -443,7 +443,7 @@ def _settled(voltage: Array) -> int:
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
-    """Return those of the samples that `RecordComparison.play` yields which are not set aside."""
+    """Return the samples of `RecordComparison.play` that are not set aside."""
     if not piece.set_aside:
         return played
     time = played[0]

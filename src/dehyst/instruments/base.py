@@ -152,7 +152,7 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a `voltage` [V] within the slew rate, the whole range in a second at least; return the voltage sent.
+        """Ramp to a `voltage` [V] within the slew rate, or the range per second if slower; return the voltage sent.
 
         A voltage outside the limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite
         number: nothing was sent; `RigError` if the device fails: a retreat was attempted.

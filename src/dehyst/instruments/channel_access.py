@@ -65,7 +65,7 @@ class ChannelAccess:
         self._ca: Any = aioca
 
     def absent(self, names: Sequence[str]) -> list[str]:
-        """Return those of the names that no server answers for within the timeout."""
+        """Return the names for which no server answers within the timeout."""
         pvs = [self.prefix + name for name in names]
         answers = _worker.run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
         return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
@@ -111,7 +111,7 @@ class ChannelAccess:
         return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
 
     def metres(self, name: str) -> float | None:
-        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is no length."""
+        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is not a length."""
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
         count = COUNTS["m"].get(symbol_of(unit))

@@ -27,8 +27,8 @@ _ROUNDED = 1e-3
 class PvNames:
     """Names of process variables without the prefix; None for those that an IOC does not have.
 
-    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `wave_period` is
-    seconds a sample. A put to `wave_start` resets `record_count` before its callback, `wave_stop` ends the wave.
+    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `wave_period` is the
+    time per sample [s]. A put to `wave_start` resets `record_count` before its callback, `wave_stop` ends the wave.
     `error` is a text that stays until an empty one overwrites it.
     """
 
@@ -122,8 +122,8 @@ class EpicsRig(AbstractRig):
         prefix : str
             Of all `names`, without the colon.
         limits : (float, float), optional
-            Voltages that the user allows [V]. Those of the device come from variables of their own, or from the limits
-            of the voltage's record.
+            Voltages that the user allows [V]. Limits of the device come from their own variables, or from the limits of
+            the voltage's record.
         slew_rate : float, optional
             Largest abs(dv/dt) [V/s] that the user allows.
         timeout : float, optional

@@ -25,6 +25,7 @@ from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
 from dehyst.model.python_control import actuator_block
 from dehyst.model.serialization import JsonFile
+from dehyst.records import Record
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -385,7 +386,7 @@ class Actuator(JsonFile, AbstractModel):
         name: str = "actuator",
         extrapolate: bool = False,
     ) -> NonlinearIOSystem:
-        """Return a block for python-control: voltage [V] in, displacement [m] out, one sample a period.
+        """Return a block for python-control: voltage [V] in, displacement [m] out, with one sample per period.
 
         The block computes what `simulate` does. Its state holds all memory; pass the block's `start` (equal to `state`)
         as initial state. The displacement of a sample is reached with the voltage of the same sample (direct
@@ -442,14 +443,24 @@ class Actuator(JsonFile, AbstractModel):
         """
         return cls(**serialization.parts(data))
 
+    def at_reference(self, record: Record) -> Record:
+        """Return a `record` of one axis as it would have been at the reference of `thermal`.
+
+        Without that part, or if the record has no temperature, it is returned as it is.
+        """
+        if self.thermal is None or record.temperature is None:
+            return record
+        gain, offset = self.thermal.scale(record.temperature, len(record))
+        return replace(record, displacement=(record.displacement - offset) / gain)
+
     def with_identification(self, **entries: Any) -> Actuator:
         """Return a copy whose identification holds `entries`, fields of `Identification`."""
         return replace(self, identification=replace(self.identification or Identification(), **entries))
 
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
-        """Return why displacements (n,) [m] under a `load` (n,) [N] are implausible; empty if they are plausible.
+        """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
 
-        A displacement is implausible if it lies outside of the range over `plausible` and `others` by more than its
+        A sample is implausible if it lies outside of the range over `plausible` and `others` by more than its
         width.
         """
         ends, displacements = self.plausible.far_ends(displacement), self.plausible.joined(*others)

@@ -91,7 +91,7 @@ class State:
         return f"<State: at {self.displacement * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
 
     def shifted(self, by: float) -> State:
-        """Return the same state on a displacement axis moved by `by` [m]."""
+        """Return the state on a displacement axis that is moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
         return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
 

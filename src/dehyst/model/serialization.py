@@ -68,7 +68,7 @@ class JsonFile(ABC):
         Raises
         ------
         FileFormatError
-            If the file cannot be read or is no JSON.
+            If the file cannot be read or is not JSON.
         ModelError
             If it is of another format or version, or holds impossible values.
         """

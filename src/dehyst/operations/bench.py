@@ -109,7 +109,7 @@ def calibrate(
     kept = calibration.kept
     warnings = [] if calibration.agreement is None else [calibration.agreement.words]
     if kept and not calibration.played:
-        warnings.append(f"nothing else was played: all else is from records on disk, {calibration.since}; {_ANEW}")
+        warnings.append(f"nothing else was played; the rest comes from records on disk, {calibration.since}; {_ANEW}")
     elif kept:
         warnings.append(f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}")
     fields = {**calibration.as_dict(), "output": str(output)}

@@ -69,7 +69,7 @@ def export(
     number
         double: the same bits as Python. float: for a processor without doubles.
     limits
-        Voltages allowed [V], of all axes or of one; default: those of the records.
+        Voltages allowed [V], of all axes or of one; default: the voltages of the records.
     slew_rate
         Largest slew rate [V/s]; needs --period.
     period

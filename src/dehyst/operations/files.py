@@ -209,7 +209,7 @@ class Columns:
 
     @property
     def choice(self) -> Choice:
-        """What selects the columns of a record of one axis."""
+        """Selection of the columns of a record of one axis."""
         return Choice(**{name: getattr(self, name) for name in Choice._fields})
 
     @property

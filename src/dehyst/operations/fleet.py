@@ -37,7 +37,7 @@ def identify(
     resume: bool = False,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Identify every record of DATASET: a Parquet file (a row group a record), a Zarr store or a folder of files.
+    """Identify every record of DATASET: a Parquet file (a record in each row group), a Zarr store or a folder.
 
     The table has one row for each record. Until it is written, the folder TABLE.parquet.parts holds a file for each
     finished record; --resume continues a stopped run. The exit status is 1 if a record was lost.

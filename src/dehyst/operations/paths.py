@@ -156,8 +156,12 @@ class _AxisRequest:
         validity = None if known is None else known.validity
         # Limits of the file may be wider than what was recorded.
         stroke = float(self.actuator.reach[1] - self.actuator.reach[0]) if validity is None else validity.stroke
-        words = judged.words(stroke)
-        return [f"expect this path {words} of the stroke", *judged.untested] if words else []
+        words, thermal = judged.words(stroke), self.actuator.thermal
+        off = []
+        if thermal is not None:
+            share = abs(thermal.gain) + abs(thermal.offset) / stroke
+            off = [f"At {thermal.reference:.3g} degrees Celsius; each kelvin off adds up to {100 * share:.2g} %."]
+        return [f"expect this path {words} of the stroke", *judged.untested, *off] if words else off
 
 
 def zero_of_path(

@@ -252,7 +252,7 @@ def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: flo
     if without is not None and path.seconds is not None and path.seconds >= _LONG:
         warnings.append(
             f"the homing takes {path.seconds:.4g} s; without it (--no-home) the unknown start leaves "
-            f"{without.percent(without.largest):.2g} % of the stroke open. If what was played last is on file, "
+            f"{without.percent(without.largest):.2g} % of the stroke open. If the last played voltages are in a file, "
             "--start FILE needs no homing"
         )
     return warnings

@@ -149,7 +149,7 @@ def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: fl
     way = shortest_homing(actuator, limits=drive.limits, **ends, stiff_only=True, drive=drive, hold=hold)
     remarks = () if way.certified and way.played is None else way.remarks
     if len(way.turns) < 2:
-        words = "homing: the state is known already, nothing to play and nothing written"
+        words = "homing: the state is already known; nothing to play, nothing written"
         return Result({"kind": "homing", "samples": 0, "warnings": list(remarks)}, [words], warnings=remarks)
     if way.played is None:
         remark = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"

@@ -206,7 +206,7 @@ def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float |
 
 
 def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:
-    """Read all numeric columns of a file; its suffix determines the format. Errors as in `read`.
+    """Read all numeric columns of the file at `path`; its suffix determines the format. Errors as in `read`.
 
     `decimal`: decimal sign of a text file, "," or ".". `max_bytes`: largest size of the file, and of its numbers in
     memory.
@@ -241,8 +241,8 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
 def write_record(path: PathLike, record: Record) -> None:
     """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
-    CSV has the columns time_s, voltage_V and displacement_um, a `path` that ends in .npz the arrays time_s, voltage_V
-    and displacement_m; of several axes they are called vx_V, x_um and so on. Further channels follow, as temperature_C.
+    CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
+    displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
     Guesses from reading (``record.meta["guesses"]``), and the names of channels other than temperatures and loads, are
     kept in a comment above the table or in an additional array. An existing file is replaced. The new file is a
     measurement, not an output: no command replaces it without --force.

@@ -90,7 +90,7 @@ def other_unit(record: Record) -> str:
 
 
 def guesses(record: Record) -> tuple[str, ...]:
-    """Return a sentence about each guess with which a record was read."""
+    """Return a sentence about each guess made when a record was read."""
     guessed = record.meta.get("guesses")
     guessed = guessed if isinstance(guessed, dict) else {}
     return tuple(f"The {quantity} is guessed, verify: {words}." for quantity, words in guessed.items())
@@ -169,7 +169,7 @@ def _of_units(record: Record) -> Iterator[str]:
 
 
 def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
-    """Yield why no hysteresis loop can be identified from a record; a later check may rely on the earlier ones."""
+    """Yield reasons why no hysteresis loop can be identified from a record; later checks may rely on earlier ones."""
     if len(record) < min_samples:
         yield f"{len(record)} samples, {min_samples} are needed; record for longer"
     low, high = record.voltage_range

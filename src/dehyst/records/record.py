@@ -286,7 +286,7 @@ class Record:
         Parameters
         ----------
         frame : pandas.DataFrame
-            With units in the names of its columns, such as those of `to_dataframe`; an index with a name counts as a
+            With units in the names of its columns, as from `to_dataframe`; an index with a name counts as a
             column. Dates and durations become seconds; an unnamed index of dates or durations is the time, unless a
             column is.
         time, voltage, displacement, voltage_scale, displacement_scale : str, optional
@@ -373,6 +373,12 @@ class Record:
             found.append(Channel(f"v{axis}" if axis else "voltage", "V", "drive", axis, v))
             found.append(Channel(axis or "displacement", "m", "displacement", axis, y))
         return (*found, *self.others)
+
+    @property
+    def temperature(self) -> Array | None:
+        """The temperature (n,) [degrees Celsius]; None if the record has none, or several."""
+        found = [one.values for one in self.others if one.role == "temperature"]
+        return found[0] if len(found) == 1 else None
 
     def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
         """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
@@ -518,7 +524,7 @@ class Record:
         return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
 
     def with_name(self, name: str) -> Record:
-        """Return the same record under another `name`."""
+        """Return the record with another `name`."""
         return replace(self, name=name)
 
     def resample(self, dt: float, kind: str = "linear") -> Record:
@@ -569,7 +575,7 @@ def _is_frozen(raw: object) -> bool:
 def further_channels(
     table: Table, used: Iterable[Column], samples: int
 ) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the further channels in a table beside the columns that are `used`, and remarks on those left out.
+    """Return the further channels in a table besides the `used` columns, and remarks on columns left out.
 
     They are the temperatures and loads, and the columns that are marked to be kept. Raise `RecordError` if a requested
     column cannot be a channel; other unsuitable columns are left out.

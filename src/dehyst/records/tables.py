@@ -89,10 +89,10 @@ def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
 def renamed(table: Table, columns: str) -> Table:
     """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
 
-    An entry without a unit keeps that of the file; "-" and an empty entry leave a column out; a "?" at the end of an
-    entry marks it as a guess. A column with a unit in its entry that is none of a record's quantities is kept as a
-    further channel. Raise `FileFormatError` if it is no text, there are more entries than columns, fewer, an unknown
-    unit, a name twice, or no name.
+    An entry without a unit keeps the unit in the file; "-" and an empty entry leave a column out; a "?" at the end of
+    an entry marks it as a guess. A column whose entry has a unit, but is not a quantity of a record, is kept as a
+    further channel. Raise `FileFormatError` if it is not text, the numbers of entries and columns differ, a unit is
+    unknown, a name occurs twice, or there is no name.
     """
     if not isinstance(columns, str):
         need = "one text with commas, as 'time:s,voltage:V,displacement:um'"
@@ -134,8 +134,8 @@ def renamed(table: Table, columns: str) -> Table:
 class ColumnsError(FileFormatError):
     """Columns of a record that are not found, with the options of `read` that may select them.
 
-    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`,
-    beside those options.
+    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`, in
+    addition to these options.
     """
 
     def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
@@ -152,7 +152,7 @@ class ColumnsError(FileFormatError):
 
 
 def notes_on(options: Mapping[str, str]) -> list[str]:
-    """Return sentences about options that are proposed: what to replace, and what is guessed."""
+    """Return sentences about proposed options: placeholders to replace, and guesses."""
     text = " ".join(options.values())
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
@@ -314,7 +314,7 @@ class _Timed(NamedTuple):
 def joined(table: Table, other: Table, choice: Choice) -> Table:
     """Return a table with the columns of both.
 
-    Timestamps are aligned by what they state; times without a date are those of one clock. Where both have a time
+    Timestamps are aligned by date and time; times without a date count as times of one clock. Where both have a time
     column and the times differ, the table has the samples of the file with the displacement, else of the first: the
     columns of the other file are interpolated in straight lines, which would take the noise of a sensor away, and
     samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other

@@ -46,9 +46,9 @@ class Axis:
 class Series:
     """A curve, points, an area or cells: x and y (n,), in the units of the axes; NaN breaks a curve.
 
-    `top` (n,) is the other edge of an area; `values` (m, k) are those of cells between m + 1 edges y and k + 1 edges x,
-    the larger, the darker, up to `darkest`, by default the largest; `names` those of single points. An `exact` x needs
-    more than 16 bits, as the time of a long record does.
+    `top` (n,): the other edge of an area. `values` (m, k): values of cells between m + 1 edges y and k + 1 edges x;
+    larger values are darker, up to `darkest`, by default the largest value. `names`: names of single points. An `exact`
+    x needs more than 16 bits, as the time of a long record does.
     """
 
     name: str
@@ -96,7 +96,7 @@ def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart: above it a title, such as a record, and its `role`.
+    """A chart under a title, such as a record, and its `role`.
 
     `right` is a second axis, of the numbers of y times a factor: (factor, quantity, unit). Parts of the abscissa are
     `shaded`, a part of the ordinate is the `band`, `zero` is marked if set; `notes` are words of the legend that belong

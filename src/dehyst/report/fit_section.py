@@ -201,7 +201,7 @@ _DEVIATIONS = 2.0
 
 
 def before_and_after(fit: Fit) -> Charts | str:
-    """Return the error of a straight scale factor and that of the model, on the first record not trained on."""
+    """Return the errors of a straight scale factor and of the model, on the first held-out record."""
     shown = _shown(fit)
     if not shown:
         return ""
@@ -223,7 +223,7 @@ def before_and_after(fit: Fit) -> Charts | str:
     right = _right("error", stroke, before)
     chart = Chart(trace.record, *axes, series, role=trace.role, right=right, zero=True)
     caption = (
-        f"How far this record lies from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
+        f"Distance of this record from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
         f"model: up to {number(100 * before / stroke)} % of the stroke before, {number(100 * after / stroke)} % after. "
         "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
     )
@@ -276,8 +276,8 @@ def residuals(fit: Fit) -> Charts | str:
     charts = [chart([trace], stroke, len(shown), limit) for trace in shown for chart in kinds]
     caption = (
         "A slow trend in time is drift or creep. A mean (line) outside of the noise band, or a distance between the "
-        "means of rising and falling branches, is a limit of the model. Grey parts of the time were not compared: "
-        "they are listed under what was repaired or left out. All charts share one scale."
+        "means of rising and falling branches, is a limit of the model. Grey parts of the time were not compared; the "
+        "list of repairs and omissions names them. All charts share one scale."
     )
     return Charts("Residuals: measured minus simulated", caption + _only(fit), charts)
 

@@ -29,7 +29,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 class Charts:
     """A section of charts side by side, or below one another if `wide`, under a heading and a caption.
 
-    `beside`: HTML that stands beside the charts.
+    `beside`: HTML next to the charts.
     """
 
     title: str

@@ -64,8 +64,8 @@ def write_check_history(path: PathLike, history: CheckHistory) -> None:
     first, last = (f"{one.checked:%Y-%m-%d}" for one in (checks[0], checks[-1]))
     caption = (
         f"Checks from {first} to {last}; point at one to read its day. Lines are moving averages, which weight the "
-        "last checks most; dashed lines are their limits, of three standard deviations. A ring marks a change that is "
-        "beyond its limits."
+        "last checks most; dashed lines are their limits, of three standard deviations. A ring marks a change outside "
+        "of its limits."
     )
     order, errors, goals = (
         np.array(values, dtype=np.float64)
@@ -164,8 +164,8 @@ def _stage_errors(fit: StageFit) -> str:
 def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
     """Return the loops of each axis, and what the model leaves over the voltages of the others."""
     caption = (
-        "Measured displacement over the axis' own voltage, then what the model leaves over the voltage of each "
-        "other axis: a shape there is coupling that the matrix does not describe."
+        "Measured displacement over the axis' own voltage, then the model's residual over the voltage of each other "
+        "axis: a shape in the residual is coupling that the matrix does not describe."
     )
     left = [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
     parts: list[Part] = []

@@ -95,9 +95,9 @@ def drawing(
     """Draw a figure for print in the house style.
 
     `name` makes the ids inside the SVG unique on a page; `draw` gets rows x columns axes, row by row; `size` is width
-    and height [in], of a journal `COLUMN` or `PAGE` wide. With `share` axes above one another share the abscissa, and
-    those side by side the ordinate; `heights` are those of the rows, relative to each other. Raise `MissingExtraError`
-    if matplotlib is not installed.
+    and height [in], of a journal `COLUMN` or `PAGE` wide. With `share`, axes in a column share the abscissa, and axes
+    in a row the ordinate; `heights`: relative heights of the rows. Raise `MissingExtraError` if matplotlib is not
+    installed.
     """
     text, picture = io.StringIO(), io.BytesIO()
     with _figure(name, size) as figure:

@@ -68,7 +68,7 @@ def write_report(
 
 
 def write_calibration(path: PathLike, calibration: Calibration, *, command: str | None = None) -> None:
-    """Write the report of a calibration: its fit, what the records determine, and the path as measured.
+    """Write the report of a `calibration`: its fit, what the records determine, and the path as measured.
 
     `path`, `command` and errors are as in `write_report`.
     """

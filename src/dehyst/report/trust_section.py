@@ -123,8 +123,8 @@ def _trajectory(found: Insight) -> list[Part]:
         for key, error in band.errors().items()
         if error or key != "clamped"
     ]
-    beside = f"<div><h3>What a part of it comes from</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
-    caption = "How far the displacement may be from the wanted path if the compensating voltage is played: the promise."
+    beside = f"<div><h3>Causes of the error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
+    caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."
     factor, unit = length_unit(float(np.ptp(band.displacement)))
     axis, x = _clock(band)
     path = [
@@ -168,9 +168,8 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
     if plane is None:
         return []
     caption = (
-        "Between which voltages the records turned (dots; rings: the voltage was held there). Shaded: loops whose "
-        "rising and falling branch begin where a record turned, and do not go beyond it; there the model is tested, "
-        "elsewhere it is not."
+        "Dots: voltages between which the records turned. Rings: the voltage was held there. Shaded: loops on which "
+        "the model is tested, because both branches begin where a record turned and do not go beyond it."
     )
     rows: list[Row] = []
     turns = [*plane.turns, *path]
@@ -264,7 +263,7 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
 def _numbers(found: Insight) -> list[Part]:
     """Return what is known of single numbers, for those who ask."""
     precision = found.precision
-    known = "How precisely its numbers are known was not judged: there are no intervals."
+    known = "The precision of its numbers was not judged, because there are no intervals."
     return [
         f"<p>{words(known if precision is None else precision.sentence)}</p>",
         *_directions(found),
@@ -288,7 +287,8 @@ def _directions(found: Insight) -> list[Part]:
     caption = (
         f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
         f"{directions.subject}, with the spring and each record's constant free. A singular value is the RMS voltage "
-        "that one volt of breakaway voltages in its direction causes and no spring can cancel; hollow ones are open."
+        "that one volt of breakaway voltages in its direction causes, without the part that a spring can cancel. "
+        "Hollow: open."
     )
     body = (f"<div><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>",) if items else ()
     charts = Charts("", caption, [directions_chart(directions)], beside=body)
@@ -318,8 +318,8 @@ def _parts(found: Insight) -> str:
     caption = (
         "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
         f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
-        "A combination that is not known by itself may be accurate together with other parts: what counts for a motion "
-        "is the band along it."
+        "A combination that is not known by itself may be accurate together with other parts. For a motion, only the "
+        "band along it counts."
     )
     counts = ""
     if found.precision is not None:
@@ -351,7 +351,7 @@ def _part_intervals(found: Insight) -> list[Part]:
     caption = (
         f"{100 * noise.level:.0f} % intervals from {len(noise.actuators)} identifications of resampled cycles "
         f"(bootstrap) with the same structure. {_bias(found)}The largest error on the records, {length(found.misfit)}, "
-        "comes on top: this structure cannot follow it. Errors of single stiffnesses and of the spring compensate one "
+        "adds to this: this structure cannot follow it. Errors of single stiffnesses and of the spring compensate one "
         "another; the whole model is more accurate than its parts."
     )
     return ["<h3>How accurate the parts are</h3>", Charts("", caption, charts)]

@@ -39,7 +39,7 @@ def insight(
     seed: int = 0,
     progress: Progress = lambda _: None,
 ) -> Insight:
-    """Judge what records determine of an actuator that was identified from them, and what they leave open.
+    """Assess an identified actuator by its records: what they determine, and what they leave open.
 
     The feasible set (all models that fit the records about as well) is computed for Maxwell-slip models only; see
     `Insight`.
@@ -77,7 +77,7 @@ def insight(
     RecordError, IdentifyError
         If a record cannot be used or an option is impossible.
     ModelError
-        If a trajectory is given without repeats, or is no path.
+        If a trajectory is given without repeats, or is not a path.
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator, such as the one of a Fit")

@@ -116,7 +116,7 @@ class Evidence:
         return self.directions()
 
     def directions(self, *more: Record) -> Identifiability:
-        """Return what the turning points of the records, and of `more` on the model's axis, determine.
+        """Return the directions that the turning points of the records, and of `more` on the model's axis, determine.
 
         For Maxwell-slip models it concerns their stiffnesses, whose columns depend on turning points only. For models
         with more parts it concerns ten plain Maxwell-slip elements instead.

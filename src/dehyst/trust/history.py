@@ -147,8 +147,8 @@ class CheckHistory:
     def read(cls, folder: PathLike, model_id: str, *, throw: bool = True) -> CheckHistory:
         """Read the checks of the model with this `model_id` from a `folder`.
 
-        Raise `FileFormatError` if the folder has other files or, with `throw`, a file is no check; without it such a
-        file is left out, see `damaged`.
+        Raise `FileFormatError` if the folder has other files or, with `throw`, a file is not a valid check. Without
+        `throw` such a file is left out, see `damaged`.
         """
         demand_folder(folder)
         every, damaged = [], []

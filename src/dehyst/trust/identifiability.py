@@ -32,7 +32,7 @@ _SMALL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class PartIdentifiability:
-    """What records determine of a part.
+    """Identifiability of a part from records.
 
     Attributes
     ----------

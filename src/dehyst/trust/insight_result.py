@@ -214,7 +214,7 @@ class Insight:
 
     @property
     def not_judged(self) -> str:
-        """What was not judged although intervals were asked for; empty if all was."""
+        """What was not judged although intervals were requested; empty if everything was."""
         return "" if self.intervals is None or self.feasible_set is not None else _NOT_JUDGED
 
     @property
@@ -513,7 +513,7 @@ def _band(found: Insight) -> Iterator[str]:
 
     stroke = found.evidence.stroke
     yield ""
-    yield "What a part of it comes from, in % of the stroke:"
+    yield "Causes of the error, in % of the stroke:"
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"

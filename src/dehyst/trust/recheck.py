@@ -164,8 +164,8 @@ class Recheck:
         if self.standing is Standing.DRIFTS:
             moved = self._percent(abs(self.drift))
             return (
-                f"No new model is needed; the drift is {moved} of the stroke, which a path will show: let the actuator "
-                "warm up and rest."
+                f"No new model is needed; the drift is {moved} of the stroke and will also occur on a path: let the "
+                "actuator warm up and rest."
             )
         return "No new model is needed."
 

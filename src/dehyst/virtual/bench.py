@@ -55,7 +55,7 @@ class Extremes:
 
 
 class BenchAxis:
-    """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is that of the bench.
+    """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is the bench's time.
 
     `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: present output, and target voltage
     [V]. `log`: extremes of the output so far. `stroke`: stroke of the actuator [m]. `sensor_range`: lowest and highest

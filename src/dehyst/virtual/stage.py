@@ -24,7 +24,7 @@ class VirtualStage:
     """Virtual actuators on one moving body: ``y = C h(v)``, and with hysteretic coupling ``y = C h(v) + K g(v)``.
 
     Raise `ModelError` if the matrices do not fit the actuators, or the diagonal of the coupling is not 1. `strokes` [m]
-    and `highest` [V] (axes,) are those of the actuators; the `serial` number is the same for equal parameters.
+    and `highest` [V] (axes,) belong to the actuators; the `serial` number is the same for equal parameters.
 
     Parameters
     ----------

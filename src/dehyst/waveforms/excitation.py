@@ -193,7 +193,7 @@ class Sampling:
     Parameters
     ----------
     frequency : float
-        Cycles a second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
+        Cycles per second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
     sample_rate : float, optional
         [Hz]; by default 400 samples a cycle.
     base : float

@@ -39,6 +39,14 @@ export class Form {
   }
 }
 
+// A check box or a radio button before its label.
+export const tick = (label, { spoken, ...input }) =>
+  h("label", { class: "tick" }, h("input", { "aria-label": spoken, ...input }), label);
+
+// A card with a title and these properties.
+export const card = (title, { class: style = "", ...about }, ...content) =>
+  h("div", { class: `card ${style}`.trim(), ...about }, h("h3", {}, title), content);
+
 export const options = (choices) => choices.map(([value, text]) => h("option", { value, key: value }, text));
 
 export const facts = (pairs) =>

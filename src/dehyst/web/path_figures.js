@@ -40,8 +40,7 @@ export class PathFigures {
         y: { label: "Displacement (\u00b5m)", unit: "\u00b5m", range: y },
         series: [
           straight(planned.straightReached),
-          curve("wanted", "measured", path.wanted, { around: band, width: 1.8 }),
-          ...(cut ? [curve("reached", "simulated", planned.reached, { width: 1.8 })] : []),
+          ...wantedCurves({ path, planned, band }),
         ],
         notes: note,
       },
@@ -81,6 +80,14 @@ export class PathFigures {
   }
 }
 
+// The wanted displacement of a plan with its band, and what is reached if voltages are clamped.
+export function wantedCurves({ path: { time, wanted }, planned: { clamps, reached }, band }) {
+  const curve = (name, colour, y, more) => ({ name, colour, x: time, y, rising: true, width: 1.8, ...more });
+  const all = [curve("wanted", "measured", wanted, { around: band })];
+  if (clamps.limited + clamps.slewed > 0) all.push(curve("reached", "simulated", reached));
+  return all;
+}
+
 // What records test of a voltage. `plane` is the chart of a report with where they turned, whose cells are 1 where a
 // falling branch is tested, 2 for a rising one, 3 for both; nothing without it.
 export function turnsOf(plane, time, voltage) {
@@ -98,7 +105,8 @@ export function turnsOf(plane, time, voltage) {
   const longest = Math.max(0, ...all.map((one) => one.held));
   const said = [
     open
-      ? `${open} of ${all.length} branches of this path begin where no record turned: there the error was not tested, and may be larger.`
+      ? `${open} of ${all.length} branches of this path begin where no record turned: there the error was not ` +
+        "tested, and may be larger."
       : "This path turns where records turned.",
   ];
   if (longest > MORE * held) {

@@ -1,8 +1,8 @@
-"""Data for the page: columns of records, traces and voltages, paths of points and scans, WebAssembly."""
+"""Data for the page: columns of records and voltages, paths of points and scans, WebAssembly."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from dehyst._errors import DehystError
 from dehyst._types import Array
 from dehyst.control import Compensator
 from dehyst.exports import wasm_module
-from dehyst.identification.results import read_traces
 from dehyst.model import Actuator
 from dehyst.operations.registry import find
 from dehyst.records import read, read_table, write_columns
@@ -127,37 +126,6 @@ def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
     return time, voltage, wanted, columns.get(f"{axis}_expected_um" if axis else "expected_um", wanted)
 
 
-def trace_heads(file: Path) -> dict[str, Any]:
-    """Return name, role, samples and gaps [s] of each record of a file of traces."""
-    heads = [
-        {
-            "name": trace.record,
-            "role": trace.role,
-            "samples": int(trace.time.size),
-            "shaded": list(_gaps(trace.time, trace.began)),
-        }
-        for trace in (read_traces(file) if file.exists() else ())
-    ]
-    return {"records": heads}
-
-
-def trace_columns(file: Path, number: int) -> tuple[Array, ...]:
-    """Return time [s], voltage [V], measured and simulated displacement [um] of a trace; may raise IndexError."""
-    trace = list(read_traces(file))[number]
-    return trace.time - trace.began, trace.voltage, trace.measured * _MICRO, trace.simulated * _MICRO
-
-
 def packed(columns: tuple[Array, ...]) -> bytes:
     """Return columns one after the other as little-endian 32-bit floats."""
     return b"".join(column.astype("<f4").tobytes() for column in columns)
-
-
-def _gaps(time: Array, began: float) -> Iterator[list[float]]:
-    """Yield begin and end [s] of excluded stretches, from the record's first sample."""
-    if not time.size:
-        return
-    if began < time[0]:
-        yield [0.0, float(time[0] - began)]
-    steps = np.diff(time)
-    for k in np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else ():
-        yield [float(time[k] - began), float(time[k + 1] - began)]

@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from dehyst._errors import DehystError, LinkError
+from dehyst.operations.registry import find
 from dehyst.records.recording import salvage
 from dehyst.waveforms.excitation import positive
 from dehyst.workbench import folder as places
@@ -176,6 +177,9 @@ class RigDesk:
                 self._changed()
                 if self._pings is None:
                     self._pings = asyncio.create_task(self._ping())
+            if what == "arm":
+                # A calibration's modules take longer to import than the watchdog of an armed rig waits for a page.
+                await asyncio.to_thread(find, "calibrate")
             done = await self._post({"do": what, **message})
             done.add_done_callback(lambda _: self._conclude())
         except BaseException:

@@ -36,8 +36,6 @@ from dehyst.workbench.data import (
     packed,
     record_columns,
     scan_columns,
-    trace_columns,
-    trace_heads,
     voltage_columns,
     wasm,
 )
@@ -303,10 +301,7 @@ class Workbench:
                 "/page/{name}": page.file,
                 "/api/state": self.get_state,
                 "/api/records/{key}/data": self.record_data,
-                "/api/models/{key}/fit": self.fit,
                 "/api/models/{key}/wasm": self.wasm,
-                "/api/models/{key}/traces": self.traces,
-                "/api/models/{key}/traces/{number:int}": self.trace,
                 "/api/scan": self.scan,
                 "/api/voltages/{key}/data": self.voltage_data,
                 "/files/{path:path}": self.file,
@@ -427,12 +422,6 @@ class Workbench:
         self.session.end(request.path_params["key"])
 
     @answered
-    async def fit(self, request: Request) -> Any:
-        """Return the numbers of a fit."""
-        entry = self.session.model(request.path_params["key"], ready=True)
-        return FileResponse(self.session.folder.path / entry.fit, media_type="application/json")
-
-    @answered
     async def wasm(self, request: Request) -> Any:
         """Return a model as WebAssembly, for one period between samples."""
         entry = self.session.model(request.path_params["key"], ready=True)
@@ -445,21 +434,6 @@ class Workbench:
             raise RequestError(f"{entry.name}: has several axes, whose voltages depend on one another; need one axis")
         module = await asyncio.to_thread(wasm, self.session.folder.path / entry.file, seconds)
         return Response(module, media_type="application/wasm")
-
-    @answered
-    async def traces(self, request: Request) -> Any:
-        """Return the records of which a model has traces."""
-        entry = self.session.model(request.path_params["key"], ready=True)
-        return await asyncio.to_thread(trace_heads, self.session.folder.path / entry.traces)
-
-    @answered
-    async def trace(self, request: Request) -> Any:
-        """Return the columns of a trace."""
-        entry = self.session.model(request.path_params["key"], ready=True)
-        number = request.path_params["number"]
-        if not 0 <= number < len(entry.table):
-            raise RequestError(f"{number}: there is no such trace; {entry.name} has {len(entry.table)}")
-        return await self._columns(lambda file: trace_columns(file, number), entry.traces)
 
     @answered
     async def scan(self, request: Request) -> Any:

@@ -420,7 +420,7 @@ class WorkbenchSession:
         return self.jobs.start("insight", entry.id, [step], done)
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
-        """Compute the voltage for a path with a model: `points`, `scan` or `record`; return the job."""
+        """Compute the voltage for a path with a model: `points` or `scan`; return the job."""
         model = self.model(key, ready=True)
         file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
         steps = self._path_steps(model, request, file)
@@ -471,13 +471,10 @@ class WorkbenchSession:
         self.folder.close()
 
     def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str, **more: str) -> list[Step]:
-        """Return the operations that compute a voltage: of a record's displacement, points, or the path of a scan."""
+        """Return the operations that compute a voltage: of points, or of the path of a scan."""
         before: list[Step] = []
         given: dict[str, Any] = {"model": model.file, "output": file, **more}
-        if "record" in request:
-            record = self.record(str(request["record"]))
-            given |= {"trajectory": record.file, **record.reading} if record.axes else {"trajectory": record.source}
-        elif "points" in request:
+        if "points" in request:
             given["trajectory"] = self.folder.new(places.PATHS, Path(file).stem, ".csv")
             written_path(self.folder.path / given["trajectory"], request["points"], request.get("rate"))
         elif isinstance(request.get("scan"), Mapping):
@@ -489,7 +486,7 @@ class WorkbenchSession:
             before = [Step("scan", {**scan, "sample_rate": request.get("rate"), "output": given["trajectory"]})]
             given |= {"columns": "displacement=y_um"} if axis == "y" else {}
         else:
-            raise SessionError("path: got none, need points, a scan or a record")
+            raise SessionError("path: got none, need points or a scan")
         if (limits := request.get("limits")) is not None:
             given["limits"] = [limits]
         if (slew := request.get("slew")) is not None:

@@ -7,12 +7,12 @@ from scipy.signal import savgol_filter
 from dehyst.identification.preprocessing.denoising import local_polynomial
 
 
-@pytest.mark.parametrize(("window", "order"), [(5, 2), (9, 4), (13, 2), (3, 1)])
-@pytest.mark.parametrize("derivative", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("window", "order", "derivative"),
+    [(n, order, k) for n, order in ((5, 2), (9, 4), (13, 2), (3, 1)) for k in range(min(order, 2) + 1)],
+)
 @pytest.mark.parametrize("size", [13, 14, 200])
 def test_it_is_the_filter_of_savitzky_and_golay(window, order, derivative, size):
-    if derivative > order:
-        pytest.skip("a derivative beyond the order is zero")
     y = np.random.default_rng(size).normal(size=size)
     ours = local_polynomial(y, window, order, derivative, 0.01)
     theirs = savgol_filter(y, window, order, deriv=derivative, delta=0.01)

@@ -35,12 +35,12 @@ class CrossTalk:
     Attributes
     ----------
     size, floor : (axes, axes) array
-        RMS of what the voltage of axis j predicts of the residual of axis i, on time it was not fitted to, and what
-        counts as nothing, as shares of the stroke of axis i; 0 on the diagonal.
+        RMS of the residual of axis i that the voltage of axis j predicts on held-out time, and the least value that
+        counts, as shares of the stroke of axis i; 0 on the diagonal.
     certainty : (axes, axes) array
         The improvement by the prediction over its scatter between spans of time.
     beyond : (axes, axes) bool array
-        Where `size` is over `floor` and the certainty is sufficient: coupling is no number there.
+        Where `size` is over `floor` and the certainty is sufficient: there, coupling is more than a number.
     """
 
     size: Array
@@ -77,9 +77,9 @@ def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.int
 
     The certainty is the mean over the spans of the relative improvement, in its standard errors.
 
-    Of both, the first columns count, which move most. The level of each span is free: it is no motion that a voltage
-    causes. Spans in which the further columns do not move are left out; the others have the weight of what all
-    columns miss of them.
+    Of both, the first columns count, which move most. The level of each span is free: it is not a motion due to a
+    voltage. Spans in which the further columns do not move are left out; the others are weighted by their residual with
+    all columns.
     """
     base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
     target = _without_levels(target[:, None], spans)[:, 0]

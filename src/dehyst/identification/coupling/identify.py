@@ -224,7 +224,7 @@ class StageFit:
         elif self.is_matrix:
             yield f"{matrix} a voltage moves another axis by {largest}; {floor} would count."
         else:
-            yield f"Coupling is NOT a matrix: beside it a voltage moves another axis by {largest}; {floor} counts."
+            yield f"Coupling is NOT a matrix: in addition, a voltage moves another axis by {largest}; {floor} counts."
 
 
 def identify_stage(
@@ -311,8 +311,8 @@ def identify_stage(
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
     remarks += [
-        f"coupling of {names[j]} into {names[i]} is more than a number: beside it the voltage of {names[j]} moves axis "
-        f"{names[i]} by {100 * talk.size[i, j]:.2g} % of its stroke (RMS), {talk.certainty[i, j]:.2g} times the "
+        f"coupling of {names[j]} into {names[i]} is more than a number: in addition, the voltage of {names[j]} moves "
+        f"axis {names[i]} by {100 * talk.size[i, j]:.2g} % of its stroke (RMS), {talk.certainty[i, j]:.2g} times the "
         "scatter; it has hysteresis or a curve of its own, which no matrix describes"
         for i, j in np.argwhere(talk.beyond).tolist()
     ]

@@ -277,7 +277,7 @@ class PlayColumns:
         return tuple(_basis(self.without_nuisances(block), _MOVING) for block in self.blocks)
 
     def without_nuisances(self, values: Array) -> Array:
-        """Return what the nuisances do not explain of `values` (m, ...)."""
+        """Return the part of `values` (m, ...) that the nuisances do not explain."""
         return np.asarray(values - self.own @ (self.own.T @ values))
 
     def groups(self, count: int) -> NDArray[np.intp]:
@@ -286,7 +286,7 @@ class PlayColumns:
 
 
 def block_means(values: Array, every: int) -> Array:
-    """Return the means (m, ...) of `every` neighbouring rows each; what is left at the end is no block."""
+    """Return the means (m, ...) of blocks of `every` neighbouring rows; an incomplete last block is dropped."""
     whole = len(values) // every * every
     return np.asarray(values[:whole].reshape(-1, every, *values.shape[1:]).mean(axis=1))
 

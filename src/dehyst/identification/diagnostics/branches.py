@@ -141,8 +141,8 @@ class Mirrored:
     `range`, `middle`: width and centre [m]. `place` (K,): u [m], from the centre of each cycle, which removes a slow
     drift of the sensor. `rising`, `falling` (M, K): V_up and V_down [V] of each cycle, minus the mean voltage of its
     turning points. `noise`: standard deviation of a sample [m]. `gain`: largest part of its variance that a reading
-    keeps. `opening`: mean distance of the ends of descending and ascending branches [m]: it limits what an open loop
-    shows.
+    keeps. `opening`: mean distance of the ends of descending and ascending branches [m]: it limits the accuracy with an
+    open loop.
     """
 
     record: str

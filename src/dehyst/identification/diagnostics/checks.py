@@ -21,7 +21,7 @@ from dehyst.model import Actuator, GradedSlip, MaxwellSlip, Slopes, Spring
 from dehyst.records import turning_points, white_noise
 
 _OF_RANGE = "% of range"
-_HELD_UP = " The fit held it up there: whether it would rise by itself is not known; try a smaller slope_floor."
+_HELD_UP = " There the fit imposed its floor, and the free slope is not known; try a smaller slope_floor."
 
 
 def model_checks(
@@ -260,7 +260,7 @@ class _Drift(NamedTuple):
         return self.value / max(self.floor, RULES.smallest_pattern)
 
     def check(self, what: str, moves: str, why: str) -> Check:
-        """Return the check of how `what` `moves`; `why`: what follows if it does."""
+        """Return the check of a drift; `what` drifts, `moves` is the verb, and `why` the consequence."""
         value, floor, unit = self.value, self.floor, "% a decade"
         sentence = (
             f"{self.record}: {what} {moves} by {value:.2g} % of the stroke a decade of time since the record's start"

@@ -75,7 +75,7 @@ def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
 
 
 def set_transients_aside(record: Record, *, ringing: bool) -> tuple[Record, tuple[str, ...]]:
-    """Set aside what rings or overshoots after steps of the voltage, see `dehyst.records.transients`.
+    """Exclude ringing and overshoot after steps of the voltage, see `dehyst.records.transients`.
 
     Returns
     -------

@@ -41,7 +41,7 @@ def block_of(record: Record, most: float) -> int:
 
 
 def block_means(record: Record, block: int) -> Record:
-    """Return the means of `block` neighbouring samples each; what is left at the end is no block."""
+    """Return the means of blocks of `block` neighbouring samples; an incomplete last block is dropped."""
     if block == 1:
         return record
 
@@ -174,7 +174,7 @@ class Prepared:
         return np.concatenate([one.time for one in parts]), np.concatenate([one.displacement for one in parts])
 
     def with_block(self, most: float) -> Prepared:
-        """Return the same, to be reduced to the bandwidth of its motion, by means of `most` samples at most."""
+        """Return a copy that is reduced to the bandwidth of its motion, by means over at most `most` samples."""
         shortest = min(map(len, self.pieces), default=0) / (2 * _SHORTEST)
         return replace(self, block=block_of(self.record, min(most, shortest)))
 
@@ -237,7 +237,7 @@ class Prepared:
         return replace(self, record=_every(self.record, step, stop), pieces=pieces)
 
     def source(self) -> dict[str, Any]:
-        """Return the source of the record: name, file, hash and what was guessed."""
+        """Return the source of the record: name, file, hash and guesses."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256", "guesses") if key in meta}}
 
@@ -258,9 +258,9 @@ def _every(record: Record, step: int, stop: int) -> Record:
 
 
 def prepare(record: Record, *, ringing: bool = False) -> Prepared:
-    """Check a record and remove what cannot be used.
+    """Check a record and remove unusable parts.
 
-    `ringing`: the elements see what rings after steps, which does not count in either case.
+    `ringing`: whether the elements follow the ringing after steps; these samples do not count in either case.
 
     Raise `RecordError` if it cannot be used at all.
     """

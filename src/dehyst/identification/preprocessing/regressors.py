@@ -124,7 +124,7 @@ class Piece(NamedTuple):
 
 
 class NumberedEpoch(NamedTuple):
-    """An epoch with its number among those of all pieces, and the numbers of its record and of its piece."""
+    """An epoch with its number among all epochs, and the numbers of its record and its piece."""
 
     number: int
     record: int
@@ -250,7 +250,8 @@ def internal_states(grid: Grid, path: Record, lead: Record | None, size: int) ->
     """Yield the internal states of a path besides carts, (size, 2 J + L) at a time except the last.
 
     Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains since the start (n, J). They are
-    at rest at the path's first sample, or at that of the `lead`, samples left out before, if the path continues it.
+    at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the lead's first
+    sample.
     """
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     begin, last = path.time[0], None

@@ -36,7 +36,7 @@ class Coefficients:
     `stiffness` (N, M): kappa_im [V/m]; M = 1 for Maxwell-slip elements. `slopes` (K - 1,): slopes of the spring [V/m].
     `internal` (J + L,): stiffnesses of creep branches, then of smooth elements [V/m]. `transformer` (T,): slopes of
     tau; empty without one. `offsets`, `drifts`: constants by epoch and drifts by record [V of tau]. `solution`: the
-    program's answer; None for those of a given actuator. `starts`: p_j (J,) by record [V of tau].
+    program's answer; None for coefficients of a given actuator. `starts`: p_j (J,) by record [V of tau].
     """
 
     stiffness: Array
@@ -104,7 +104,7 @@ def regularization_rows(grid: Grid, slope: float) -> Array:
     ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im) / slope`` along the stroke,
     ``rho_i drho_i+1 (kappa_i+1,m / drho_i+1 - kappa_im / drho_i) / slope`` from one threshold to the next, and second
     differences of the slopes of the spring and of tau over a segment. They do not depend on how many rows there are;
-    what creeps or yields gradually lies too far apart to have neighbours.
+    creep branches and smooth elements are too far apart to have neighbours.
 
     `slope`: volts for a metre [V/m], which make forces elongations.
     """
@@ -131,7 +131,7 @@ _VIOLATED = 1e-6
 
 
 def bounds(grid: Grid, strained: int, least: float) -> tuple[Array, Array]:
-    """Return what the last segment of tau has left to give, and starts of creep that a branch can hold.
+    """Return inequalities for the last segment of tau, and for starts of creep that a branch can hold.
 
     `strained`: records that may begin strained. `least`: least slope of tau.
 

@@ -30,7 +30,7 @@ class Nearby:
     moving: Mask
 
     def moving_of(self, places: dict[str, slice], count: int) -> Mask:
-        """Return the same for other unknowns: kinds of as many unknowns as here, and the whole spring."""
+        """Return a copy for other unknowns: kinds with the same number of unknowns, and the whole spring."""
         moving = np.zeros(count, dtype=bool)
         for kind, place in places.items():
             same = self.places[kind]
@@ -112,7 +112,7 @@ class FoldSums:
         return self.regression.grid.places(len(self.regression.strained))
 
     def without(self, k: int) -> Coefficients | None:
-        """Fit all rows but those of a fold; None if no other row is left."""
+        """Fit all rows except one fold; None if no other row is left."""
         count = int(np.count_nonzero(self.fold != k))
         return self._fit(count, self._total - self._sums[k], self.whole) if count else None
 
@@ -181,7 +181,7 @@ def least_squares_of_sums(regression: Regression) -> Coefficients:
 
 
 def nearly_least_absolute(regression: Regression, weights: Array) -> Coefficients:
-    """Fit by least squares whose rows weigh less the more they are missed: nearly the weighted L1 fit, and quickly."""
+    """Fit by reweighted least squares, with less weight for larger errors: a fast approximation of the L1 fit."""
     found = FoldSums(regression, weights)
     for _ in range(_REWEIGHTED):
         missed = np.abs(found.residual * weights)

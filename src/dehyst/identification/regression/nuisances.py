@@ -25,7 +25,7 @@ _STEPS = 20
 def searched_delay(
     cost: Callable[[float], float], longest: float, sample_time: float, voltage: Array, stroke: float, points: int = 13
 ) -> float:
-    """Seconds at which a cost, an RMS residual [m], is least; 0 unless that is worth it.
+    """Return the delay [s] with the least cost, an RMS residual [m]; 0 unless the improvement is significant.
 
     `cost`: delay [s] -> [m]. `longest`, `sample_time`: largest delay looked for, and the time of a sample [s]; the
     answer is good to 1 % of a sample. `voltage` (n,): of the samples that count [V]: loops of one height have to
@@ -44,7 +44,7 @@ def searched_delay(
 
 
 def with_datums(regression: Regression, records: list[int], stroke: float) -> Regression:
-    """Put records on one axis: each datum looked for by itself, then those found polished together (Gauss-Newton).
+    """Put records on one axis: search for each datum separately, then refine all found ones together (Gauss-Newton).
 
     A datum that was looked for while others were still wrong may have been missed, hence two rounds.
     """
@@ -81,7 +81,7 @@ def _polished(regression: Regression, records: list[int]) -> Regression:
 
 
 def find_datum(regression: Regression, record: int, stroke: float, given: Coefficients | None = None) -> float:
-    """Shift d_q [m] that puts a record on the axis of the others, or of a given model; 0 unless that is worth it."""
+    """Shift d_q [m] of a record to the axis of the others, or of a given model; 0 unless it is significant."""
     few, error = regression.thinned(_SEARCH_ROWS), training_errors()
 
     def cost(shift: float) -> float:
@@ -95,14 +95,14 @@ def find_datum(regression: Regression, record: int, stroke: float, given: Coeffi
 
 
 def find_drifts(regression: Regression, candidates: Sequence[int]) -> tuple[int, ...]:
-    """Return records among the candidates whose creep since the start is worth a coefficient."""
+    """Return the candidate records with significant creep since the start."""
     few, error = regression.thinned(_SEARCH_ROWS), training_errors()
     stroke = float(np.ptp(few.grid.knots))
     return worthwhile(lambda drifting: error(replace(few, drifting=drifting)), candidates, stroke)
 
 
 def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[int], stroke: float) -> tuple[int, ...]:
-    """Those of the candidates that make a cost, an RMS residual [m], enough smaller, one after another."""
+    """Return the candidates that, one after another, reduce a cost, an RMS residual [m], enough."""
     kept: tuple[int, ...] = ()
     best = cost(kept)
     for q in candidates:

@@ -48,7 +48,7 @@ Solver = Callable[[tuple[Array, Array] | None], Solution]
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """What is fixed while coefficients are sought.
+    """The regression: everything that is fixed while coefficients are fitted.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Regression:
 
     @property
     def start_columns(self) -> Array:
-        """What is left of the creep before strained records, a block of branches a record (n, S J)."""
+        """Remaining creep from before strained records (n, S J), one block of branches for each record."""
         fades = self.rows.moved[:, self.grid.moved :]
         blocks = [fades * (self.rows.record == q)[:, None] for q in self.strained]
         columns = np.hstack([np.zeros((len(fades), 0)), *blocks])
@@ -167,7 +167,7 @@ class Regression:
 
     @cached_property
     def target(self) -> Array:
-        """Right-hand side (n,) [V]: what the floors leave."""
+        """Right-hand side (n,) [V], without the contribution of the floors."""
         v, spring, knots = self.rows.voltage, self.floor * self.spring_parts.sum(axis=1), self.grid.drive
         if not knots.size:
             return np.asarray(v - spring)
@@ -243,8 +243,8 @@ class Regression:
     def regularization(self, norm: Norm, count: int, free: int, weight: float) -> Table:
         """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization_rows`.
 
-        `free` columns are not theirs, and `weight` is that of a row where the slope is the mean one. They weigh as much
-        beside few samples as beside many. None for the largest residual, which is no matter of neighbours.
+        The rows do not involve the `free` columns; `weight` is the weight of a row with the mean slope. The relative
+        weight does not depend on the number of samples. There are none for the largest residual (L-infinity).
         """
         if not self.smoothing or norm == "linf":
             return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
@@ -266,8 +266,8 @@ class Regression:
     def constrained(self, solver: Solver, like: Coefficients | None = None) -> Solution:
         """Return the answer of a solver when no other inequality is violated.
 
-        The first round has the inequalities of the fit `like`: by default ties of constants, what tau and starts can
-        be.
+        The first round has the inequalities of the fit `like`: by default ties of constants and bounds of tau and
+        starts.
         """
         free = self.numbers.size + len(self.drifting)
         known = None if like is None else like.solved.inequalities
@@ -337,7 +337,7 @@ class Regression:
         return np.asarray(forces + self.spring_parts @ found.slopes + internal - tau)
 
     def residual(self, found: Coefficients) -> Array:
-        """Return what the equation of each row leaves [V]; an epoch without a constant gets its median."""
+        """Return the residual of the equation of each row [V]; an epoch without a constant gets its median."""
         left = self.model(found)
         for q, drift in found.drifts.items():
             left += drift * np.where(self.rows.record == q, self.rows.drift, 0.0)
@@ -405,6 +405,6 @@ class Regression:
         return Coefficients(stiffness, x[places["spring"]] + self.floor, internal, tau)
 
     def unknowns(self, found: Coefficients) -> tuple[Array, ...]:
-        """Return the program's unknowns of coefficients, by kind: elements, spring, what moves, transformer."""
+        """Return the program's unknowns of coefficients by kind: elements, spring, internal states, transformer."""
         elements = found.stiffness[self.grid.movable].ravel()
         return elements, found.slopes - self.floor, found.internal, found.transformer[:-1] - TRANSFORMER_FLOOR

@@ -137,7 +137,7 @@ class Scale(NamedTuple):
         return "" if quantity_of(unit) == quantity_of(self.per) else f"the scale {self.words} is for {self.per}"
 
     def apply(self, unit: str) -> float:
-        """Return what one `unit` of the column means in SI units of the quantity."""
+        """Return one `unit` of the column in SI units of the quantity."""
         known = FACTORS[quantity_of(self.per)]
         return self.factor * known[symbol_of(unit)] / known[self.per]
 
@@ -173,10 +173,10 @@ class Column:
     """One named column of a file.
 
     `unit`: if the file states it outside the name. `fault`: why it cannot be used, and what to try. `foreign`: whether
-    its samples lie in another file, are computed, or lie in a structure beside plain arrays: it is ignored if another
-    column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
+    its samples are in another file, are computed, or are in a structure next to plain arrays; it is then ignored if
+    another column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
     `divided`: whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group. `guessed`:
-    what the file does not state about it. `ends`: its first and last cell as a text file has them. `began`: of
+    properties that the file does not state. `ends`: its first and last cell as a text file has them. `began`: of
     timestamps, what the first may be: what it counts from, whole seconds and their fraction; two if the order of day
     and month is unknown. `kept`: whether a record keeps it as a further channel, whatever its name is.
     """
@@ -231,7 +231,7 @@ class Column:
     def contradiction(self) -> str:
         """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
 
-        A word is no contradiction: LabVIEW states "Volts" for every channel.
+        A word is not a contradiction: LabVIEW states "Volts" for every channel.
         """
         named, known = symbol_of(self._named[1]), FACTORS.get(quantity_of(self.unit), {})
         return named if self.unit in known and known.get(named) != known[self.unit] else ""
@@ -276,7 +276,7 @@ def without_groups(column: Column) -> Column:
 class ColumnError(FileFormatError):
     """A quantity that cannot be read from its column.
 
-    `problem`: what is wrong, without the name of the file and the hint. `column`: the one it concerns if there is one.
+    `problem`: the problem, without the name of the file and the hint. `column`: the column concerned, if any.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ LONGEST = 4096
 
 
 def restored(columns: Sequence[Column], text: str) -> list[Column]:
-    """Return the columns of a record file with what it states about them; other text is ignored."""
+    """Return the columns of a record file with the properties that the file states; other text is ignored."""
     try:
         stated = json.loads(text) if text else {}
     except (ValueError, RecursionError):
@@ -289,7 +289,7 @@ def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
 
 
 def is_readable(kind: Any) -> bool:
-    """Return whether an Arrow type is that of real numbers, dates or durations."""
+    """Return whether an Arrow type holds real numbers, dates or durations."""
     from pyarrow import types
 
     return any(holds(kind) for holds in (types.is_integer, types.is_floating, types.is_timestamp, types.is_duration))

@@ -70,8 +70,8 @@ class Allowance:
 def content_of(path: Path, most: object) -> Content:
     """Read a regular file, a named pipe or a process substitution; once, and never more than `most` bytes.
 
-    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes, or if that is no
-    positive number. Raise `OSError` if the file cannot be opened.
+    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes, or if `most` is not
+    a positive number. Raise `OSError` if the file cannot be opened.
     """
     if not isinstance(most, Real) or isinstance(most, bool) or not 1 <= float(most) < float("inf"):
         need = "a number of bytes above 0"

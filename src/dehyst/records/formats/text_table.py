@@ -60,7 +60,7 @@ class Text(NamedTuple):
 
 
 def text_of(data: bytes) -> Text:
-    """Find the header; refuse a file that is no text, or has longer lines than a table."""
+    """Find the header; raise FileFormatError for a file that is not text, or has too long lines for a table."""
     if b"\0" in data:
         raise FileFormatError("not a text file (it holds NUL bytes); save it as UTF-8 text or correct its suffix")
     if b"\r" in data:
@@ -100,7 +100,7 @@ def _begin(data: bytes) -> int:
 def read_text(data: bytes, allowance: Allowance, decimal: str | None = None) -> list[Column]:
     """Read the columns of a text file; those with words have a fault, those without a name say so.
 
-    `decimal`: the decimal sign, by default that of the allowance, or the one that the file shows. Raise
+    `decimal`: the decimal sign; by default from the allowance, or as the file shows. Raise
     `FileFormatError` for no text, no rows, rows that differ in length from the header, or more than allowed.
     """
     text = text_of(data)
@@ -138,7 +138,7 @@ def _unnamed(layout: Layout) -> str:
 
 
 class TextTable(NamedTuple):
-    """The rows of a text file, the names of their columns, and what is known about these.
+    """The rows of a text file, and the names and known properties of their columns.
 
     `start`, `first`: byte at which they begin, and number of the line before. `delimiter`: separator, None for blanks.
     `units`: as the file states them. `unnamed`: why the names are numbers, if the file has none.

@@ -36,9 +36,9 @@ class Moment(NamedTuple):
 
 
 class Elapsed(NamedTuple):
-    """The times [s] of timestamps since the first of them, and what that one may be: origin, whole seconds, fraction.
+    """The times [s] of timestamps since the first one, and its possible values: origin, whole seconds, fraction.
 
-    Two if the order of day and month is unknown.
+    There are two values if the order of day and month is unknown.
     """
 
     seconds: Array

@@ -44,7 +44,7 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units.
 
-    Raise `FileFormatError` if the separator is unknown, the sample time is no positive number, or the rows are no
+    Raise `FileFormatError` if the separator is unknown, the sample time is not a positive number, or the rows are not a
     table.
     """
     text = text_of(data)

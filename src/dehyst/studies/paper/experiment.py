@@ -69,9 +69,9 @@ def symmetric_width_floor(loop: ClosedLoop) -> float:
 
     At one y the branches of a plain Maxwell-slip model lie ``sum_i 2 kappa_i min(...)`` apart, which is the same at the
     mirror image of y about the loop's centre (theory, section 6), whatever N and the spring. If the error of the model
-    is at most e on both branches, its width at y lies between that of the true loop with the branches moved together by
-    e and that with them moved apart. The bound is the least e for which these intervals overlap at every mirrored pair;
-    the centre of the model's loop is free within e.
+    is at most e on both branches, its width at y lies between two bounds: the widths of the true loop with the branches
+    moved together, and moved apart, by e. The bound is the least e for which these intervals overlap at every mirrored
+    pair; the centre of the model's loop is free within e.
     """
     places = np.linspace(float(loop.falling[0, 0]), float(loop.falling[0, -1]), _PLACES)
 
@@ -173,8 +173,8 @@ class PaperTracking:
 class PaperPlan:
     """One identification to try: method, number of elements, norm and records.
 
-    `tops`: whether descending tops are in the training, beside the major and the small loop. `noiseless`: whether the
-    sensor is perfect.
+    `tops`: whether descending tops are in the training, in addition to the major and the small loop. `noiseless`:
+    whether the sensor is perfect.
     """
 
     key: str

@@ -30,7 +30,7 @@ def render(found: Experiment, symmetric: Experiment, plates: Sequence[Plate], fi
     """Return the text of the page; the same text for the same experiments.
 
     `found`, `symmetric`: with the virtual E-280.10, and with the same without its asymmetric map. `files`: names of the
-    files that lie beside the page.
+    files in the page's folder.
     """
     others = [name for name in files if not name.startswith("fig")]
     reproduce = (

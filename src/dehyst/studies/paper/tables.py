@@ -40,7 +40,7 @@ _ACTUATOR = "highest_V=highest width asymmetry bend plays"
 class Quantity:
     """A row of the summary.
 
-    `actuator`: what was measured on the virtual actuator, where no model is needed. `models`: value by model, where it
+    `actuator`: value measured on the virtual actuator, if no model is needed. `models`: value by model, where it
     applies; errors are against the truth. `against_noise`: the same against the noisy measurement.
     """
 

@@ -70,7 +70,7 @@ class Server:
         self._stopped.set()
 
     def serve(self, seconds: float | None = None) -> None:
-        """Serve until `stop`, or for so many `seconds`; close all connections at the end."""
+        """Serve until `stop`, or for `seconds` [s]; close all connections at the end."""
         asyncio.run(self._serve(time.monotonic() + (math.inf if seconds is None else seconds)))
 
     async def _serve(self, end: float) -> None:

@@ -1,4 +1,5 @@
 // Buttons that act, what went wrong, and words for those who do not see the page.
+import { remove } from "./api.js";
 import { byId, h } from "./dom.js";
 import { redraw } from "./state.js";
 
@@ -32,6 +33,13 @@ export function button(text, place, work, properties = {}) {
   };
   return h("button", { type: "button", disabled: busy.has(key), onclick, ...properties }, text);
 }
+
+// Takes a record or a model ("records", "models") from the list; an error stands in the place `KIND ID`.
+export const removeButton = (kind, { id, name }) =>
+  button("Remove", `${kind} ${id}`, () => remove(kind, id), {
+    class: "quiet",
+    "aria-label": `Remove ${name} from the list`,
+  });
 
 // Text for the screen reader alone.
 export function announce(text) {

@@ -1,12 +1,12 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
 import { announce, button, problem } from "./acts.js";
 import { exportModel } from "./api.js";
-import { h } from "./dom.js";
+import { h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
 import { chosenModel, openJobs, session } from "./state.js";
 import { openStep } from "./steps.js";
-import { fileLink, jobCards, modelChoice, needsModel } from "./verdict.js";
+import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 const KINDS = [
   ["c", "C99", "Sources, numbers and a test for firmware; the same code as Python runs."],
@@ -15,13 +15,13 @@ const KINDS = [
   ["wave_table", "Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV)."],
 ];
 
-export function exportView({ files, log }) {
-  const model = chosenModel();
+export function exportView({ files, log }, model) {
+  const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
+  const rows = sorted.map(({ path, kind, bytes: size }) => [fileLink(path, path), kind ?? "", bytes(size)]);
   return [
-    h("h2", { class: "unseen" }, "Export"),
-    model ? exportsOf(model) : needsModel("An export needs a model that is ready."),
+    model && exportsOf(model),
     h("h3", {}, "Files of this folder"),
-    files.length ? fileTable(files) : h("p", { class: "muted" }, "There are none yet."),
+    h("div", { id: "files", class: "files" }, table("Files of this folder", ["File", "Kind", "Size"], rows)),
     script(log),
   ];
 }
@@ -70,18 +70,6 @@ function modelLinks({ file, report }) {
       report && fileLink(report, "Look at the report", look),
     ),
   ];
-}
-
-function fileTable(files) {
-  const heads = ["File", "Kind", "Size"].map((one) => h("th", { scope: "col" }, one));
-  const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
-  const row = ({ path, kind, bytes: size }) => {
-    const link = h("th", { scope: "row", class: "text" }, fileLink(path, path));
-    return h("tr", { key: path }, link, h("td", {}, kind ?? ""), h("td", {}, bytes(size)));
-  };
-  const caption = h("caption", { class: "unseen" }, "Files of this folder");
-  const body = h("tbody", { id: "files" }, sorted.map(row));
-  return h("table", { class: "files" }, caption, h("thead", {}, h("tr", {}, heads)), body);
 }
 
 function script(log) {

@@ -2,7 +2,7 @@
 import { announce, button, problem } from "./acts.js";
 import { identify } from "./api.js";
 import { byId, h } from "./dom.js";
-import { Form, fold } from "./forms.js";
+import { Form, card, fold } from "./forms.js";
 import { LABELS } from "./labels.js";
 import { roleOf } from "./records.js";
 import { chooseModel, readyRecords } from "./state.js";
@@ -39,10 +39,9 @@ export function identifyCard() {
   const held = validate.length ? `; validates with ${names(validate)}` : "";
   if (train.length) words = `Trains with ${names(train)}${held}.`;
   const about = { class: "main wide-button", id: "identify", "aria-describedby": "identify-words" };
-  return h(
-    "div",
-    { class: "card identify" },
-    h("h3", {}, "Identify"),
+  return card(
+    "Identify",
+    { class: "identify" },
     h("p", { class: "muted", id: "identify-words" }, words),
     button("Identify a model", "identify", start, train.length ? about : { ...about, disabled: true }),
     problem("identify"),

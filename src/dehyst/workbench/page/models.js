@@ -1,11 +1,11 @@
 // The second step: the identification as it runs, its verdict, its pictures, and all models side by side.
-import { cancelJob, endIdentification, remove } from "./api.js";
+import { cancelJob, endIdentification } from "./api.js";
 import { h, table } from "./dom.js";
-import { announce, button, problem } from "./acts.js";
+import { announce, button, problem, removeButton } from "./acts.js";
 import { duration, length, percent, range } from "./numbers.js";
-import { chooseModel, chosenModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
-import { isOpen } from "./steps.js";
-import { axesBlock, fileLink, goTo, lightOf, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
+import { chooseModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
+import { goTo, isOpen, needsModel } from "./steps.js";
+import { axesBlock, fileLink, lightOf, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
 const began = new Map(); // when the server said how long an identification has run
 const lately = new Map(); // status of each model as last seen
@@ -19,11 +19,9 @@ setInterval(() => {
   if (isOpen("model") && session.state.models.some((one) => one.status === "identifying")) redraw();
 }, 500);
 
-export function modelView({ models }) {
+export function modelView({ models }, model) {
   models.forEach(noticed);
-  const model = chosenModel();
   return [
-    h("h2", { class: "unseen" }, "Model"),
     models.length === 0 && needsModel("There is no model yet."),
     h(
       "ul",
@@ -48,8 +46,8 @@ function body(model) {
       goTo("trust", "How far to trust it"),
       fileLink(model.report, "Read the report", look),
     ),
-    h("p", { class: "muted" }, `${ranges} ${origin} `, removeButton(model)),
-    problem(`model ${model.id}`),
+    h("p", { class: "muted" }, `${ranges} ${origin} `, removeButton("models", model)),
+    problem(`models ${model.id}`),
     comparison(readyModels(), model),
     problem(model.report),
     mounted(model.report)?.element,
@@ -66,17 +64,11 @@ function noticed({ id, name, status, verdict, seconds }) {
   if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
 }
 
-const removeButton = ({ id, name }) =>
-  button("Remove", `model ${id}`, () => remove("models", id), {
-    class: "quiet",
-    "aria-label": `Remove ${name} from the list`,
-  });
-
 function runningCard(model) {
   const { id, name, status, error, progress, provisional, train } = model;
   const running = status === "identifying";
-  const title = h("div", { class: "card-head" }, h("h3", {}, name), !running && removeButton(model));
-  const place = `model ${id}`;
+  const title = h("div", { class: "card-head" }, h("h3", {}, name), !running && removeButton("models", model));
+  const place = `models ${id}`;
   if (!running) {
     const failed = `No model: ${error ?? "the identification failed."}`;
     const words = status === "failed" ? failed : `Cancelled${error ? `: ${error}` : "."}`;

@@ -2,8 +2,8 @@
 const TIMES = { s: 1, ms: 1e-3, us: 1e-6, "\u00b5s": 1e-6, "\u03bcs": 1e-6, ns: 1e-9, min: 60 };
 const LENGTHS = { m: 1e6, mm: 1e3, um: 1, "\u00b5m": 1, "\u03bcm": 1, nm: 1e-3, pm: 1e-6 };
 
-// Points of each of the axes, or of the only one in an array of one. A table of time and displacement has two columns, or
-// more with names that say which; those of several axes have their names. Units come from the names.
+// Points of each of the axes, or of the only one in an array of one. A table of time and displacement has two columns,
+// or more with names that say which; those of several axes have their names. Units come from the names.
 export function parsedPaths(text, axes = [""]) {
   const lines = text.split(/\r?\n/).filter((line) => line.trim() && !/^\s*[#%]/.test(line));
   if (!lines.length) throw new Error("The file is empty; need two columns, time and displacement.");

@@ -4,7 +4,7 @@ import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
 import { AxesFigures, resting } from "./axes_figures.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
-import { Form, fold, list } from "./forms.js";
+import { Form, fold, list, tick } from "./forms.js";
 import { inPage } from "./labels.js";
 import { duration, length, limitsFrom, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
@@ -13,7 +13,7 @@ import { expected, parsedPaths } from "./path_file.js";
 import { isPlane } from "./report.js";
 import { ScanForm } from "./scans.js";
 import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
-import { bandOf, fileLink, jobCards, lightOf, modelChoice, needsModel, remarksOf, reportOf } from "./verdict.js";
+import { bandOf, fileLink, jobCards, lightOf, modelChoice, remarksOf, reportOf } from "./verdict.js";
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 const RATE = { label: "Samples a second", unit: "Hz", value: "1000", above: 0 };
@@ -43,38 +43,33 @@ const axesFigures = new AxesFigures(usePoints);
 const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
 const drawnAxis = () => chosenModel().axes?.find((one) => one.name === axesForm.values.axis) ?? chosenModel();
 
-export function pathView(state) {
-  const heading = h("h2", { class: "unseen" }, "Path and voltage");
-  const model = chosenModel();
-  if (!model) return [heading, needsModel("A path needs a model that is ready.")];
+export function pathView(state, model) {
+  if (!model) return null;
   adopt(model);
   if (model.coupling) axesFigures.show(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
   const { said } = view;
   const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
-  return [
-    heading,
+  return h(
+    "div",
+    { class: "split", key: "path-body" },
     h(
       "div",
-      { class: "split", key: "path-body" },
+      { class: "side" },
+      modelChoice(),
       h(
         "div",
-        { class: "side" },
-        modelChoice(),
-        h(
-          "div",
-          { class: "card" },
-          sourceChoice(model),
-          model.coupling && view.source === "points" && axesForm.field("axis"),
-          { scan: scanFields, points: pointsField, file: fileField }[view.source](),
-          model.coupling ? axesForm.row(["rate"]) : form.row(["low", "high", "slew", "rate"]),
-          button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
-          problem("path"),
-        ),
-        voltages(state),
+        { class: "card" },
+        sourceChoice(model),
+        model.coupling && view.source === "points" && axesForm.field("axis"),
+        { scan: scanFields, points: pointsField, file: fileField }[view.source](),
+        model.coupling ? axesForm.row(["rate"]) : form.row(["low", "high", "slew", "rate"]),
+        button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
+        problem("path"),
       ),
-      h("div", { class: "stage" }, said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
+      voltages(state),
     ),
-  ];
+    h("div", { class: "stage" }, said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
+  );
 }
 
 function sourceChoice(model) {
@@ -85,8 +80,7 @@ function sourceChoice(model) {
       if (value === "points") view.points ??= firstPoints();
       replan();
     };
-    const input = h("input", { type: "radio", name: "source", value, checked: value === view.source, onchange });
-    return h("label", { class: "tick" }, input, label);
+    return tick(label, { type: "radio", name: "source", value, checked: value === view.source, onchange });
   };
   return h("fieldset", { class: "row" }, h("legend", {}, "The wanted path"), sources.map(one));
 }

@@ -1,10 +1,10 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
-import { announce, button, problem } from "./acts.js";
-import { example, readRecord, recordColumns, remove, upload } from "./api.js";
+import { announce, button, problem, removeButton } from "./acts.js";
+import { example, readRecord, recordColumns, upload } from "./api.js";
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
-import { facts, fold, list } from "./forms.js";
+import { facts, fold, list, tick } from "./forms.js";
 import { identifyCard } from "./identify.js";
 import { inPage } from "./labels.js";
 import { bytes, duration, percent, range, short, whole } from "./numbers.js";
@@ -49,7 +49,6 @@ export function recordsView({ records }) {
   figure.draw(readyRecords().filter((one) => !unseen.has(one.id)));
   scrollToRefused(records);
   return [
-    h("h2", { class: "unseen" }, "Records"),
     dropPlace(records.length > 0),
     h("ul", { id: "uploads", class: "uploads" }, uploads.map(uploadRow)),
     records.length === 0 && journey("journey", JOURNEY),
@@ -156,16 +155,12 @@ function scrollToRefused(records) {
 
 function card(record, first) {
   const { id, name, status } = record;
-  const drop = button("Remove", `records ${id}`, () => remove("records", id), {
-    class: "quiet",
-    "aria-label": `Remove ${name} from the list`,
-  });
   const swatch = h("i", { class: "swatch", style: `background:var(--${colourOf(id)})` });
   const content = { reading: readingCard, ready: readyCard, refused: refusedCard }[status];
   return h(
     "li",
     { class: `card ${status}`, key: id, id: `record-${id}` },
-    h("div", { class: "card-head" }, swatch, h("h3", {}, name), drop),
+    h("div", { class: "card-head" }, swatch, h("h3", {}, name), removeButton("records", record)),
     problem(`records ${id}`),
     content(record, first),
   );
@@ -192,15 +187,14 @@ function refusedCard(record, first) {
 function readyCard(record) {
   const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement, words } = record;
   const understood = words?.length > 0 || record.file_columns?.length > 0;
-  const tick = (label, checked, change) => {
+  const box = (label, checked, change) => {
     const onchange = (event) => {
       change(event.target.checked);
       redraw();
     };
-    const box = h("input", { type: "checkbox", checked, "aria-label": `${label}: ${name}`, onchange });
-    return h("label", { class: "tick" }, box, label);
+    return tick(label, { type: "checkbox", checked, spoken: `${label}: ${name}`, onchange });
   };
-  const role = (label, own) => tick(label, roleOf(id) === own, (on) => roles.set(id, on ? own : "none"));
+  const role = (label, own) => box(label, roleOf(id) === own, (on) => roles.set(id, on ? own : "none"));
   return [
     facts([
       ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
@@ -214,7 +208,7 @@ function readyCard(record) {
       { class: "row" },
       role("Train", "train"),
       role("Validate", "validate"),
-      tick("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
+      box("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
     ),
   ];
 }

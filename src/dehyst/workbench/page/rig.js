@@ -3,11 +3,11 @@ import { button, problem } from "./acts.js";
 import { rig as request } from "./api.js";
 import { h, table } from "./dom.js";
 import { Figure } from "./figure.js";
-import { Form, facts, fold, list, options } from "./forms.js";
+import { Form, card, facts, fold, list } from "./forms.js";
 import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
 import { MICROMETRES, SECONDS_AXIS, VOLTS, journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";
-import { session, watch } from "./state.js";
+import { watch } from "./state.js";
 import { isOpen } from "./steps.js";
 
 const LIMITS = {
@@ -57,7 +57,6 @@ export function rigView({ rig, voltages }) {
   const connected = here && rig.status !== "connecting";
   const moving = ["playing", "calibrating", "stopping"].includes(rig.status);
   return [
-    h("h2", { class: "unseen" }, "Rig"),
     h("p", { class: "error", role: "alert" }, rig.error),
     problem("rig"),
     h(
@@ -88,10 +87,9 @@ export function rigView({ rig, voltages }) {
 function connectCard() {
   const { values } = connecting;
   const connect = () => request("connect", { address: values.address.trim(), ...limits(connecting) });
-  return h(
-    "div",
-    { class: "card", id: "rig-connect", key: "connect" },
-    h("h3", {}, "1. Connect"),
+  return card(
+    "1. Connect",
+    { id: "rig-connect", key: "connect" },
     connecting.field("address"),
     connecting.row(Object.keys(LIMITS), "fields three"),
     h("p", { class: "muted" }, "Nothing moves before you arm. No voltage leaves these limits."),
@@ -107,10 +105,9 @@ function connectedCard(rig) {
     ["Largest slew rate", `${short(rig.slew)} V/s`],
     ["Safe voltage", `${short(rig.safe)} V`],
   ];
-  return h(
-    "div",
-    { class: "card", id: "rig-connected", key: "connected" },
-    h("h3", {}, "Connected"),
+  return card(
+    "Connected",
+    { id: "rig-connected", key: "connected" },
     facts(about),
     h(
       "p",
@@ -127,10 +124,9 @@ function planCard(rig) {
   else if (rig.status === "armed" && !rig.plan) missing = "Look at the plan first.";
   const ready = rig.status === "armed" && rig.plan;
   const calibrate = act("Calibrate", () => request("calibrate", calibration()), ready ? {} : { disabled: true });
-  return h(
-    "div",
-    { class: "card", id: "rig-calibration", key: "calibration" },
-    h("h3", {}, "2. Plan a calibration"),
+  return card(
+    "2. Plan a calibration",
+    { id: "rig-calibration", key: "calibration" },
     planning.row(Object.keys(planning.fields), "fields three"),
     h("p", { class: "row" }, act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
     h("p", { class: "muted" }, missing),
@@ -144,10 +140,9 @@ function armCard({ identity, limits: ends, slew, safe }) {
     await request("arm", { identity, ...limits(arming) });
     for (const name of Object.keys(LIMITS)) arming.values[name] = "";
   };
-  return h(
-    "div",
-    { class: "card danger", id: "rig-arm", key: "arm" },
-    h("h3", {}, "3. Arm"),
+  return card(
+    "3. Arm",
+    { class: "danger", id: "rig-arm", key: "arm" },
     h("p", {}, `Rig: ${identity}. ${confirm} ${check}`),
     arming.row(Object.keys(LIMITS), "fields three"),
     act("Arm with these limits", arm, { class: "main armed" }),
@@ -160,8 +155,7 @@ function playCard(voltages) {
   fields.voltage.choices = voltages.map((one) => [one.id, words(one)]);
   if (!voltages.some((one) => one.id === values.voltage)) values.voltage = voltages[0].id;
   const play = () => request("play", { voltage: values.voltage });
-  const title = h("h3", {}, "4. Play a voltage");
-  return h("div", { class: "card", id: "rig-play", key: "play" }, title, playing.field("voltage"), act("Play", play));
+  return card("4. Play a voltage", { id: "rig-play", key: "play" }, playing.field("voltage"), act("Play", play));
 }
 
 // What a calibration would play, which is shown before anything is armed; and what came of it.

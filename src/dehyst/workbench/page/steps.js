@@ -4,21 +4,20 @@ import { percent } from "./numbers.js";
 import { chosenModel, readyRecords, session, watch } from "./state.js";
 
 const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
-// Title and state of each step; a mark colours its number.
+// Title and state of each step, and what it says while there is no model that it needs; a mark colours its number.
 const STEPS = {
   records: ["Records", recordsState],
   model: ["Model", modelState],
-  trust: ["Trust", trustState],
-  path: ["Path and voltage", pathState],
-  export: ["Export", ({ files }) => ({ text: counted(files.length, "file") })],
+  trust: ["Trust", trustState, "There is no model to assess yet."],
+  path: ["Path and voltage", pathState, "A path needs a model that is ready."],
+  export: ["Export", ({ files }) => ({ text: counted(files.length, "file") }), "An export needs a model."],
   rig: ["Rig", rigState],
 };
 const IDS = Object.keys(STEPS);
-const NEED_MODEL = ["trust", "path", "export"];
 let pages = {};
 let open = null;
 
-// `views` returns what each step shows, by its name, from the state; only the open one is drawn.
+// `views` returns what each step shows, by its name, from the state and the chosen model; only the open one is drawn.
 export function buildSteps(views) {
   pages = views;
   byId("steps").onkeydown = byKeys;
@@ -44,12 +43,21 @@ export function openStep(wanted, { focus = false } = {}) {
 function refresh(state) {
   fill(byId("steps"), IDS.map((id, k) => tab(id, k, state)));
   for (const id of IDS) byId(id).hidden = id !== open;
-  fill(byId(open), pages[open](state));
+  const [title, , needs] = STEPS[open];
+  const heading = h("h2", { class: "unseen" }, title);
+  const model = chosenModel();
+  fill(byId(open), heading, needs && !model && needsModel(needs), pages[open](state, model));
 }
 
+export const goTo = (step, text) =>
+  h("button", { type: "button", class: "main", onclick: () => openStep(step, { focus: true }) }, text);
+
+// Of a step that needs a model, while there is none.
+export const needsModel = (words) => h("div", { class: "empty" }, h("p", {}, words), goTo("records", "To the records"));
+
 function tab(id, k, state) {
-  const [title, describe] = STEPS[id];
-  const { text, mark } = NEED_MODEL.includes(id) && !chosenModel() ? { text: "needs a model" } : describe(state);
+  const [title, describe, needs] = STEPS[id];
+  const { text, mark } = needs && !chosenModel() ? { text: "needs a model" } : describe(state);
   const chosen = id === open;
   const about = { role: "tab", type: "button", id: `step-${id}`, "aria-controls": id, "aria-selected": String(chosen) };
   return h(

@@ -4,22 +4,22 @@ import { announce, button, problem } from "./acts.js";
 import { assess } from "./api.js";
 import { fill, h, make } from "./dom.js";
 import { Figure } from "./figure.js";
+import { card } from "./forms.js";
 import { length } from "./numbers.js";
-import { turnsPicture } from "./path_figures.js";
+import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { MICROMETRES, SECONDS_AXIS } from "./records.js";
 import { isPlane } from "./report.js";
-import { chosenModel, openJobs } from "./state.js";
-import { axesBlock, goTo, jobCards, modelChoice, mounted, needsModel, verdictBlock } from "./verdict.js";
+import { openJobs } from "./state.js";
+import { goTo } from "./steps.js";
+import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
 const turns = make(h("div", { class: "report", id: "trust-turns" }));
 let drawn = {}; // the plan in the pictures, and the figure with its turning points
 
-export function trustView() {
-  const heading = h("h2", { class: "unseen" }, "Trust");
-  const model = chosenModel();
-  if (!model) return [heading, needsModel("There is no model to assess yet.")];
+export function trustView(_, model) {
+  if (!model) return null;
   const jobs = openJobs("insight", model.id);
   const running = jobs.some((one) => one.status === "running");
   const { report } = model.insight ?? {};
@@ -28,7 +28,6 @@ export function trustView() {
   fill(turns, model.coupling ? axesBlock(model) : turned(model));
   if (assessment && !model.coupling) assessed(assessment);
   return [
-    heading,
     modelChoice(),
     !assessment && verdictBlock(model),
     !assessment && turns,
@@ -49,7 +48,8 @@ function turned(model) {
   promise.element.hidden = !plan;
   if (beside.nextSibling !== promise.element) beside.after(promise.element);
   if (plan && (drawn.plan !== plan || drawn.figure !== figure)) drawPath(plan, figure);
-  const words = plan ? h("p", {}, plan.turned?.sentence) : h("p", {}, "There is no path yet. ", goTo("path", "To the path"));
+  const none = ["There is no path yet. ", goTo("path", "To the path")];
+  const words = h("p", {}, plan ? plan.turned?.sentence : none);
   return [section.previousElementSibling, section, words];
 }
 
@@ -65,15 +65,14 @@ function assessed({ element, figures }) {
 }
 
 const invitation = ({ id }, running) =>
-  h(
-    "div",
-    { class: "card", key: "invitation" },
-    h("h3", {}, "What do the records leave open?"),
+  card(
+    "What do the records leave open?",
+    { key: "invitation" },
     h(
       "p",
       {},
-      "The assessment shows what the records leave open of a path, what to record next, and which numbers of the model " +
-        "the records determine. It takes seconds to minutes.",
+      "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
+        "model the records determine. It takes seconds to minutes.",
     ),
     button("Assess the model", "trust", () => start(id), { class: "main", hidden: running }),
   );
@@ -85,13 +84,10 @@ async function start(id) {
 
 // Draw the path with its band, and where its voltage turns.
 function drawPath(plan, figure) {
-  const { path, planned, band, turned: found } = plan;
+  const { band, turned: found } = plan;
   drawn = { plan, figure };
   if (found) figure.set(...turnsPicture(found));
-  const curve = (name, colour, y, more) => ({ name, colour, x: path.time, y, rising: true, width: 1.8, ...more });
-  const series = [curve("wanted", "measured", path.wanted, { around: band })];
-  if (planned.clamps.limited + planned.clamps.slewed) series.push(curve("reached", "simulated", planned.reached));
   const notes = [["band", `expected largest error, \u00b1${length(band)}`]];
   const spoken = "The wanted path with the error to expect.";
-  promise.set({ x: SECONDS_AXIS, y: MICROMETRES, series, notes }, { spoken });
+  promise.set({ x: SECONDS_AXIS, y: MICROMETRES, series: wantedCurves(plan), notes }, { spoken });
 }

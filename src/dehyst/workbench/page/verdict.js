@@ -7,7 +7,6 @@ import { inPage } from "./labels.js";
 import { length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
 import { chooseModel, chosenModel, readyModels, redraw } from "./state.js";
-import { openStep } from "./steps.js";
 
 const LIGHTS = {
   ready: ["green", "Ready for use"],
@@ -61,12 +60,6 @@ export function axesBlock({ axes, coupling }) {
     h("p", { class: "muted" }, `Coupling: ${pairs.join(", ")}. ${rest}`),
   );
 }
-
-export const goTo = (step, text) =>
-  h("button", { type: "button", class: "main", onclick: () => openStep(step, { focus: true }) }, text);
-
-// Of a step that needs a model, while there is none.
-export const needsModel = (words) => h("div", { class: "empty" }, h("p", {}, words), goTo("records", "To the records"));
 
 // A choice of the model that all steps speak of, if there is more than one.
 export function modelChoice() {

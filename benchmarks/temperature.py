@@ -1,0 +1,78 @@
+"""Records at three temperatures, simulated at two others. Writes `temperature.json`.
+
+Actuators by mechanisms that are no instance of the model; their gain changes by -0.25 % a kelvin, and they expand by
+8 nm a kelvin. Each record warms by 1 K. Compared: the model with the channel of temperature, without it, and one of
+records at 20 degrees Celsius, simulated there.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import dehyst
+from dehyst import Record
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from strangers.protocols import through
+from strangers.truths import TRUTHS
+
+GAIN, EXPANSION, NEUTRAL = -2.5e-3, 8e-9, 20.0
+TRAINED, HELD_OUT, WARMS = (15.0, 30.0, 45.0), (22.0, 38.0), 1.0
+NAMES = ("relays", "stribeck", "bristles")
+OUTPUT = Path(__file__).with_suffix(".json")
+
+
+def record(truth, first: float, last: float, seed: int, *, channel: bool = True) -> Record:
+    """Return random turns of a new actuator, after two major loops."""
+    random = np.random.default_rng(seed)
+    turns = [0.0, 1.0, 0.0, 1.0, 0.0, *random.uniform(0, 1, 24), 0.0]
+    u = through(turns, [200] * (len(turns) - 1))
+    degrees = np.linspace(first, last, u.size)
+    y = truth.stroke * truth.mechanism().play(u, np.full(u.size, 1 / 400))
+    y = (
+        (1 + GAIN * (degrees - NEUTRAL)) * y
+        + EXPANSION * (degrees - NEUTRAL)
+        + random.normal(0, 1e-4 * truth.stroke, u.size)
+    )
+    others = {"temperature_C": degrees + random.normal(0, 0.05, u.size)} if channel else {}
+    voltage = truth.low + (truth.high - truth.low) * u
+    return Record(truth.period / 400 * np.arange(u.size), voltage, y, f"{first:g} degC, {seed}", others=others)
+
+
+def missed(actuator: dehyst.Actuator, measured: Record, temperature=None) -> float:
+    """Return the largest error [% of the stroke] after the first two loops, its mean aside."""
+    options = {"temperature": temperature} if temperature is not None else {}
+    options |= {"time": measured.time} if actuator.needs_time else {}
+    error = (measured.displacement - actuator.simulate(measured.voltage, **options).displacement)[800:]
+    return float(100 * np.abs(error - error.mean()).max() / measured.stroke)
+
+
+def case(name: str) -> dict[str, object]:
+    truth = TRUTHS[name]
+
+    def records(channel: bool, constant: bool = False) -> list[Record]:
+        at = [(NEUTRAL, NEUTRAL)] * 3 if constant else [(t, t + WARMS) for t in TRAINED]
+        return [record(truth, *ends, seed, channel=channel) for seed, ends in enumerate(at, 1)]
+
+    known, unknown, constant = (dehyst.identify(one) for one in (records(True), records(False), records(False, True)))
+    found = {"truth": name, "constant": missed(constant.actuator, record(truth, NEUTRAL, NEUTRAL, 9, channel=False))}
+    for degrees in HELD_OUT:
+        new = record(truth, degrees, degrees + WARMS, 9)
+        found[f"with, {degrees:g}"] = missed(known.actuator, new, new.temperature)
+        found[f"without, {degrees:g}"] = missed(unknown.actuator, new)
+    found["promised with"] = known.expectation.largest_percent
+    found["promised without"] = unknown.expectation.largest_percent
+    found["gain"] = None if known.actuator.thermal is None else known.actuator.thermal.gain
+    return found
+
+
+def main() -> None:
+    rows = [case(name) for name in NAMES]
+    OUTPUT.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+    print(*rows, sep="\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,189 @@
+"""Gain and offset by temperature, from records with a channel of it, before anything else is identified.
+
+By section 22 of the theory, ``y = datum + offset dT + (1 + gain dT) m(v)``. Here m is a sum of plays of the voltage and
+a polynomial. Its weights and the two numbers are fitted by least squares in turn. The numbers are used if they predict
+temperatures that were held out. Then the records are brought to the reference, and identified as at one temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dehyst._native import slip_elongations
+from dehyst._types import Array
+from dehyst.identification.results import Trace
+from dehyst.identification.rules import RULES
+from dehyst.model import Actuator, Thermal
+from dehyst.records import Record, rms
+
+# Radii of the plays, as parts of the range; powers of the voltage; steps of the alternation; samples at most.
+_RADII, _POWERS, _STEPS, _MOST = np.geomspace(0.01, 0.5, 16), 4, 6, 40_000
+# Parts of the temperatures that are held out in turn; standard errors from which on an offset counts.
+_FOLDS, _SURE = 4, 3.0
+
+
+@dataclass(frozen=True)
+class TemperatureEffect:
+    """Gain and offset by temperature, and how well they are known.
+
+    Attributes
+    ----------
+    gain, offset : float
+        [1/K] and [m/K], of the displacement above that at the lowest voltage.
+    gain_error, offset_error : float
+        Standard errors: a jackknife over the temperatures that were held out.
+    reference : float
+        [degrees Celsius], the mean of the records.
+    range : (float, float)
+        Lowest and highest temperature of the records [degrees Celsius].
+    better : float
+        Error of temperatures that were held out, as a part of that without the effect.
+    datums : tuple of float
+        Displacement of each record at the lowest voltage and the reference [m].
+    """
+
+    gain: float
+    offset: float
+    gain_error: float
+    offset_error: float
+    reference: float
+    range: tuple[float, float]
+    better: float
+    datums: tuple[float, ...]
+
+    def at_reference(self, record: Record, datum: float | None = None) -> Record:
+        """Return a record as it would have been at the reference; one without a temperature stays as it is.
+
+        `datum`: as in `datums`, default: their mean.
+        """
+        temperature = record.temperature
+        if temperature is None:
+            return record
+        kelvins, zero = temperature - self.reference, float(np.mean(self.datums)) if datum is None else datum
+        at_once = (record.displacement - zero - self.offset * kelvins) / (1 + self.gain * kelvins)
+        return replace(record, displacement=zero + at_once)
+
+    def refined(self, records: Sequence[Record], traces: Sequence[Trace]) -> TemperatureEffect:
+        """Return the effect with a gain by the identified actuator, which follows the records closer than plays do.
+
+        `records`: as measured, `traces`: measured at the reference and simulated, of the same records.
+        """
+        rows, left = [], []
+        for record, trace in zip(records, traces, strict=False):
+            temperature = record.temperature
+            assert temperature is not None
+            kelvins = np.interp(trace.time, record.time, temperature) - self.reference
+            motion = trace.simulated - trace.simulated.min()
+            columns = np.column_stack([motion * kelvins, motion])
+            # Each record has a constant of its own.
+            rows.append(columns - columns.mean(axis=0))
+            left.append(trace.residual - trace.residual.mean())
+        found = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=None)[0]
+        return replace(self, gain=self.gain + float(found[0]))
+
+    def of(self, actuator: Actuator) -> Thermal:
+        """Return the part of an actuator that was identified at the reference."""
+        low, _ = actuator.major_loop(actuator.voltage_range)
+        return Thermal(self.gain, self.offset - self.gain * low, self.reference)
+
+    @property
+    def sentence(self) -> str:
+        """The effect in words."""
+        low, high = self.range
+        return (
+            f"From {low:.3g} to {high:.3g} degrees Celsius the displacement changes by {100 * self.gain:+.3g} ± "
+            f"{100 * self.gain_error:.2g} % and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm a kelvin: "
+            f"temperatures that were held out are missed by {100 * self.better:.0f} % of the error without that."
+        )
+
+
+def temperature_effect(records: Sequence[Record]) -> TemperatureEffect | None:
+    """Return how the displacement of `records` of one axis depends on their temperature; None if that is not shown.
+
+    All need a temperature, with a range of `DecisionRules.temperatures`. Held-out ones must be predicted better,
+    by `DecisionRules.temperature_helps`.
+    """
+    given = [record.temperature for record in records]
+    if any(one is None for one in given):
+        return None
+    every = np.concatenate([one for one in given if one is not None])
+    low, high = float(every.min()), float(every.max())
+    if high - low < RULES.temperatures:
+        return None
+    rows = _TemperatureRows(records, every)
+    gain, offset, errors, datums = rows.jackknifed()
+    if abs(offset) < _SURE * errors[1]:
+        # A sensor that is zeroed anew hides the offset, but for what the temperature changes within a record.
+        rows.expands = False
+        gain, offset, errors, datums = rows.jackknifed()
+    missed = rms(rows.held_out()) / max(rms(rows.held_out(fixed=True)), 1e-300)
+    if missed > RULES.temperature_helps:
+        return None
+    return TemperatureEffect(gain, offset, *errors, rows.reference, (low, high), missed, tuple(datums))
+
+
+class _TemperatureRows:
+    """Samples of all records that count, and the columns of m."""
+
+    def __init__(self, records: Sequence[Record], temperatures: Array) -> None:
+        self.reference = float(temperatures.mean())
+        step = 1 + temperatures.size // _MOST
+        lowest = min(float(record.voltage.min()) for record in records)
+        span = max(float(record.voltage.max()) for record in records) - lowest
+        columns, y, kelvins, own = [], [], [], []
+        for q, record in enumerate(records):
+            u = np.ascontiguousarray((record.voltage - lowest) / span)
+            stretched, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), u)
+            # The state is known once the voltage has been at both of its ends.
+            first = max(int(np.argmax(u)), int(np.argmin(u)))
+            kept = slice(first, None, step)
+            powers = u[kept, None] ** np.arange(1, _POWERS + 1)
+            # Plays are 0 at the lowest voltage after a fall from the highest.
+            columns.append(np.hstack([powers, u[kept, None] - stretched[kept] - _RADII]))
+            y.append(record.displacement[kept])
+            own.append(np.full(y[-1].size, q))
+            temperature = record.temperature
+            assert temperature is not None
+            kelvins.append(temperature[kept] - self.reference)
+        self.columns, self.y = np.vstack(columns), np.concatenate(y)
+        self.kelvins, self.own = np.concatenate(kelvins), np.concatenate(own)
+        self.datums = (self.own[:, None] == np.arange(len(records))).astype(np.float64)
+        edges = np.quantile(self.kelvins, np.arange(1, _FOLDS) / _FOLDS)
+        self.folds = np.searchsorted(edges, self.kelvins, side="right")
+        self.expands, self.weights = True, np.zeros(self.columns.shape[1])
+
+    def jackknifed(self) -> tuple[float, float, tuple[float, float], Array]:
+        """Return gain, offset, their standard errors, and the datum of each record."""
+        gain, offset, datums = self.solved(np.ones(self.y.size, dtype=bool))
+        found = np.array([self.solved(self.folds != k)[:2] for k in np.unique(self.folds)])
+        errors = np.sqrt((len(found) - 1) * found.var(axis=0))
+        return gain, offset, (float(errors[0]), float(errors[1])), datums
+
+    def solved(self, kept: Array, *, fixed: bool = False) -> tuple[float, float, Array]:
+        """Return gain, offset and the datums by the samples `kept` (n,); with `fixed` both numbers are 0."""
+        columns, kelvins, own, y = self.columns[kept], self.kelvins[kept], self.datums[kept], self.y[kept]
+        size, gain = columns.shape[1], 0.0
+        m = np.zeros(y.size)
+        # Gauss-Newton: with the weights of before the equations are linear in the gain's change too.
+        for _ in range(1 if fixed else _STEPS):
+            free = [] if fixed else [m * kelvins, self.expands * kelvins]
+            rows = np.column_stack([(1 + gain * kelvins)[:, None] * columns, own, *free])
+            found = np.linalg.lstsq(rows, y, rcond=1e-10)[0]
+            self.weights, datums = found[:size], found[size : size + own.shape[1]]
+            change, offset = (0.0, 0.0) if fixed else found[-2:]
+            gain, m = gain + float(change), columns @ self.weights
+        return gain, float(self.expands * offset), datums
+
+    def held_out(self, *, fixed: bool = False) -> Array:
+        """Return the errors (n,) [m] of each fold by the others, the datums of its records aside."""
+        errors = np.zeros(self.y.size)
+        for k in np.unique(self.folds):
+            own = self.folds == k
+            gain, offset, _ = self.solved(~own, fixed=fixed)
+            kelvins, used = self.kelvins[own], self.datums[own]
+            error = self.y[own] - (1 + gain * kelvins) * (self.columns[own] @ self.weights) - offset * kelvins
+            errors[own] = error - used @ np.linalg.lstsq(used, error, rcond=None)[0]
+        return errors

@@ -1,0 +1,83 @@
+"""Gain and offset by temperature: found where the records show them, used at other temperatures, and left out else."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+
+import dehyst
+from dehyst import Actuator
+from dehyst.identification.temperature import temperature_effect
+
+STROKE = plain_records.STROKE
+GAIN = -2.5e-3
+TRUE = plain_records.plant(10, seed=4)
+SETTINGS = {"structure": "maxwell_slip", "elements": 10}
+
+
+def at(first, last, seed, *, name="record", gain=GAIN, offset=0.0, known=True):
+    """A record of random turns while the temperature goes from `first` to `last`; 20 degrees Celsius is neutral."""
+    random = np.random.default_rng(seed)
+    voltage = plain_records.VOLTS / STROKE * plain_records.path((0, 1, 0, *random.uniform(0, 1, 12), 0))
+    made = plain_records.driven(
+        TRUE, voltage, noise=2e-9, seed=seed, state=TRUE.turned(0.0, rising=False), name=f"{name} {seed}"
+    )
+    temperature = np.linspace(first, last, len(made))
+    y = (1 + gain * (temperature - 20)) * made.displacement + offset * (temperature - 20)
+    shown = {"temperature_C": temperature + random.normal(0, 0.02, len(made))} if known else {}
+    return dehyst.Record(made.time, made.voltage, y, made.name, others=shown)
+
+
+def missed(actuator, record, **options):
+    error = record.displacement - actuator.simulate(record.voltage, **options).displacement
+    error = error[len(record) // 5 :]
+    return np.abs(error - error.mean()).max() / STROKE
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return dehyst.identify([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)], **SETTINGS)
+
+
+def test_the_gain_is_found(warm):
+    thermal = warm.actuator.thermal
+    assert thermal.reference == pytest.approx(30, abs=1)
+    assert thermal.gain == pytest.approx(GAIN / (1 + GAIN * (thermal.reference - 20)), rel=0.01)
+    assert Actuator.from_dict(warm.actuator.as_dict()).thermal == thermal
+
+
+def test_expansion_is_found_where_the_temperature_changes_within_records():
+    effect = temperature_effect([at(15, 45, 1, offset=4e-8), at(40, 18, 2, offset=4e-8)])
+    assert effect.offset == pytest.approx(4e-8, rel=0.2)
+    assert abs(effect.offset - 4e-8) < 3 * effect.offset_error
+
+
+@pytest.mark.parametrize("degrees", [22, 38])
+def test_temperatures_between_are_predicted_as_at_a_constant_one(warm, degrees):
+    constant = dehyst.identify([at(20, 20, seed, known=False) for seed in (1, 2, 3)], **SETTINGS).actuator
+    record = at(degrees, degrees + 1, 7)
+    found = missed(warm.actuator, record, temperature=record.temperature)
+    assert found < 1.3 * missed(constant, at(20, 20, 7, known=False)) + 2e-4
+    assert found < 0.2 * missed(warm.actuator, record)
+
+
+def test_without_the_channel_the_promise_covers_what_is_reached():
+    fit = dehyst.identify([at(15, 16, 1, known=False), at(29, 31, 2, known=False), at(45, 44, 3, known=False)])
+    assert fit.actuator.thermal is None
+    for degrees in (22, 38):
+        assert missed(fit.actuator, at(degrees, degrees, 7)) < fit.expectation.largest / STROKE
+
+
+def test_a_new_record_is_compared_at_the_reference(warm):
+    record = at(38, 39, 7)
+    assert dehyst.check(warm.actuator, record).good
+    unaware = replace(warm.actuator, thermal=None)
+    assert dehyst.check(unaware, record).rms > 3 * dehyst.check(warm.actuator, record).rms
+
+
+def test_what_records_do_not_show_is_left_out():
+    assert temperature_effect([at(20, 21, 1), at(20, 21, 2)]) is None
+    assert temperature_effect([at(15, 16, 1), at(44, 45, 2, known=False)]) is None
+    none = [at(first, first + 1, seed, gain=0.0) for seed, first in ((1, 15), (2, 30), (3, 44))]
+    assert temperature_effect(none) is None
