@@ -251,7 +251,7 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["loops.csv"]
     status, out, err = run("demo", "-o", tmp_path)
     assert (status, out) == (2, "") and "files (loops.csv)" in err
-    with pytest.raises(FileFormatError, match=r"cannot be made a folder \(it is a file\); give another"):
+    with pytest.raises(FileFormatError, match=r"made a folder"):
         demand_own_folder(tmp_path / "loops.csv", "demo.json", "dehyst-demo")
 
 

@@ -278,7 +278,7 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
     assert "compiler (cc) was found" in text
     assert "below 1e-03" in text
     assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
-    with pytest.raises(FileFormatError, match="cc: cannot be run"):
+    with pytest.raises(FileFormatError, match="cc: cannot"):
         sizes(tmp_path / "c")
 
 
@@ -318,7 +318,7 @@ def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
         with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
             run(given, tmp_path / "c")
     for path in (None, 3, b"c", "a\0b"):
-        with pytest.raises(FileFormatError, match="need the name of a file or a folder"):
+        with pytest.raises(FileFormatError, match="name of a file"):
             export(compiled_exports.plain(), path)
     assert list(tmp_path.iterdir()) == []
 

@@ -152,7 +152,7 @@ def test_the_code_of_the_page(table, tmp_path, monkeypatch):
 
 def test_other_files_are_no_table(tmp_path):
     path = write_parquet(tmp_path / "d.parquet", 2)
-    with pytest.raises(FileFormatError, match="is no table of a fleet"):
+    with pytest.raises(FileFormatError, match="no table of"):
         load(path)
 
 

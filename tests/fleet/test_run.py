@@ -265,7 +265,7 @@ def test_a_table_of_another_run_is_not_resumed(tmp_path):
     identify_fleet(path, output, by=BY, jobs=1)
     before, other = output.read_bytes(), write_parquet(tmp_path / "other.parquet", 2)
     for dataset, options in ((path, FleetOptions(elements=7)), (other, FleetOptions())):
-        with pytest.raises(FileFormatError, match="is a table of another dataset, other options or another version"):
+        with pytest.raises(FileFormatError, match="table of another"):
             identify_fleet(dataset, output, by=BY, options=options, jobs=1, resume=True)
     assert output.read_bytes() == before and not output.with_name("m.parquet.parts").exists()
 

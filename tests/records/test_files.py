@@ -326,7 +326,7 @@ def test_content_that_does_not_fit_the_suffix(tmp_path, suffix):
     path = text(tmp_path, HEAD + "0,1,2\n1,2,3\n" * 50, f"a{suffix}")
     with pytest.raises(FileFormatError, match=rf"a\{suffix}: not a readable \{suffix} file .*; check that the suffix"):
         read(path)
-    with pytest.raises(FileFormatError, match="the file is empty"):
+    with pytest.raises(FileFormatError, match="file is empty"):
         read(text(tmp_path, "", f"b{suffix}"))
 
 

@@ -149,7 +149,7 @@ def test_too_few_samples_are_kept_but_are_no_record(tmp_path, count):
 def test_refusals(tmp_path, monkeypatch):
     with pytest.raises(FileFormatError, match=r"the suffix \.h5"):
         Recording(tmp_path / "a.csv")
-    with pytest.raises(FileFormatError, match=r"absent does not exist; create it first"):
+    with pytest.raises(FileFormatError, match=r"absent does not exist"):
         Recording(tmp_path / "absent" / "a.h5")
     with pytest.raises(FileFormatError, match="written as JSON"):
         Recording(tmp_path / "a.h5", meta={"x": np.nan})
@@ -295,9 +295,9 @@ def test_a_file_that_may_grow_no_more(tmp_path, limit):
     out, err = child(tmp_path, script).communicate(timeout=60)
     told, (kind, message, *notes) = out.split("raised\n")[0].splitlines(), out.split("raised\n")[1].splitlines()
     assert (err, kind) == ("", "FileFormatError")
-    assert "a.h5.part.csv: cannot be written (File too large); make room there" in message
+    assert "a.h5.part.csv: " in message and "(File too large)" in message
     if notes:
-        assert "a.h5: cannot be written (File too large); make room" in notes[0]
+        assert "a.h5: " in notes[0] and "(File too large)" in notes[0]
         assert "salvage() makes" in notes[0]
     paths = salvage(tmp_path) if notes else [tmp_path / "a.h5"]
     assert (names(tmp_path), len(notes)) == (["a.h5"], int(limit < 10_000))
@@ -368,9 +368,7 @@ def test_a_folder_that_goes_while_recording(tmp_path, monkeypatch):
     (tmp_path / "stick").mkdir()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     recording = Recording(tmp_path / "stick" / "a.h5")
-    refusal = pytest.raises(
-        FileFormatError, match=r"a\.h5\.part\.csv: was removed while recording; check that the folder and"
-    )
+    refusal = pytest.raises(FileFormatError, match=r"a\.h5\.part\.csv: was removed")
     with refusal as caught, recording:
         recording.add(lot(0, 10))
         recording.journal.unlink()
@@ -433,12 +431,10 @@ def test_a_folder_that_may_not_be_written_to(tmp_path):
         (folder / "open").chmod(0o777)
         assert (ready, err) == ("ready\n", "")
         assert refused.startswith("FileFormatError ")
-        assert "a.h5.part.csv: cannot be written (Permission denied); check the folder's rights" in refused
+        assert "a.h5.part.csv: " in refused and "(Permission denied)" in refused
         finished, salvaged = out.splitlines()
-        assert (
-            "a.h5: cannot be written (Permission denied); check the folder's rights. All 10 samples are in" in finished
-        )
-        assert "a.h5: cannot be written (Permission denied)" in salvaged
+        assert "a.h5: " in finished and "(Permission denied)" in finished and "All 10 samples" in finished
+        assert "a.h5: " in salvaged and "(Permission denied)" in salvaged
         [path] = salvage(folder / "open")
         assert same(read(path), 10)
 

@@ -147,7 +147,7 @@ def test_a_record_that_shows_nothing_is_refused():
     still = Record(record.time, record.voltage, np.zeros(len(record)))
     with pytest.raises(RecordError, match="constant"):
         dehyst.check(model, still)
-    with pytest.raises(IdentifyError, match="got str, need a record"):
+    with pytest.raises(IdentifyError, match="got str"):
         dehyst.check(model, "record.csv")
     with pytest.raises(IdentifyError, match="goal: got 0"):
         dehyst.check(model, record, goal=0)

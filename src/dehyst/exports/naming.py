@@ -94,4 +94,4 @@ def shipped_bytes(name: str) -> bytes:
     for folder in [*(root.parents[1] / "core" / "include" for root in roots), *folders]:
         if (folder / name).is_file():
             return (folder / name).read_bytes()
-    raise FileFormatError(f"exports/templates/{name}: not found beside the package; install dehyst again")
+    raise FileFormatError(f"exports/templates/{name}: not found in the package; install dehyst again")

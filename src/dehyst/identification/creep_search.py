@@ -1,4 +1,4 @@
-"""Creep in displacement: found by the drift of holds, and chosen by holds that are held out (theory section 19).
+"""Creep in displacement: identified from the drift in holds, and selected by held-out holds (theory section 19).
 
 ``y = m + sum_k g_k lowpass_k(m)``, m the displacement without creep. With m known, y is linear in the gains and in a
 curve of plays of the voltage, which stands for any hysteresis: hats of plays. So the gains follow from a non-negative
@@ -66,7 +66,7 @@ class _PlayedPiece(NamedTuple):
     """A piece of a record.
 
     `number`: of the record. `rows`: the samples that count. `curves` (n, C): hats of plays, a constant of the piece,
-    and what an unknown start of creep leaves in the record. `holds`: the samples that hold.
+    and the decay of creep from before the record. `holds`: the samples that hold.
     """
 
     number: int
@@ -86,7 +86,7 @@ class CreepSearch:
 
     @classmethod
     def of(cls, frame: TrainingData) -> CreepSearch | None:
-        """Return the search in records; None if none holds for as long as creep needs to show."""
+        """Return the search in records; None if no hold is long enough to show creep."""
         low, high = frame.voltages
         sampled = [
             (q, item, piece, (late.voltage - low) / (high - low))
@@ -128,9 +128,9 @@ class CreepSearch:
         return float(np.mean(before)) < RULES.hold_gain**2 * float(np.mean(measured))
 
     def find(self, skipped: Callable[[Prepared, Array], Mask] | None = None) -> DisplacementCreep | None:
-        """Return the creep of least error; None if there is none.
+        """Return the creep with the least error; None if there is no creep.
 
-        `skipped`: record and times (n,) [s] -> which samples are held out.
+        `skipped`: record and times (n,) [s] -> mask of the held-out samples.
         """
         from scipy.optimize import nnls
 
@@ -144,7 +144,7 @@ class CreepSearch:
         ]
 
         def rows_of(columns: Sequence[Array]) -> Array:
-            """Return rows of columns of each piece (n, K), those of samples and those of the drift in holds."""
+            """Return rows of the columns (n, K) of each piece: rows of samples, then rows of the drift in holds."""
             values = [column[rows] for column, rows in zip(columns, used, strict=True)]
             parts = [column[one] for column, own in zip(columns, held, strict=True) for one in own]
             return np.concatenate([*values, *(_OF_HOLDS * (drift - drift.mean(axis=0)) for drift in parts)])

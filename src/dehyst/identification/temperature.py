@@ -1,4 +1,4 @@
-"""Gain and offset by temperature, from records with a channel of it, before anything else is identified.
+"""Gain and offset by temperature, identified first, from records with a temperature channel.
 
 By section 22 of the theory, ``y = datum + offset dT + (1 + gain dT) m(v)``. Here m is a sum of plays of the voltage and
 a polynomial. Its weights and the two numbers are fitted by least squares in turn. The numbers are used if they predict
@@ -32,15 +32,15 @@ class TemperatureEffect:
     Attributes
     ----------
     gain, offset : float
-        [1/K] and [m/K], of the displacement above that at the lowest voltage.
+        [1/K] and [m/K], of the displacement relative to the lowest voltage.
     gain_error, offset_error : float
-        Standard errors: a jackknife over the temperatures that were held out.
+        Standard errors from a jackknife over held-out temperatures.
     reference : float
         [degrees Celsius], the mean of the records.
     range : (float, float)
         Lowest and highest temperature of the records [degrees Celsius].
     better : float
-        Error of temperatures that were held out, as a part of that without the effect.
+        Error at held-out temperatures, relative to the error without the effect.
     datums : tuple of float
         Displacement of each record at the lowest voltage and the reference [m].
     """
@@ -55,7 +55,7 @@ class TemperatureEffect:
     datums: tuple[float, ...]
 
     def at_reference(self, record: Record, datum: float | None = None) -> Record:
-        """Return a record as it would have been at the reference; one without a temperature stays as it is.
+        """Return a record converted to the reference temperature; a record without temperature is unchanged.
 
         `datum`: as in `datums`, default: their mean.
         """
@@ -67,9 +67,9 @@ class TemperatureEffect:
         return replace(record, displacement=zero + at_once)
 
     def refined(self, records: Sequence[Record], traces: Sequence[Trace]) -> TemperatureEffect:
-        """Return the effect with a gain by the identified actuator, which follows the records closer than plays do.
+        """Return the effect with its gain fitted again with the identified actuator, which fits better than plays.
 
-        `records`: as measured, `traces`: measured at the reference and simulated, of the same records.
+        `records`: measured records. `traces`: the same records converted to the reference temperature, and simulated.
         """
         rows, left = [], []
         for record, trace in zip(records, traces, strict=False):
@@ -91,7 +91,7 @@ class TemperatureEffect:
 
     @property
     def sentence(self) -> str:
-        """The effect in words."""
+        """The effect as a sentence."""
         low, high = self.range
         return (
             f"From {low:.3g} to {high:.3g} degrees Celsius the displacement changes by {100 * self.gain:+.3g} ± "
@@ -101,10 +101,10 @@ class TemperatureEffect:
 
 
 def temperature_effect(records: Sequence[Record]) -> TemperatureEffect | None:
-    """Return how the displacement of `records` of one axis depends on their temperature; None if that is not shown.
+    """Return the effect of temperature on `records` of one axis; None if the records do not show it.
 
-    All need a temperature, with a range of `DecisionRules.temperatures`. Held-out ones must be predicted better,
-    by `DecisionRules.temperature_helps`.
+    All need a temperature, with a range of `DecisionRules.temperatures`. The effect must improve the prediction of
+    held-out temperatures by `DecisionRules.temperature_helps`.
     """
     given = [record.temperature for record in records]
     if any(one is None for one in given):

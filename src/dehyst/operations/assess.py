@@ -55,7 +55,7 @@ def insight(
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: what they determine, and what they leave open.
 
-    The status is 1 if there is a warning; with --precision, a number that is not known to it causes one.
+    The status is 1 if there is a warning; with a precision in --options, a number that is not known to it causes one.
 
     Parameters
     ----------

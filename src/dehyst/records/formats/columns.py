@@ -160,11 +160,11 @@ def scale_of(quantity: str, text: str) -> Scale:
     except ValueError as error:
         raise FileFormatError(what) from error
     if not isfinite(number) or number == 0:
-        raise FileFormatError(f"{what}; the number is finite and not 0")
+        raise FileFormatError(f"{what}; the number must be finite and not 0")
     if unit not in FACTORS[quantity]:
-        raise FileFormatError(f"{what}; the first unit is one of {', '.join(FACTORS[quantity])}")
+        raise FileFormatError(f"{what}; the first unit must be one of {', '.join(FACTORS[quantity])}")
     if not per:
-        raise FileFormatError(f"{what}; the second unit is that of the file, V or mV for instance")
+        raise FileFormatError(f"{what}; the second unit must be the unit in the file, such as V or mV")
     return Scale(number * FACTORS[quantity][unit], per, f"{match[1]} {match[2]}/{match[3]}")
 
 
@@ -172,13 +172,13 @@ def scale_of(quantity: str, text: str) -> Scale:
 class Column:
     """One named column of a file.
 
-    `unit`: if the file states it outside the name. `fault`: why it cannot be used, and what to try. `foreign`: whether
-    its samples are in another file, are computed, or are in a structure next to plain arrays; it is then ignored if
-    another column fits. `unnamed`: if the file has no names, so that the name is a number: the reason, and what to try.
-    `divided`: whether the name ends with a slash and its unit, as "Position/nm": that slash ends no group. `guessed`:
-    properties that the file does not state. `ends`: its first and last cell as a text file has them. `began`: of
-    timestamps, what the first may be: what it counts from, whole seconds and their fraction; two if the order of day
-    and month is unknown. `kept`: whether a record keeps it as a further channel, whatever its name is.
+    `unit`: unit that the file states outside of the name. `fault`: why the column cannot be used, and what to try.
+    `foreign`: whether its samples are in another file, are computed, or are in a structure next to plain arrays; it is
+    then ignored if another column fits. `unnamed`: if the file has no names and the name is therefore a number: the
+    reason, and what to try. `divided`: whether the name ends with a slash and its unit, as "Position/nm"; this slash
+    does not end a group. `guessed`: properties that the file does not state. `ends`: first and last cell in a text
+    file. `began`: possible values of the first timestamp (origin, whole seconds, fraction); there are two if the order
+    of day and month is unknown. `kept`: whether a record keeps it as a further channel, regardless of its name.
     """
 
     name: str

@@ -52,7 +52,7 @@ export function axesBlock({ axes, coupling }) {
   const heads = ["Axis", text, "Largest error", "Largest error", "RMS error", "Known for", "Reaches"];
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
-  const rest = whole ? "This matrix is all of the coupling, and is compensated." : "Coupling is more than this matrix.";
+  const rest = whole ? "This matrix describes all coupling, and is compensated." : "Coupling is more than this matrix.";
   return h(
     "section",
     { class: "comparison", "aria-label": "Axes", key: "axes" },
