@@ -56,6 +56,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/promise.py
+	$(BIN)/python benchmarks/temperature.py
 	$(BIN)/python benchmarks/adaptation.py
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py

@@ -92,3 +92,18 @@ def test_another_actuator_is_refused(old):
     record = driven(TRUE, ONE_LOOP)
     with pytest.raises(IdentifyError, match="plainly not"):
         dehyst.update(old, replace(record, displacement=3 * record.displacement))
+
+
+def test_parts_behind_the_elements_stay_as_they_are(old):
+    creep, thermal = dehyst.DisplacementCreep([0.5, 5.0], [0.02, 0.02]), dehyst.Thermal(2e-3, 0.0, 20.0)
+    model, stage = (replace(one, displacement_creep=creep, thermal=thermal) for one in (old, aged(-0.07, 0.25)))
+    made = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
+    degrees = np.full(len(made), 30.0)
+    measured = stage.simulate(
+        made.voltage, time=made.time, temperature=degrees, state=stage.turned(0.0, rising=False)
+    ).displacement
+    record = dehyst.Record(made.time, made.voltage, measured, "warm", others={"temperature_C": degrees})
+    found = dehyst.update(model, record)
+    assert found.used
+    assert (found.actuator.displacement_creep, found.actuator.thermal) == (creep, thermal)
+    assert error(found.actuator, record)[0] < 0.3 * error(model, record)[0]

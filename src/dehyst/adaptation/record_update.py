@@ -156,7 +156,8 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
 
     Stiffnesses of slip and smooth elements, of creep branches and of the spring are fitted again, by non-negative least
     squares with a prior that groups of them change little, and like their neighbours. Cross-validation on the record
-    determines the strength of the prior. Thresholds, transformer, delay, inertia and limits stay.
+    determines the strength of the prior. Thresholds, transformer, delay, inertia, limits, creep in displacement and the
+    effect of temperature stay.
 
     Parameters
     ----------
@@ -177,6 +178,13 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     IdentifyError
         If the record clearly belongs to another actuator, or no sample counts.
     """
+    creep, thermal = actuator.displacement_creep, actuator.thermal
+    if creep is not None or thermal is not None:
+        found = update(replace(actuator.before_creep, thermal=None), _before(actuator, record), goal=goal)
+        if not found.used:
+            return replace(found, actuator=actuator)
+        state = replace(found.actuator.state, displacement_creep=actuator.state.displacement_creep)
+        return replace(found, actuator=replace(found.actuator, displacement_creep=creep, thermal=thermal, state=state))
     recheck = check(actuator, record, goal=goal)
     if recheck.mismatch:
         raise IdentifyError(f"{recheck.mismatch}. The model is not updated")
@@ -211,6 +219,14 @@ def update_stage(stage: Stage, record: Record, *, goal: float | None = None) -> 
     changes = check_stage(stage, record, goal=goal).changes
     found = tuple(update(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
     return StageUpdate(replace(stage, actuators=tuple(one.actuator for one in found)), found, changes)
+
+
+def _before(actuator: Actuator, record: Record) -> Record:
+    """Return a record at the reference temperature and before creep in displacement."""
+    settled = actuator.at_reference(record)
+    if actuator.displacement_creep is None:
+        return settled
+    return replace(settled, displacement=actuator.displacement_creep.removed(record.time, settled.displacement))
 
 
 class _Rows:

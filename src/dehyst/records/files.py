@@ -239,7 +239,7 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
 
 
 def write_record(path: PathLike, record: Record) -> None:
-    """Write a `record` at full precision: as CSV, or as a NumPy archive, which is read faster.
+    """Write a `record` to `path` at full precision: as CSV, or as a NumPy archive, which is read faster.
 
     CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
     displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
