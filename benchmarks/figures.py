@@ -61,11 +61,12 @@ def draw_demo(left: Axes, right: Axes) -> None:
 
 
 def draw_reliability(axes: Axes) -> None:
-    """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and of others."""
+    """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and of six others."""
     parts = json.loads((DOCS.parent / "benchmarks" / "promise.json").read_text())
     for part, label, colour in (
         ("calibrate", "ten mechanisms", BEFORE),
         ("unseen", "three others", AFTER),
+        ("last", "three made last", COLOURS["feedback"]),
     ):
         factor, kept = np.array(parts[part]["reliability"]).T
         axes.semilogx(factor, 100 * kept, color=colour, marker="o", ms=3, lw=1.2, label=label)
