@@ -61,7 +61,7 @@ def draw_demo(left: Axes, right: Axes) -> None:
 
 
 def draw_reliability(axes: Axes) -> None:
-    """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and of six others."""
+    """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and others."""
     parts = json.loads((DOCS.parent / "benchmarks" / "promise.json").read_text())
     for part, label, colour in (
         ("calibrate", "ten mechanisms", BEFORE),

@@ -48,7 +48,7 @@ def test_the_gain_is_found(warm):
 
 
 def test_expansion_is_found_where_the_temperature_changes_within_records():
-    effect = temperature_effect([at(15, 45, 1, offset=4e-8), at(40, 18, 2, offset=4e-8)])
+    effect, _ = temperature_effect([at(15, 45, 1, offset=4e-8), at(40, 18, 2, offset=4e-8)])
     assert effect.offset == pytest.approx(4e-8, rel=0.2)
     assert abs(effect.offset - 4e-8) < 3 * effect.offset_error
 
@@ -76,8 +76,24 @@ def test_a_new_record_is_compared_at_the_reference(warm):
     assert dehyst.check(unaware, record).rms > 3 * dehyst.check(warm.actuator, record).rms
 
 
-def test_what_records_do_not_show_is_left_out():
-    assert temperature_effect([at(20, 21, 1), at(20, 21, 2)]) is None
-    assert temperature_effect([at(15, 16, 1), at(44, 45, 2, known=False)]) is None
+def test_what_records_do_not_show_is_left_out_and_said():
+    assert temperature_effect([at(20, 21, 1), at(20, 21, 2)]) == (None, "")
+    for records in ([at(15, 16, 1), at(44, 45, 2), at(30, 30, 3, known=False)], [at(20, 20, 1), at(35, 35, 2)]):
+        effect, reason = temperature_effect(records)
+        assert effect is None
+        assert "degrees Celsius" in reason
+        fit = dehyst.identify(records, **SETTINGS)
+        assert reason in fit.expectation.reasons
+        assert fit.actuator.thermal is None
     none = [at(first, first + 1, seed, gain=0.0) for seed, first in ((1, 15), (2, 30), (3, 44))]
-    assert temperature_effect(none) is None
+    assert temperature_effect(none)[0] is None
+
+
+def test_what_changes_little_within_records_is_no_expansion():
+    effect, _ = temperature_effect([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)])
+    assert (effect.offset, effect.offset_error) == (0, 0)
+
+
+def test_a_record_without_temperature_is_remarked(warm):
+    remarks = dehyst.check(warm.actuator, at(38, 39, 7, known=False)).remarks
+    assert any("no temperature" in one for one in remarks)

@@ -149,7 +149,7 @@ def identify(
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     structure = _checked_structure(structure, settings, refine)
     _refuse_copies([*training, *held_out])
-    effect, measured = temperature_effect(training), training
+    (effect, left_out), measured = temperature_effect(training), training
     if effect is not None:
         effect = _converged(effect, training, settings)
         training = [effect.at_reference(one, datum) for one, datum in zip(training, effect.datums, strict=True)]
@@ -178,6 +178,9 @@ def identify(
         effect = effect.refined(measured, fit.traces)
         found = replace(fit.actuator, thermal=effect.of(fit.actuator))
         fit = replace(fit, actuator=found, remarks=(effect.sentence, *fit.remarks))
+    if left_out:
+        expected = fit.expectation and replace(fit.expectation, reasons=(*fit.expectation.reasons, left_out))
+        fit = replace(fit, expectation=expected, remarks=(f"{left_out[0].upper()}{left_out[1:]}.", *fit.remarks))
     return fit
 
 

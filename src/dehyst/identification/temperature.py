@@ -23,6 +23,8 @@ from dehyst.records import Record, rms
 _RADII, _POWERS, _STEPS, _MOST = np.geomspace(0.01, 0.5, 16), 4, 6, 40_000
 # Parts of the temperatures that are held out in turn; standard errors from which on an offset counts.
 _FOLDS, _SURE = 4, 3.0
+# Parts of the range of temperatures of which records must have some.
+_PLACES, _FEWEST = 8, 3
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,15 @@ class TemperatureEffect:
             # Each record has a constant of its own.
             rows.append(columns - columns.mean(axis=0))
             left.append(trace.residual - trace.residual.mean())
-        found = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=None)[0]
-        return replace(self, gain=self.gain + float(found[0]))
+        every = range(len(rows))
+        change, *others = (
+            float(np.linalg.lstsq(np.vstack([rows[q] for q in kept]), np.concatenate([left[q] for q in kept]))[0][0])
+            for kept in ([*every], *([q for q in every if q != one] for one in every if len(rows) > 1))
+        )
+        spread = float(np.sqrt((len(others) - 1) * np.var(others))) if others else 0.0
+        # What a better model of the motion changes is a measure of the error too.
+        error = float(np.hypot(spread, change)) if abs(change) > self.gain_error else max(spread, self.gain_error)
+        return replace(self, gain=self.gain + change, gain_error=error)
 
     def of(self, actuator: Actuator) -> Thermal:
         """Return the part of an actuator that was identified at the reference."""
@@ -93,36 +102,50 @@ class TemperatureEffect:
     def sentence(self) -> str:
         """The effect as a sentence."""
         low, high = self.range
+        expansion = f" and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm" if self.offset else ""
         return (
             f"From {low:.3g} to {high:.3g} degrees Celsius the displacement changes by {100 * self.gain:+.3g} ± "
-            f"{100 * self.gain_error:.2g} % and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm a kelvin: "
-            f"temperatures that were held out are missed by {100 * self.better:.0f} % of the error without that."
+            f"{100 * self.gain_error:.2g} %{expansion} a kelvin. Temperatures that were held out are missed by "
+            f"{100 * self.better:.0f} % of the error without that."
         )
 
 
-def temperature_effect(records: Sequence[Record]) -> TemperatureEffect | None:
-    """Return the effect of temperature on `records` of one axis; None if the records do not show it.
+def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | None, str]:
+    """Return how the displacement of `records` of one axis depends on their temperature, and why that is not shown.
 
-    All need a temperature, with a range of `DecisionRules.temperatures`. The effect must improve the prediction of
-    held-out temperatures by `DecisionRules.temperature_helps`.
+    The effect is None if it is not shown; the reason is empty if there is an effect, or no change of temperature. All
+    records need a temperature, with a range of `DecisionRules.temperatures`. Held-out ones must be predicted better, by
+    `DecisionRules.temperature_helps`.
     """
     given = [record.temperature for record in records]
-    if any(one is None for one in given):
-        return None
-    every = np.concatenate([one for one in given if one is not None])
+    known = [one for one in given if one is not None]
+    if not known:
+        return None, ""
+    every = np.concatenate(known)
     low, high = float(every.min()), float(every.max())
     if high - low < RULES.temperatures:
-        return None
+        return None, ""
+    words = f"the temperature changes from {low:.3g} to {high:.3g} degrees Celsius, which the model leaves out"
+    if len(known) < len(given):
+        missing = next(record.name for record, one in zip(records, given, strict=True) if one is None)
+        return None, f"{words}: {missing} has none"
+    if np.count_nonzero(np.histogram(every, _PLACES)[0]) < _FEWEST:
+        return None, f"{words}: record {_FEWEST} temperatures or more"
     rows = _TemperatureRows(records, every)
+    within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
+    # A sensor that is zeroed again hides the offset, but for what the temperature changes within a record.
+    rows.expands = within >= RULES.temperatures
     gain, offset, errors, datums = rows.jackknifed()
-    if abs(offset) < _SURE * errors[1]:
-        # A sensor that is zeroed anew hides the offset, but for what the temperature changes within a record.
+    if rows.expands and abs(offset) < _SURE * errors[1]:
         rows.expands = False
         gain, offset, errors, datums = rows.jackknifed()
     missed = rms(rows.held_out()) / max(rms(rows.held_out(fixed=True)), 1e-300)
-    if missed > RULES.temperature_helps:
-        return None
-    return TemperatureEffect(gain, offset, *errors, rows.reference, (low, high), missed, tuple(datums))
+    if not missed <= RULES.temperature_helps or not np.all(1 + 2 * gain * rows.kelvins > 0):
+        return (
+            None,
+            f"{words}: held-out temperatures do not show its effect",
+        )
+    return TemperatureEffect(gain, offset, *errors, rows.reference, (low, high), missed, tuple(datums)), ""
 
 
 class _TemperatureRows:

@@ -281,7 +281,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         goal=goal,
         drift=drift,
         changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
-        remarks=(*_remarks(actuator, record), *prepared.sentences),
+        remarks=(*_warmth(actuator, record), *_remarks(actuator, record), *prepared.sentences),
         trace=trace,
         promise=None if origin.validity is None else promise(origin.validity, record.voltage, record.time),
     )
@@ -337,6 +337,16 @@ def _doubt(actuator: Actuator, record: Record) -> float:
         long = actuator.creep.time_constants > float(np.ptp(record.time)) / 3
         held += 0.5 * record.stroke * float(np.sum(actuator.creep.stiffness[long]))
     return held / slope
+
+
+def _warmth(actuator: Actuator, record: Record) -> list[str]:
+    """Return a remark if the model depends on temperature, and the record has none."""
+    if actuator.thermal is None or record.temperature is not None:
+        return []
+    return [
+        f"{record.name}: has no temperature, on which the model depends; it is taken for the reference, "
+        f"{actuator.thermal.reference:.3g} degrees Celsius"
+    ]
 
 
 def _remarks(actuator: Actuator, record: Record) -> list[str]:
