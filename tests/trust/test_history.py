@@ -96,7 +96,7 @@ def test_folders_and_files_of_others_are_refused(tmp_path):
     good = json.loads(path.read_text())
     for key, value in (("changes", 3), ("checked", "2024-05-01"), ("checked", "never"), ("goal_percent", None)):
         path.write_text(json.dumps({**good, key: value}))
-        with pytest.raises(FileFormatError, match="dehyst wrote"):
+        with pytest.raises(FileFormatError, match="written by dehyst"):
             CheckHistory.read(tmp_path / "own", recheck.model_id)
     with pytest.raises(FileFormatError, match="time zone"):
         CheckHistory.keep(tmp_path / "own", recheck, moment=datetime(2024, 5, 1))

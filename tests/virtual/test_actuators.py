@@ -206,7 +206,7 @@ def test_the_resonance_and_the_delay_are_where_stated(frequency):
         (lambda: PlayActuator(creep=0.01).play([0, 1]), "creeps: it needs the time of each sample"),
         (lambda: BoucWenActuator().play([0, 1], time=[0]), "time: got 1 samples, the voltage has 2"),
         (lambda: BoucWenActuator().play([0, 1], time=[0, 0]), "does not increase at sample 1"),
-        (lambda: BoucWenActuator().play([0], time=[0]), "got one sample that does not go on"),
+        (lambda: BoucWenActuator().play([0], time=[0]), "got one sample"),
     ],
 )
 def test_impossible_truths_and_times_are_refused(build, message):

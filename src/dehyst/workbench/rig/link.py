@@ -21,6 +21,8 @@ _MODULE = "dehyst.workbench.rig.process"
 _MOST_WAITING = 1 << 16
 # Seconds that the process has to retreat and end.
 _RETREAT = 60.0
+# Seconds to wait for one that was about to end when it got a command.
+_ENDS = 10.0
 # Seconds that the process has until its first message.
 _BEGIN = 10.0
 _ARMED = ("armed", "playing", "calibrating", "stopping")
@@ -105,12 +107,23 @@ class RigLink:
         LinkError
             If the process does not run, or takes no commands.
         """
-        if self._process is None:
+        process, reader = self._process, self._reader
+        if process is None:
             raise LinkError("the rig's process does not run; connect the rig again")
         try:
-            await written(self._process, command)
+            await written(process, command)
         except LinkError as error:
-            raise LinkError(f"the rig: {error}; connect it again") from error
+            if command.get("do") != "connect" or reader is None or process.stdin is None:
+                raise LinkError(f"the rig: {error}; connect it again") from error
+            # The process was about to end when it got the command: another one connects.
+            process.stdin.close()
+            try:
+                await asyncio.wait_for(asyncio.shield(reader), _ENDS)
+                await self.start()
+                if self._process is not None:
+                    await written(self._process, command)
+            except (LinkError, TimeoutError) as again:
+                raise LinkError(f"the rig: {error}; connect it again") from again
 
     def alive(self) -> None:
         """Forward a sign of life of the page; does nothing if the process does not run."""
