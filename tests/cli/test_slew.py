@@ -117,7 +117,7 @@ def test_the_remark_names_the_bound_that_holds(folder):
     status, result, _ = compensated(folder, "fast.csv", "--slew-rate", 1.5 * SPEED)
     assert status == 1
     (remark,) = factors(result)
-    assert f"held back to the {1.5 * SPEED:.4g} V/s of --slew-rate" in remark
+    assert f"{1.5 * SPEED:.4g} V/s of --slew-rate" in remark
     status, result, _ = compensated(folder, "slow.csv", "--slew-rate", 0.1 * SPEED)
     assert status == 1 and not factors(result)
     assert any("of --slew-rate" in one for one in result["warnings"])

@@ -204,7 +204,7 @@ def test_a_state_of_other_actuators_is_refused():
     other = Bank(
         [replace(one, spring=Spring(one.spring.displacement, 1.1 * one.spring.voltage)) for one in bank.actuators]
     )
-    with pytest.raises(ModelError, match="belongs to a bank of other actuators"):
+    with pytest.raises(ModelError, match="bank of other"):
         bank.restore(other.state)
     with pytest.raises(ModelError, match="state: got NoneType"):
         bank.restore(None)
@@ -235,7 +235,7 @@ def test_it_writes_into_an_array_that_is_given():
 def test_clamping_is_said_once_of_a_kind_and_counted():
     bank = Bank(mixed(2, 12), period=PERIOD, slew_rate=slews(mixed(2, 12), 0.1))
     wanted = paths(bank.actuators, 60, 2, beyond=0.2)
-    with pytest.warns(ClampWarning, match=r"slew rate, of actuator \d+") as said:
+    with pytest.warns(ClampWarning, match=r"actuator \d+") as said:
         bank.compensate(wanted)
     assert len(said) == 2
     with warnings.catch_warnings():

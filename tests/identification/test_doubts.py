@@ -52,7 +52,7 @@ def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
     assert "whether the sensor or the actuator lags" not in none.expectation.sentence
     assert abs(known.actuator.delay) < 0.1 * LAG
     assert known.options["sensor_lag"] == known.actuator.identification.sensor_lag == LAG
-    assert any("the sensor's lag of 80" in repair for repair in known.repairs)
+    assert any("lag of 80" in repair for repair in known.repairs)
 
 
 def test_a_coarse_voltage_keeps_a_model_from_being_ready():

@@ -235,7 +235,7 @@ def test_the_command(tmp_path):
         "the displacement on the major loop",
         "Not judged of a model with more parts than slip elements and a spring",
         "not judged from the voltage alone",
-        "Causes of the error",
+        "Causes of",
     ):
         assert words in said.stdout
     assert "models that the records do not contradict" not in said.stdout

@@ -119,7 +119,7 @@ def test_without_intervals_nothing_is_said_of_precision():
     found = insight(actuator, record, repeats=0)
     assert found.precision is None
     assert found.as_dict()["known"] is None
-    assert "there are no intervals" in document("", sections(found, None))
+    assert "no intervals" in document("", sections(found, None))
 
 
 def test_open_stiffnesses_are_not_known_however_narrow_their_intervals():

@@ -207,7 +207,7 @@ def _lines(fit: Fit) -> Iterator[str]:
 
 
 def _creep(fit: Fit) -> Iterator[str]:
-    """Yield which form of creep held-out holds have, if the records tell."""
+    """Yield a line on the form of creep that predicts held-out holds best, if the records have holds."""
     if fit.holds is not None:
         yield fit.holds.sentence(fit.actuator)
 

@@ -155,7 +155,7 @@ def identify(
         training = [effect.at_reference(one, datum) for one, datum in zip(training, effect.datums, strict=True)]
         held_out = [effect.at_reference(one) for one in held_out]
     report("checking the records")
-    # Maxwell-slip takes every sample as it is; other structures take means of so many samples at most.
+    # Maxwell-slip takes every sample as it is; other structures take means of neighbouring samples.
     most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
 
     def prepared(record: Record, ringing: bool) -> Prepared:

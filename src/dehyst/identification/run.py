@@ -41,7 +41,7 @@ _T = TypeVar("_T")
 _MOST_KNOTS = 41
 # Least slope of the spring in the search for a lag, as a part of the mean slope.
 _LEAST_FLOOR = 0.01
-# It is looked for in cycles of so many samples at most, and in so many samples in all, or in three cycles.
+# Most samples of a cycle, and of all cycles, in which a lag is searched; three cycles are used in any case.
 _SEARCH_CYCLE, _SEARCH_SAMPLES = 20_000, 1_000_000
 # Of the first model.
 _FIRST_ROWS = 4000

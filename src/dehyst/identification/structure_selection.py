@@ -18,7 +18,7 @@ from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Structure
 from dehyst.records import rms
 
-# Cycles are held out in turn, one of so many.
+# Each fold of the cycles is held out in turn.
 _FOLDS = 3
 Build = Callable[[Structure], Regression]
 # Fields of a structure, and their values with a part more.

@@ -215,7 +215,7 @@ _STEPS = 3
 _ROWS = 6000
 # Parts of a step that are tried.
 _PARTS = (1.0, 0.5, 0.2, 0.05)
-# One of so many blocks is held out to judge the refinement.
+# Blocks of the record, of which one is held out to judge the refinement.
 _FOLDS = 3
 # Finite differences, as a part of a coefficient, of the largest of its kind, or of a threshold.
 _DIFFERENCE = 1e-3

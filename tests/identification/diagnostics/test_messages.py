@@ -42,14 +42,8 @@ def set_aside(fit):
     return sentence
 
 
-STEADILY = (
-    r"made: drifts steadily by (\S+) % of the stroke over the samples that count: the sensor, the temperature, or "
-    r"creep that lasts longer than the record; set aside\."
-)
-TOO_SHORT = (
-    r"made: drifts by (\S+) % of the stroke over the samples that count, too short a time to determine a rate of "
-    r"creep; set aside\."
-)
+STEADILY = r"made: drifts steadily by (\S+) % .*temperature.*set aside\."
+TOO_SHORT = r"made: drifts by (\S+) % .*too short.*set aside\."
 
 
 @pytest.mark.parametrize(
@@ -73,10 +67,10 @@ def test_a_drift_that_cannot_be_creep_is_not_called_so(turns, shape, words):
 @pytest.mark.parametrize(
     ("rate", "decades", "steady", "words"),
     [
-        (0.02, 2.0, False, "creeps by 2 % of the stroke a decade of time since its start"),
-        (0.3, 2.0, False, "drifts by 60 % of the stroke over the samples that count, which is more than creep"),
-        (0.3, 0.4, False, "drifts by 12 % of the stroke over the samples that count, too short a time to determine"),
-        (0.02, 2.0, True, "drifts steadily by 4 % of the stroke over the samples that count: the sensor"),
+        (0.02, 2.0, False, r"creeps by 2 % .*a decade"),
+        (0.3, 2.0, False, r"drifts by 60 % .*more than creep"),
+        (0.3, 0.4, False, r"drifts by 12 % .*too short"),
+        (0.02, 2.0, True, r"drifts steadily by 4 % .*sensor"),
     ],
 )
 def test_a_drift_is_named_by_its_course_and_size(rate, decades, steady, words):
@@ -86,7 +80,7 @@ def test_a_drift_is_named_by_its_course_and_size(rate, decades, steady, words):
         "made", "training", 100, 0, **lengths, stroke=stroke, drift=rate * stroke, decades=decades, steady=steady
     )
     (sentence,) = repaired([errors], 0.0, SAMPLE, given=False)
-    assert sentence.startswith(f"made: {words}")
+    assert re.match(f"made: {words}", sentence)
     assert errors.creeps == ("creeps" in words)
 
 
@@ -97,7 +91,7 @@ def test_a_creep_is_told_as_a_rate():
         Record(made.time, made.voltage, crept, "made"), structure="maxwell_slip", elements=10, delay=0.0
     )
     said = set_aside(fit)
-    assert re.fullmatch(r"made: creeps by \S+ % of the stroke a decade of time since its start; set aside\.", said)
+    assert re.fullmatch(r"made: creeps by \S+ % .*a decade.*set aside\.", said)
 
 
 def through(*corners):

@@ -15,10 +15,10 @@ from dehyst.identification.results import Trace
 
 # Parts of the records that are held out in turn, each of some spans.
 _FOLDS, _SPANS = 6, 24
-# What counts as coupling beyond a matrix: more than this share of the stroke (RMS) on time that was held out, by an
-# improvement of so many times its scatter.
+# What counts as coupling beyond a matrix: an improvement on held-out time by more than this share of the stroke (RMS),
+# and by more than this multiple of its standard error.
 _LEAST, _CERTAIN = 4e-4, 3.0
-# By less than so many times its scatter it is nothing; in between it is doubtful.
+# Below this multiple of its standard error an improvement does not count; in between it is doubtful.
 _DOUBTFUL = 1.0
 # Least power of a span, of the mean, and of the motion of a column, in its range.
 _LEAST_POWER, _STILL = 1e-3, 1e-2

@@ -82,7 +82,7 @@ class Identifiability:
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on determined and open combinations: ``k_3 + k_7 is determined, k_3 - k_7 is not``.
 
-        There are none if `probing`, because the model has other numbers.
+        Empty if `probing`: the numbers of the model are others than those of the probe.
         """
         if self.probing:
             return ()

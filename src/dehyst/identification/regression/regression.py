@@ -244,7 +244,7 @@ class Regression:
         """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization_rows`.
 
         The rows do not involve the `free` columns; `weight` is the weight of a row with the mean slope. The relative
-        weight does not depend on the number of samples. There are none for the largest residual (L-infinity).
+        weight does not depend on the number of samples. The norm of the largest residual (L-infinity) gets no rows.
         """
         if not self.smoothing or norm == "linf":
             return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
