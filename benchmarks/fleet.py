@@ -30,7 +30,7 @@ BY = "serial,session"
 FEW, MANY = 120, 1_000_000
 # Of the ageing by `auto`.
 OTHERS = 600
-DEHYST = [sys.executable, "-m", "dehyst"]
+DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 MEASURED = ("cpu_s", "wall_s", "memory_MB")
 ALLOWED_MB = 350
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from dehyst import DehystError, read
 from dehyst.records.recording import salvage
 
-DEHYST = (sys.executable, "-m", "dehyst")
+DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
 # Seconds after which a command hangs, on however busy a machine.
 _PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")

@@ -29,7 +29,7 @@ from dehyst.fleet.dataset import Reader, sha256_of
 from dehyst.virtual import PlayActuator
 
 OUTPUT = Path(__file__).resolve().parents[1] / "fleet.json"
-DEHYST = [sys.executable, "-m", "dehyst"]
+DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 RECORDS = 12
 TARGETS = ("client", "worker", "all", "terminate")
 CHANGES = ("nothing", "removed", "added", "changed")

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from dehyst.cli import main
 
-DEHYST = [sys.executable, "-m", "dehyst"]
+DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
 # Commands write twelve significant digits: a number moves by this part of itself at most.
 WRITTEN = 5e-12

@@ -1,5 +1,5 @@
 """The command line: the operations as commands."""
 
-from dehyst.cli.commands import main
+from dehyst.cli.entry import main
 
 __all__ = ["main"]
