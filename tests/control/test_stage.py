@@ -239,3 +239,16 @@ def test_a_file_of_version_1_has_its_origin_among_free_entries():
 def test_a_file_that_is_wrong_is_refused(change, words):
     with pytest.raises(dehyst.ModelError, match=words):
         Stage.from_dict({**stage().as_dict(), **change})
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_refused_displacement_withdraws_the_voltage_on_offer():
+    loop = StageCompensator(stage(), period=1e-3)
+    far = np.array([10 * one.reach[1] for one in loop.compensators])
+    loop.step(far)
+    before = [one.clamps for one in loop.compensators]
+    loop.offer(far)
+    with pytest.raises(dehyst.ModelError):
+        loop.offer(np.full(far.size, np.nan))
+    loop.hold()
+    assert [one.clamps for one in loop.compensators] == before

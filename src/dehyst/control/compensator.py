@@ -23,9 +23,6 @@ from dehyst.model import ANYWAY, Actuator, State, compensator_block, labels, sta
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
 
-# Of the largest change: a smaller one is not clamped.
-_NEARLY = 1 - 1e-9
-
 
 class Compensator(ReadOnly):
     """Inverse control of the hysteresis within voltage limits (Eqs. 11-12).
@@ -175,18 +172,13 @@ class Compensator(ReadOnly):
 
         `displacement`: [m, or `units`].
         """
-        voltage, loop, (low, high) = self.offer(displacement), self._loop, self.limits
-        change = self.bounds.largest_step(self.period) if self.period else np.inf
-        if low < voltage < high and abs(voltage - loop.sent()) < _NEARLY * change:
-            return voltage, None
-        before = memory_of(loop)
-        loop.commit(voltage)
-        clamped, moved = loop.counts()[:2] != before[2][:2], self.actuator.model.displacement(self.state, of_mass=False)
-        set_memory(loop, *before)
-        gain, offset = self.scaling
-        reached = offset + gain * moved * self._per_metre
-        # The trial commit discarded the pending offer; repeat it.
-        return self.offer(displacement), reached if clamped else None
+        voltage = self.offer(displacement)
+        reached, clamped = self._loop.trial()
+        return voltage, reached * self._per_metre if clamped else None
+
+    def withdraw(self) -> None:
+        """Withdraw the voltage on offer, if there is one: it was not sent."""
+        self._loop.withdraw()
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.

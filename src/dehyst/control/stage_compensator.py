@@ -153,6 +153,9 @@ class StageCompensator(ReadOnly):
         return np.array(self._offered(displacement))
 
     def _offered(self, displacement: ArrayLike) -> list[float]:
+        # As with one axis, a displacement that is refused takes the place of the one on offer.
+        for one in self.compensators:
+            one.withdraw()
         wanted = self._values(displacement, "displacement")
         voltage, known = [0.0] * len(wanted), dict[int, float]()
         alone = targets = [dot(row, wanted) for row in self._table]

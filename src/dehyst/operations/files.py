@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
+
 from dehyst._errors import FileFormatError
 from dehyst._io import SCAN, format_of
 from dehyst._types import Array
@@ -280,6 +282,8 @@ def _number(text: str) -> float:
 _DIGITS = 12
 # Part of the voltages of its records by which the limits of a model may be wider.
 _BEYOND = 0.1
+# A start that is farther from the limits by this multiple of their range is impossible.
+_IMPOSSIBLE = 100.0
 _LONGEST = 1_000_000
 
 
@@ -291,6 +295,13 @@ def is_model(path: Path, *formats: str) -> bool:
 def read_model(run: Run, path: Path) -> Actuator:
     """Read a model; warn if its identification was not usable, or did not end."""
     actuator = Actuator.load(path)
+    low, high = actuator.voltage_range
+    start = actuator.voltage(actuator.state)
+    if not np.ptp(actuator.reach) > 0 or abs(start - low) > _IMPOSSIBLE * (high - low):
+        raise FileFormatError(
+            f"{path}: is no model of an actuator from {low:.6g} to {high:.6g} V: it moves by "
+            f"{1e6 * float(np.ptp(actuator.reach)):.3g} um and begins at {start:.3g} V; was the file edited?"
+        )
     known = actuator.identification
     if known is not None and known.outcome is not None and not known.outcome.good:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
