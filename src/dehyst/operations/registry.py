@@ -35,7 +35,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
     },
     "Compensate and check": {
         "scan": Entry("waves:scan", "Write the path of a scan to follow"),
-        "compensate": Entry("paths:compensate", "The voltage that follows a path"),
+        "compensate": Entry("compensate:compensate", "The voltage that follows a path"),
         "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
         "update": Entry("update:update", "Update a model from one new record"),

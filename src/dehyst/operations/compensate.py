@@ -1,0 +1,470 @@
+"""`compensate`: the voltages that follow a path, or the wave table of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from dehyst._errors import FileFormatError, ModelError, RecordError
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.control import (
+    Compensator,
+    HomedPath,
+    PossibleStart,
+    StageCompensator,
+    VoltageLimits,
+    WaveTable,
+    plan_path,
+    wave_table,
+)
+from dehyst.control.planning.path import MOST_ROWS
+from dehyst.model import Actuator
+from dehyst.operations import start as starts
+from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
+from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
+from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
+from dehyst.operations.paths import PathSlew, Zero, reach_remarks, zero_of_path
+from dehyst.operations.run import Result, Run
+from dehyst.operations.start import Limits, Start
+from dehyst.operations.waves import refuse_cycles
+from dehyst.trust import Judgement, judge
+from dehyst.waveforms import Scan
+from dehyst.waveforms.named import OPTIONS, scan_of
+
+# Part of the reachable range by which a row of a scan's file may differ from the scan.
+_WRITTEN = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _AxisRequest:
+    """The request for the actuator of an axis; `start` is None if it is unknown."""
+
+    actuator: Actuator
+    limits: Limits
+    slew: PathSlew
+    start: PossibleStart | None
+    present: float | None
+
+    @property
+    def allowed(self) -> tuple[float, float]:
+        """The effective limits [V]."""
+        return self.limits or self.actuator.voltage_range
+
+    def reach_remarks(self, wanted: Array, zero: Zero | None) -> list[str]:
+        """Return a remark on a path (n,) [m] outside of the reachable range; raise an error if it is far outside."""
+        return reach_remarks(self.actuator, wanted, self.limits, zero)
+
+    def promise_lines(self, judged: Judgement) -> list[str]:
+        """Return lines on the promised error of the path, if it is known, and on untested parts of the path."""
+        known = self.actuator.identification
+        validity = None if known is None else known.validity
+        # Limits of the file may be wider than what was recorded.
+        stroke = float(self.actuator.reach[1] - self.actuator.reach[0]) if validity is None else validity.stroke
+        words, thermal = judged.words(stroke), self.actuator.thermal
+        off = []
+        if thermal is not None:
+            share = abs(thermal.gain) + abs(thermal.offset) / stroke
+            off = [f"At {thermal.reference:.3g} degrees Celsius; each kelvin off adds up to {100 * share:.2g} %."]
+        return [f"expect this path {words} of the stroke", *judged.untested, *off] if words else off
+
+
+def _is_scan(given: Values) -> bool:
+    return not is_stage(given["model"]) and scan_declared(given["trajectory"]) is not None
+
+
+_of_scan = Only(_is_scan, "without the path of a dehyst scan, for a model of one axis")
+_of_table = beside("table")
+_of_homing = Only(lambda given: "start" in given or given.get("home") is not False, "without a homing")
+
+
+@operation(plan_path, rare=("approach", "start_up", "tolerance"))
+def compensate(
+    run: Run,
+    model: Input,
+    trajectory: Input,
+    *,
+    output: Output,
+    limits: tuple[Limit, ...] = (),
+    slew_rate: tuple[Slew, ...] = (),
+    zero: Zero | None = None,
+    start: Start | None = None,
+    home: bool | None = None,
+    present: Annotated[float | None, _of_homing] = None,
+    table: Annotated[Output | None, _of_scan] = None,
+    cycles: Annotated[int, _of_table] = 1,
+    approach: Annotated[float | None, _of_table] = None,
+    start_up: Annotated[int | None, _of_table] = None,
+    tolerance: Annotated[float | None, _of_table] = None,
+    columns: Columns = AS_FOUND,
+) -> Result:
+    """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
+
+    Without --start the state before the path is unknown: a homing comes first if the start matters, and the error due
+    to the start is reported. The status is 1 if a voltage was clamped, or if the error due to the start after --home
+    exceeds the model's error; with --table also if the cycle is not settled, or the homing is not certified.
+
+    Parameters
+    ----------
+    trajectory
+        A file with a displacement, or the path of dehyst scan.
+    output
+        Write time, displacement and voltage here (CSV).
+    limits
+        Allowed voltages [V], of all axes or of one; default: the voltages of the records.
+    slew_rate
+        Largest slew rate [V/s]; none: not limited; default: the speed of the model's records.
+    zero
+        Zero of the path: bottom or mean of the reachable range; first: the actuator's start; or a number [um]; default:
+        the sensor's zero.
+    start
+        State before the first sample: turned at the top or bottom of the identified range; relaxed at 0 V; homed, as
+        after 'dehyst excite homing --model' without other options; as at the end of FILE (a record, or the voltages
+        played before); or as at the beginning of a RECORD; default: unknown.
+    home
+        Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first
+        sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
+    present
+        Present voltage on the actuator [V]; default: 0, or the voltage of --start.
+    table
+        Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1
+        start-up, 2 steady cycles.
+    cycles
+        Steady cycles in the output.
+    approach
+        Time to the first sample [s]; default: as short as possible.
+    start_up
+        Cycles before the steady ones; default: from the tolerance.
+    tolerance
+        Error left by the start-up [um]; default: 1e-4 of the stroke.
+    """
+    if start is not None and home:
+        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
+    known = AxesModel.read(run, model)
+    axes, remarks = _axes_of(known, limits, slew_rate, start, present, columns)
+    places = np.array([zero_of_path(one.actuator, one.limits, zero, one.start, one.present) for one in axes])
+    places = known.moved(places[None])[0] if zero is not None and zero.name else places
+    if zero is not None:
+        words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
+        remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
+    declared = None if known.stage is not None else scan_declared(trajectory)
+    if declared is None:
+        read = columns.table(trajectory, several=start is not None and start.path is not None)
+        (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
+        wanted = known.values(read, "displacement", columns) + places
+        return _follow(run, known, axes, wanted, columns.clock(read, len(wanted)), {}, output, zero, home, remarks)
+    made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
+    if len(made.axes) > 1 and not columns.displacement:
+        others = " and ".join(one for one in made.axes if one != axis)
+        remarks.append(
+            f"the scan has the axes {', '.join(made.axes)}, the model one: {axis} is followed, {others} is not; "
+            f"--columns displacement={others.split()[0]}_um takes another"
+        )
+    if table is None:
+        path = made.path(axis)
+        path = path.repeated(declared["cycles"]) if path.periodic else path
+        rates = {"velocity": path.velocity, "acceleration": path.acceleration}
+        moved, time = path.displacement[:, None], {"time_s": path.time}
+        return _follow(run, known, axes, moved, time, rates, output, zero, home, [*remarks, *made.warnings])
+    remarks += axes[0].reach_remarks(made.path(axis).displacement, zero)
+    refuse_cycles(made, cycles)
+    options = {"approach": approach, "cycles": start_up, "tolerance": None if tolerance is None else tolerance * 1e-6}
+    return _tabulate(run, axes[0], made, axis, cycles, (output, table), home, options, remarks)
+
+
+def _axes_of(
+    known: AxesModel,
+    limits: Sequence[Limit],
+    slew_rate: Sequence[Slew],
+    start: Start | None,
+    present: float | None,
+    columns: Columns,
+) -> tuple[list[_AxisRequest], list[str]]:
+    """Return the request for each axis, and remarks on the start."""
+    bounds, slews = limits_of(known.axes, limits), slews_of(known.axes, slew_rate)
+    begins, remarks = starts.starts_of(known, start, bounds, columns)
+    axes = []
+    for actuator, allowed, slew, begin in zip(known.actuators, bounds, slews, begins, strict=True):
+        now = present
+        stands = begin
+        if begin is not None and present is not None:
+            volts = VoltageLimits(*(allowed or actuator.voltage_range)).within(present, "present")
+            stands, now = begin.standing_at(actuator, volts), None
+        axes.append(_AxisRequest(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
+    return axes, remarks
+
+
+def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, zero: float) -> tuple[Scan, str]:
+    """Return the scan in the first line of a path file, relative to a zero [m], and the wanted axis.
+
+    Raise `FileFormatError` if the rows of the path are not the scan's.
+    """
+    columns.demand(("displacement", *TEXT), "on the path of a scan")
+    options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
+    made = scan_of(declared["kind"], options, declared["sample_rate"])
+    names = {"displacement_um": "x", **{f"{axis}_um": axis for axis in made.axes}}
+    wanted = columns.displacement or next(iter(names))
+    if wanted not in names:
+        raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
+    axis = names[wanted]
+    table, one = columns.plain_table(path, several=False), made.path(axis)
+    rows = one.repeated(declared["cycles"]) if one.periodic else one
+    written = next(column.data for column in table.columns if names.get(column.name) == axis)
+    span = float(np.abs(rows.displacement).max())
+    if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
+        raise FileFormatError(
+            f"{path}: its rows are not those of the scan in its first line", hint="remove that line to follow the rows"
+        )
+    if not zero:
+        return made, axis
+    shift = zero * 1e6
+    options |= {
+        name: [one + shift for one in value] if isinstance(value, list) else value + shift
+        for name, value in options.items()
+        if OPTIONS[name].unit == "um"
+    }
+    return scan_of(declared["kind"], options, declared["sample_rate"]), axis
+
+
+def _follow(
+    run: Run,
+    known: AxesModel,
+    axes: Sequence[_AxisRequest],
+    wanted: Array,
+    time: Mapping[str, Array],
+    rates: Mapping[str, Array],
+    output: Path,
+    zero: Zero | None,
+    home: bool | None,
+    remarks: list[str],
+) -> Result:
+    """Compute and write the voltages of a path (n, axes) [m]."""
+    when = time.get("time_s")
+    slews = [one.slew.of_path(timed=when is not None) for one in axes]
+    pairs = list(zip(axes, slews, known.targets(wanted).T, strict=True))
+    remarks += known.prefixed(
+        [*one.reach_remarks(target, zero), *slew.remarks(one.actuator, one.allowed, target, when, **rates)]
+        for one, slew, target in pairs
+    )
+    paths = _planned(known, axes, slews, wanted, when, rates, home)
+    samples = paths[0].voltage.size
+    run.progress(f"writing {samples} rows")
+    write_table(output, _written(known, paths, time))
+    each = list(zip(axes, slews, paths, strict=True))
+    remarks += known.prefixed(
+        [
+            *starts.path_warnings(one.actuator, path, one.limits, slew.bound),
+            *_idle_present(one, path),
+        ]
+        for one, slew, path in each
+    )
+    judged = [
+        judge(
+            one.actuator,
+            path=starts.left_open(path),
+            voltage=path.voltage[path.first :],
+            time=None if path.time is None else path.time[path.first :],
+            missed=(path.expected - path.displacement)[path.first :],
+        )
+        for one, _, path in each
+    ]
+    clamped = [int(path.clamped.sum()) for path in paths]
+    misses = [float(abs(path.expected - path.displacement).max(initial=0.0)) for path in paths]
+    spans = [(float(path.voltage.min()), float(path.voltage.max())) for path in paths]
+    fields = {
+        "samples": samples,
+        "clamped": known.by_axis(clamped),
+        "missed_um": known.by_axis(miss * 1e6 for miss in misses),
+        "lowest_V": known.by_axis(low for low, _ in spans),
+        "highest_V": known.by_axis(high for _, high in spans),
+        **known.merged([slew.fields() for slew in slews]),
+        **known.merged([starts.path_start_fields(path) for path in paths]),
+        "judgement": known.by_axis(one.as_dict() for one in judged),
+        "warnings": remarks,
+        "state": known.by_axis(path.state.as_dict() for path in paths),
+        "output": str(output),
+    }
+    words = []
+    for (one, slew, path), (low, high), count, miss in zip(each, spans, clamped, misses, strict=True):
+        begin = path.start.within(one.actuator, one.limits)
+        before = (
+            starts.start_words(one.actuator, path.start, begin) if path.homing is None else starts.homed_words(path)
+        )
+        missed = slew.missed_words(one.allowed, path.voltage[path.first :], miss) if count else ""
+        words.append([f"{low:.6g} to {high:.6g} V {before}{missed}"])
+    lines = [
+        f"{counted(samples, 'sample')}, {', '.join(known.prefixed(words))}: {output}",
+        *known.prefixed([slew.words] for slew in slews),
+        *known.prefixed(
+            starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
+        ),
+        *known.prefixed(one.promise_lines(found) for one, found in zip(axes, judged, strict=True)),
+    ]
+    certified = all(path.certified for path in paths)
+    good = all(path.followed for path in paths) and (certified or not home)
+    return Result(fields, lines, warnings=remarks, good=good)
+
+
+def _idle_present(one: _AxisRequest, path: HomedPath) -> list[str]:
+    idle = one.present is not None and one.start is None and path.homing is None
+    return ["--present: has no effect, because the start does not matter and no homing is needed"] if idle else []
+
+
+def _planned(
+    known: AxesModel,
+    axes: Sequence[_AxisRequest],
+    slews: Sequence[PathSlew],
+    wanted: Array,
+    when: Array | None,
+    rates: Mapping[str, Any],
+    home: bool | None,
+) -> list[HomedPath]:
+    """Return the voltages of each axis along a path, from its start or, if the start matters, after a homing."""
+    if known.stage is None:
+        (one,) = axes
+        compensator = Compensator(one.actuator, one.limits, slews[0].bound)
+        begin: dict[str, Any] = {"start": one.start, "home": home, "present": one.present}
+        return [plan_path(compensator, wanted[:, 0], time=when, **rates, **begin)]
+    several = StageCompensator(
+        known.stage,
+        limits=[one.limits for one in axes],
+        slew_rate=[slew.bound for slew in slews],
+        period=None if when is None else starts.period_of({"time_s": when}),
+    )
+    begins = [one.start for one in axes if one.start is not None]
+    present = [one.present for one in axes if one.present is not None]
+    return [*plan_path(several, wanted, time=when, start=begins or None, home=home, present=present or None)]
+
+
+def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
+    wanted, volts, expected = (
+        np.column_stack([getattr(path, name) for path in paths]) for name in ("displacement", "voltage", "expected")
+    )
+    columns = known.columns("displacement", wanted * 1e6) | known.columns("voltage", volts)
+    columns |= known.columns("displacement", expected * 1e6, "expected")
+    return {**starts.clock_columns(paths[0], time), **columns}
+
+
+def _tabulate(
+    run: Run,
+    one: _AxisRequest,
+    scan: Scan,
+    axis: str,
+    cycles: int,
+    outputs: tuple[Path, Path],
+    home: bool | None,
+    options: Mapping[str, Any],
+    remarks: list[str],
+) -> Result:
+    """Write the wave table of a scan with its start-up, and with its homing unless a start or --no-home is given."""
+    actuator, slew, path = one.actuator, one.slew, scan.path(axis)
+    bounds = one.limits or actuator.limits
+    start = one.start or PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
+    homes = one.start is None and home is not False
+    if options["tolerance"] is not None and not options["tolerance"] > 0:
+        raise RecordError(argument="tolerance", got=f"{options['tolerance'] * 1e6:g}", need="a length above 0 in um")
+    run.progress("homing, and the steady cycle")
+    begin: dict[str, Any] = {"state": None if homes else start.within(actuator, one.limits), "present": one.present}
+    try:
+        table = wave_table(actuator, scan, axis=axis, limits=one.limits, slew_rate=slew.bound, **begin, **options)
+    except RecordError as error:
+        if error.argument == "cycles":
+            error.argument = "start_up"
+        raise
+    _note_duration(run, table, cycles)
+    played, cycle = table.played(cycles), table.cycle
+    run.progress(f"writing {table.rows(cycles)} rows")
+    write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
+    write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
+    first = table.homing_rows.size
+    rates = {"velocity": path.velocity, "acceleration": path.acceleration}
+    warnings = [*table.warnings, *remarks, *slew.remarks(actuator, one.allowed, path.displacement, path.time, **rates)]
+    if table.homing is None:
+        state = start.within(actuator, one.limits)
+        warnings += starts.file_warnings(actuator, float(table.start_up.voltage[0]), start, state, slew.bound)
+    else:
+        warnings += starts.delay_warnings(actuator)
+    left = None
+    if not start.known:
+        left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
+    low, high = float(played.voltage.min()), float(played.voltage.max())
+    judged = judge(
+        actuator,
+        path=left,
+        voltage=played.voltage[first:],
+        time=played.time[first:],
+        missed=cycle.expected - cycle.displacement,
+    )
+    fields = {
+        "samples": played.voltage.size,
+        "sample_rate_Hz": table.sample_rate,
+        "frequency_Hz": 1 / scan.period,
+        "start_up_samples": len(table.start_up),
+        "start_up_cycles": table.cycles,
+        "cycle_samples": len(cycle),
+        "error_um": table.error * 1e6,
+        "unknown_um": table.unknown * 1e6,
+        **starts.start_fields(
+            start.name, left, samples=first, seconds=_homing_seconds(table), certified=table.certified
+        ),
+        "settled": table.settled,
+        "clamped": table.clamped,
+        "lowest_V": low,
+        "highest_V": high,
+        **slew.fields(),
+        "judgement": judged.as_dict(),
+        "warnings": warnings,
+        "state": table.state.as_dict(),
+        "output": str(outputs[0]),
+        "table": str(outputs[1]),
+    }
+    start_up = f"{counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um"
+    if table.clamped:
+        missed = float(abs(cycle.expected - cycle.displacement).max())
+        start_up += slew.missed_words(one.allowed, cycle.voltage, missed)
+    lines = [
+        f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {start_up}: "
+        f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
+        slew.words,
+        *starts.error_lines(start.name, left, homed=homes),
+        *one.promise_lines(judged),
+    ]
+    good = table.settled and table.certified and not table.clamped
+    return Result(fields, lines, warnings=warnings, good=good)
+
+
+def _path_columns(part: Any) -> dict[str, Array]:
+    return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
+
+
+def _homing_seconds(table: WaveTable) -> float:
+    return 0.0 if table.homing is None else table.homing.duration
+
+
+def _note_duration(run: Run, table: WaveTable, cycles: int) -> None:
+    """Note the duration of the written voltage; raise RecordError if there are too many rows for a file."""
+    rows, rate, homing = table.rows(cycles), table.sample_rate, table.homing
+    parts = (
+        (_homing_seconds(table), "homing"),
+        (len(table.start_up) / rate, "start-up"),
+        (cycles * len(table.cycle) / rate, "cycles"),
+    )
+    durations = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
+    if rows > MOST_ROWS:
+        raise RecordError(
+            argument="output",
+            got=f"{durations}, {rows} rows at {rate:g} Hz",
+            need=f"at most {MOST_ROWS:g} rows",
+            hint="try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands",
+        )
+    run.note(f"{durations}: {rows} rows")
+    if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
+        run.note(
+            f"the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play it "
+            "by its time column, straight from row to row"
+        )
