@@ -57,8 +57,9 @@ def pytest_terminal_summary(terminalreporter):
         return
     tests, files = Counter(), Counter()
     for report in (each for reports in terminalreporter.stats.values() for each in reports):
-        seconds = float(dict(getattr(report, "user_properties", ())).get(CPU, 0))
-        tests[report.nodeid] += seconds if report.when == "teardown" else 0
+        # A warning is in these lists too: it has a test's name and is no report of one.
+        if getattr(report, "when", None) == "teardown":
+            tests[report.nodeid] += float(dict(report.user_properties).get(CPU, 0))
     for test, seconds in tests.items():
         files[test.partition("::")[0]] += seconds
     terminalreporter.section(f"processor time: {tests.total() / 60:.1f} minutes")
