@@ -36,6 +36,8 @@ _ALIKE, _BEYOND = 1.5, 0.02
 _LAG_KNOWN = 1.15
 # Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
 _CLOSING, _OPEN = 0.2, 1.5
+# The floor of a promise is at least this part of the one where held-out errors are large.
+_LEAST = 0.05
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Turning points of a path of which nothing is known but its range.
@@ -47,25 +49,24 @@ class Factors:
     """Factors of a promise, which is the root of a sum of squares of measured errors.
 
     `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
-    falls in proportion if the held-out error is below `full`.
+    falls with the square of the held-out error where that is below `full`, to a twentieth at least.
     """
 
     held_out: float
     disagreement: float
     floor: float
-    full: float = 0.0
+    full: float
 
     def bound(self, validity: Validity, new: Array) -> Array:
         """Return the bound (k,) [m] of legs whose newness `new` (k,) is 0 to 1."""
-        full = self.full * validity.stroke
-        floor = self.floor * validity.stroke * (min(1.0, validity.rms / full) if full else 1.0)
+        floor = self.floor * validity.stroke * np.clip((validity.rms / (self.full * validity.stroke)) ** 2, _LEAST, 1.0)
         squares = (self.held_out * validity.rms) ** 2 + floor**2
         return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
 
 
 # Of the largest and of the RMS error: where held-out legs test any path, and where they do not.
-LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002)
-RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005)
+LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002, 2e-4)
+RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005, 2e-4)
 
 
 def legs(voltage: Array, span: float) -> NDArray[np.intp]:
