@@ -49,24 +49,27 @@ class Factors:
     """Factors of a promise, which is the root of a sum of squares of measured errors.
 
     `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
-    falls with the square of the held-out error where that is below `full`, to a twentieth at least.
+    falls with the square of the held-out error where that is below `full`, to a twentieth at least. A floor without
+    `full` does not fall: where no record turned, a small held-out error tells nothing.
     """
 
     held_out: float
     disagreement: float
     floor: float
-    full: float
+    full: float = 0.0
 
     def bound(self, validity: Validity, new: Array) -> Array:
         """Return the bound (k,) [m] of legs whose newness `new` (k,) is 0 to 1."""
-        floor = self.floor * validity.stroke * np.clip((validity.rms / (self.full * validity.stroke)) ** 2, _LEAST, 1.0)
+        floor = self.floor * validity.stroke
+        if self.full:
+            floor *= np.clip((validity.rms / (self.full * validity.stroke)) ** 2, _LEAST, 1.0)
         squares = (self.held_out * validity.rms) ** 2 + floor**2
         return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
 
 
 # Of the largest and of the RMS error: where held-out legs test any path, and where they do not.
-LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002, 2e-4)
-RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005, 2e-4)
+LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002)
+RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005)
 
 
 def legs(voltage: Array, span: float) -> NDArray[np.intp]:
