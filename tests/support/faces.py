@@ -12,7 +12,7 @@ FACES = {
             wave_table write_record
         """,
         "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot Exchange StageUpdate Update update update_stage
+            AdaptiveCompensator AdaptiveSnapshot Update update update_stage
         """,
         "baselines": """
             BASELINES ModelComparison compare
@@ -32,8 +32,7 @@ FACES = {
             Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Dataset Drifts Findings Fleet drifts_of findings_of identify_fleet
-            load open_dataset
+            Dataset Fleet drifts_of findings_of identify_fleet load open_dataset
         """,
         "identification": """
             Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify
