@@ -18,7 +18,7 @@ FACES = {
             BASELINES ModelComparison compare
         """,
         "calibration": """
-            Calibration Plan TrackedPath calibrate
+            Calibration PathRun Plan TrackedPath calibrate
         """,
         "cli": """
             main
@@ -58,11 +58,11 @@ FACES = {
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Recheck StageInsight StageRecheck check
+            Change CheckHistory Insight Recheck check
             check_stage insight judge stage_insight
         """,
         "virtual": """
-            BoucWenActuator PlayActuator PreisachActuator VirtualBench
+            AgeingActuator AgeingCourse BoucWenActuator PlayActuator PreisachActuator VirtualBench
             VirtualStage
         """,
         "virtual.emulator": """
