@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Actuator, AdaptiveCompensator, Compensator, MaxwellSlip, ModelError, Spring
 from dehyst.adaptation import AdaptiveSnapshot
+from dehyst.adaptation.adaptive_compensator import _slow_loop
 
 PLANT = replace(plain_records.plant(10, seed=4), limits=(-20.0, 220.0))
 LIMITS, PERIOD, STROKE = (-20.0, 220.0), 1e-3, plain_records.STROKE
@@ -258,3 +259,37 @@ def test_no_voltage_leaves_limits_or_slew_rate_whatever_the_sensor_says(seed, ki
 def test_it_is_offered_by_the_package():
     assert dehyst.AdaptiveCompensator is AdaptiveCompensator
     assert "exchanges" in repr(loop_of())
+
+
+def test_cycles_that_are_played_as_a_whole_are_planned_committed_and_learnt():
+    loop, plain = loop_of(memory=3.0), loop_of(Compensator)
+    state, errors = PLANT.turned(STROKE * TURNS[-1], rising=False), []
+    before = lived(loop_of(Compensator), 40, age=float)
+    for k in range(40):
+        wanted = cycle(k)
+        begun = loop.snapshot().loop
+        voltage = loop.plan(wanted)
+        assert loop.snapshot().loop.as_dict() == begun.as_dict()
+        if not k:
+            assert voltage.tolist() == plain.run(wanted).tolist()
+        motion = aged(k / 40).simulate(voltage, state=state)
+        state = motion.state
+        loop.learn(wanted, voltage, motion.displacement)
+        assert loop.voltage == voltage[-1]
+        errors.append(np.abs(motion.displacement - wanted).max() / STROKE)
+    assert len(loop.log) == 40
+    assert np.mean(errors[-4:]) < 0.2 * before[-4:].mean()
+    loops = [_slow_loop(one, LIMITS) for one in (PLANT, aged(1))]
+    (stroke, width), (stroke_now, width_now) = loops
+    assert loop.drift.gain == pytest.approx(stroke_now / stroke - 1, abs=0.04)
+    assert loop.drift.width == pytest.approx(width_now / width * stroke / stroke_now - 1, abs=0.03)
+
+
+def test_a_cycle_with_unequal_columns_or_impossible_voltages_is_refused():
+    loop, wanted = loop_of(), cycle(0)
+    for columns in ((wanted, wanted[1:], wanted), (wanted[:9],) * 3):
+        with pytest.raises(ModelError) as caught:
+            loop.learn(*columns)
+        assert caught.value.argument == "measured"
+    with pytest.raises(ModelError):
+        loop.learn(wanted, np.full(wanted.size, 1e4), wanted)

@@ -151,6 +151,12 @@ VALUES = {
     "wave_points": 100,
     "fault": "--fault drop",
     "epics": "--epics PIEZO",
+    "ageing": "--ageing gain=-7,seconds=60",
+    "path": "--path way.csv",
+    "adapt": "--adapt",
+    "updated": "--updated updated.json",
+    "memory": "--memory 3",
+    "zero_drifts": "--no-zero-drifts",
     "by": "--by serial",
     "prior": "--prior table.parquet",
     "jobs": "--jobs 3",
@@ -201,6 +207,7 @@ _BASE = {
     "columns:join": "--columns displacement=extra_um",
     "columns:rate": "--columns 'voltage=2:V, displacement=3:um'",
 }
+_FEW = "--cycles 2"
 _UNTIMED = "--columns 'names=-|-|displacement:um|-|-|-'"
 _TWO = "v=voltage_V:displacement_um, w=monitor_V:back_um"
 _OF_AXES = {
@@ -301,6 +308,27 @@ CASES = {
             "stage.json scan.csv -o out.csv",
             only=("table", "columns:axes"),
             values={"columns:axes": "x=x_um, y=middle"},
+        ),
+    ],
+    "run": [
+        Case(f"sim://model.json --model model.json --path texts/commas.txt {_FEW}", only=("columns:decimal",)),
+        Case(
+            f"sim://model.json --model model.json --path record.csv {_FEW}",
+            _BASE
+            | {
+                "columns:rate": _UNTIMED,
+                "memory": "--adapt",
+                "zero_drifts": "--adapt",
+                "updated": "--adapt",
+                "force": "-o out.csv",
+            },
+            {
+                "model": "--model other.json",
+                "path": "--path way.csv",
+                "cycles": "--cycles 3",
+                "slew_rate": "--slew-rate 700",
+            },
+            dict.fromkeys(("memory", "zero_drifts"), "of what is learnt after some repetitions: tests/adaptation"),
         ),
     ],
     "insight": [
@@ -425,7 +453,7 @@ CASES = {
     ],
     "rig serve": [
         Case("--seconds 0", caught=_BENCHES, exempt=_RIG),
-        Case("--axes 2", values={"axes": "--axes 3"}, caught=_BENCHES, exempt=_RIG),
+        Case("--axes 2", values={"axes": "--axes 3"}, caught=_BENCHES, exempt=_RIG | {"ageing": "within the stage"}),
     ],
     "workbench": [Case("out", caught=("dehyst.cli.workbench.serve",), exempt={"browser": "opens a browser"})],
     "demo": [Case("-o out", caught=("dehyst.studies.demo.demand_folder",), exempt=_STUDY)],

@@ -12,13 +12,13 @@ FACES = {
             wave_table write_record
         """,
         "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot Exchange StageUpdate Update update update_stage
+            AdaptiveCompensator AdaptiveSnapshot Drift Exchange StageUpdate Update update update_stage
         """,
         "baselines": """
             BASELINES ModelComparison compare
         """,
         "calibration": """
-            Calibration Plan TrackedPath calibrate
+            Calibration PathRun Plan Repetition TrackedPath calibrate
         """,
         "cli": """
             main
@@ -63,7 +63,7 @@ FACES = {
             check_stage insight judge stage_insight
         """,
         "virtual": """
-            BoucWenActuator PlayActuator PreisachActuator VirtualBench
+            AgeingActuator AgeingCourse BoucWenActuator PlayActuator PreisachActuator VirtualBench
             VirtualStage
         """,
         "virtual.emulator": """

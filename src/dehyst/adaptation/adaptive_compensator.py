@@ -6,24 +6,27 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, isnan, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dehyst import _validation as check
 from dehyst._errors import ModelError
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._units import per_metre
 from dehyst.adaptation.estimator import Estimator, Exchange, PathCycle
 from dehyst.control import Compensator, Snapshot, VoltageLimits
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, looped
 from dehyst.model import serialization as files
 
 FORMAT, VERSION = "dehyst-adaptive-loop", 1
-# Samples of a cycle, at most and at least, and those after which turns are looked for.
-_MOST, _FEWEST, _DUE = 4096, 24, 32
+# Samples of a cycle in the loop at most, of any cycle at least, and those after which turns are looked for.
+_MOST, FEWEST, _DUE = 4096, 24, 32
 # The integral action moves the path by this part of the reach at most.
 _INTEGRAL = 0.1
+# Seconds from one end of a slow loop to its middle.
+_SLOWLY = 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,18 @@ class AdaptiveSnapshot(files.JsonFile):
         files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
         learnt = {name: files.numbers(values, f"learnt.{name}") for name, values in data["learnt"].items()}
         return cls(Snapshot.from_dict(data["loop"]), learnt)
+
+
+class Drift(NamedTuple):
+    """Changes of a model in use relative to the initial one, on a slow loop between the limits.
+
+    `gain`: of the displacement. `width`: of the loop as a part of the stroke. `offset`: sensor reading minus the
+    model's displacement [m, or `units`], which is not learnt.
+    """
+
+    gain: float
+    width: float
+    offset: float
 
 
 class AdaptiveCompensator:
@@ -215,18 +230,73 @@ class AdaptiveCompensator:
         """Take the first samples as a cycle; return it, and its factor on the weight of the cycles before."""
         table = np.array(self._rows[:end])
         del self._rows[:end]
-        loop, sent = self._compensator, table[:, 1]
-        seconds = None if loop.period is None else loop.period * self._stride
-        clamped = (sent <= loop.limits[0]) | (sent >= loop.limits[1])
-        if seconds is not None and loop.slew_rate is not None:
-            change = loop.bounds.largest_step(seconds) * (1 - 1e-9)
-            clamped |= np.abs(np.diff(sent, prepend=sent[:1])) >= change
+        return self._cycle(table, self._stride)
+
+    def _cycle(self, table: Array, stride: int = 1) -> tuple[PathCycle, float]:
+        """Return the cycle of a table (n, 3), every `stride`-th sample: displacement wanted, voltage, measured."""
+        sent, period = table[:, 1], self._compensator.period
+        seconds = None if period is None else period * stride
+        clamped = self.clamped(sent, seconds)
         wanted, measured = table[:, 0] / self._per_metre, table[:, 2] / self._per_metre
         measured[~np.isfinite(measured)] = nan
         keep = exp(-1 / self._memory)
         if self._time_constant is not None and seconds is not None:
-            keep = exp(-end * seconds / self._time_constant)
+            keep = exp(-len(table) * seconds / self._time_constant)
         return PathCycle(wanted, measured, sent, clamped, self._steps, seconds), keep
+
+    def plan(self, displacement: ArrayLike, pause: float = 0.0) -> Array:
+        """Return the voltages (n,) [V] of a cycle that will be played as a whole; nothing is committed.
+
+        `displacement` (n,): wanted [m, or `units`], as of n calls of `step`. `pause`: time [s] for which the last
+        voltage is held before. After the cycle call `learn`. Raises and warns as `Compensator.run`.
+        """
+        before = self._compensator.snapshot()
+        self._hold(pause)
+        voltage = self._compensator.run(displacement)
+        self._compensator.restore(before)
+        return voltage
+
+    def learn(self, displacement: ArrayLike, voltage: ArrayLike, measured: ArrayLike, pause: float = 0.0) -> None:
+        """Commit a cycle (n,) that was played as a whole, and learn from it; then new weights may be in use.
+
+        `displacement`: as given to `plan`. `voltage`: sent [V]. `measured` [m, or `units`]: displacement at each of
+        these samples; NaN if unknown. `pause`: time [s] for which the last voltage was held before.
+
+        Raise `ModelError` if lengths differ, there are fewer than 24 samples, or a voltage is not one of these limits.
+        """
+        columns = [np.array(one, dtype=np.float64).ravel() for one in (displacement, voltage, measured)]
+        wanted, sent, seen = (one.size for one in columns)
+        if not wanted == sent == seen or wanted < FEWEST:
+            got = f"{seen} values for {wanted} displacements and {sent} voltages"
+            raise ModelError(argument="measured", got=got, need=f"one for each, of {FEWEST} samples at least")
+        before = self._compensator.state.displacement
+        self._hold(pause)
+        self._estimator.pause(pause, self._compensator.state.displacement - before)
+        for one in columns[1].tolist():
+            self._compensator.commit(one)
+        late = (self._sent.maxlen or 1) - 1
+        columns[2] = np.append(columns[2][late:], np.full(late, nan))
+        self._steps += wanted
+        for actuator in self._estimator.learn(*self._cycle(np.column_stack(columns))):
+            if actuator is not None and self.learning:
+                self._compensator.exchange(actuator)
+
+    def clamped(self, voltage: Array, seconds: float | None = None) -> Mask:
+        """Return which samples of a `voltage` (n,) [V] are at a limit, or as steep as is allowed.
+
+        `seconds`: time between samples [s]; default: the period.
+        """
+        loop = self._compensator
+        found = (voltage <= loop.limits[0]) | (voltage >= loop.limits[1])
+        between = seconds or loop.period
+        if between is not None and loop.slew_rate is not None:
+            change = loop.bounds.largest_step(between) * (1 - 1e-9)
+            found |= np.abs(np.diff(voltage, prepend=voltage[:1])) >= change
+        return found
+
+    def _hold(self, seconds: float) -> None:
+        for _ in range(round(seconds / self._compensator.period) if self._compensator.period else 0):
+            self._compensator.hold()
 
     @property
     def actuator(self) -> Actuator:
@@ -263,6 +333,15 @@ class AdaptiveCompensator:
         """The last thousand cycles: whether weights were exchanged, and if not, why."""
         return tuple(self._estimator.log)
 
+    @property
+    def drift(self) -> Drift:
+        """What has changed so far, as far as it is learnt."""
+        (stroke, width), (stroke_now, width_now) = (
+            _slow_loop(one, self._compensator.limits) for one in (self._estimator.weights.actuator, self.actuator)
+        )
+        gain = stroke_now / stroke
+        return Drift(gain - 1, width_now / width / gain - 1 if width else 0.0, self.datum)
+
     def snapshot(self) -> AdaptiveSnapshot:
         """Finish the learning under way, and return the whole memory except the samples of the present cycle."""
         while self._work is not None:
@@ -290,6 +369,16 @@ class AdaptiveCompensator:
         self._begin()
 
 
+def _slow_loop(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+    """Return stroke [m] of a slow loop between limits [V], and its width [m] in the middle."""
+    low, high = limits
+    swing = np.array([low, 0.5 * (low + high), high, 0.5 * (low + high)])
+    time = _SLOWLY * np.arange(swing.size) if actuator.needs_time else None
+    state = looped(actuator, limits, rising=False)
+    y = actuator.simulate(swing, time=time, state=state, extrapolate=True).displacement
+    return float(y[2] - y[0]), float(y[3] - y[1])
+
+
 class _Turns:
     """Turns of a path followed by at least `least` motion; every second one ends a cycle. `seen`: samples processed."""
 
@@ -308,7 +397,7 @@ class _Turns:
                 end, self._extreme, self._at = self._at, wanted, place
                 self._count += self._direction != 0
                 self._direction = 1 if moved > 0 else -1
-                if self._count >= 2 and end >= _FEWEST:
+                if self._count >= 2 and end >= FEWEST:
                     self._count, self.seen, self._at = 0, place + 1 - end, place - end
                     return end
         self.seen = len(rows)

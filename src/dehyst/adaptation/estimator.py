@@ -148,6 +148,10 @@ class Estimator:
         self._tracker = Tracker(self.weights, State(float(place[0]), carts, creep, (), smooth))
         return self.weights.model(self.factors, self.constant)
 
+    def pause(self, seconds: float, moved: float) -> None:
+        """Let seconds [s] pass between two cycles, in which the actuator creeps by `moved` [m]."""
+        self._tracker.follow(np.array([self._tracker.state.displacement + moved]), seconds)
+
     def learn(self, cycle: PathCycle, keep: float) -> Iterator[Actuator | None]:
         """Learn from a cycle in slices of bounded work; yield a new actuator to use, at most once.
 

@@ -344,14 +344,20 @@ def read_voltage(path: Path, *, max_bytes: float = MOST) -> WantedVoltage:
     """
     table = read_table(path, max_bytes=max_bytes)
     voltage = table.column("voltage")
-    steps = np.diff(time_of(table, voltage.size, None, None))
-    if not (steps > 0).all():
-        raise FileFormatError(f"{path}: the times do not rise; write it with dehyst excite, or correct them")
-    if not steps.size or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
-        raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
-    excitation = Excitation(path.stem, voltage, 1 / float(np.median(steps)))
+    rate = even_rate(path, time_of(table, voltage.size, None, None))
+    excitation = Excitation(path.stem, voltage, rate)
     try:
         wanted = table.column("displacement")
     except FileFormatError:
         wanted = None
     return WantedVoltage(excitation, wanted)
+
+
+def even_rate(path: Path, time: Array) -> float:
+    """Return the rate [Hz] of the `time` (n,) [s] in a file; raise `FileFormatError` if it does not rise evenly."""
+    steps = np.diff(time)
+    if not (steps > 0).all():
+        raise FileFormatError(f"{path}: the times do not rise; write it with dehyst excite, or correct them")
+    if not steps.size or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
+        raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
+    return 1 / float(np.median(steps))

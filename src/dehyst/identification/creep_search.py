@@ -20,18 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
 from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.preprocessing.regressors import epochs, play_curves
 from dehyst.identification.rules import RULES
 from dehyst.identification.training_data import FEW_STEPS, TrainingData
 from dehyst.model import DisplacementCreep
 from dehyst.records import Record, white_noise
 
-# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
-_RADII = np.geomspace(0.01, 0.5, 19)
-_SEGMENTS = 6
 # Time constants in a decade, rounds of gains and displacement, weight of the drift in holds and of equal neighbours.
 _A_DECADE, _ROUNDS, _OF_HOLDS, _ALIKE = 2, 5, 5.0, 0.5
 # The fastest in `TrainingData.fastest_creep`, the slowest in lengths of the longest record.
@@ -107,7 +103,7 @@ class CreepSearch:
             )
             constants[:, number] = 1.0
             starts[:, q] = _fading(item, piece.time, tau[1::2])
-            curves = np.hstack([_curves(u), constants, starts.reshape(u.size, -1)])
+            curves = np.hstack([play_curves(u), constants, starts.reshape(u.size, -1)])
             rows = np.arange(own[-1].start, own[-1].stop, step)
             paths.append(_PlayedPiece(q, item, piece, rows, curves, holds(piece, high - low, least)))
         return cls(tuple(paths), tau) if any(path.holds for path in paths) else None
@@ -168,14 +164,6 @@ class CreepSearch:
             part = DisplacementCreep(tau, gains)
         kept = gains > _LEAST * gains.sum()
         return DisplacementCreep(tau[kept], gains[kept]) if kept.any() else None
-
-
-def _curves(u: Array) -> Array:
-    """Return hats of plays (n, C) of a voltage (n,), as a part of its range."""
-    elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
-    plays = np.column_stack([u, u[:, None] - elongation])
-    edges = np.linspace(0.0, 1.0, _SEGMENTS + 1)
-    return np.hstack([np.clip(plays, a, b) - a for a, b in pairwise(edges)])
 
 
 def _fading(item: Prepared, time: Array, time_constants: Array) -> Array:

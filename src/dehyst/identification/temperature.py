@@ -1,8 +1,8 @@
 """Gain and offset by temperature, identified first, from records with a temperature channel.
 
-By section 22 of the theory, ``y = datum + offset dT + (1 + gain dT) m(v)``. Here m is a sum of plays of the voltage and
-a polynomial. Its weights and the two numbers are fitted by least squares in turn. The numbers are used if they predict
-temperatures that were held out. Then the records are brought to the reference, and identified as at one temperature.
+By section 22 of the theory, ``y = datum + offset dT + (1 + gain dT) m(v)``. Here m is a sum of curves of plays of the
+voltage. Its weights and the two numbers are fitted by least squares. The numbers are used if they predict temperatures
+that were held out. Then the records are brought to the reference, and identified as at one temperature.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dehyst._native import slip_elongations
 from dehyst._types import Array
+from dehyst.identification.preprocessing.regressors import play_curves
 from dehyst.identification.results import Trace
 from dehyst.identification.rules import RULES
 from dehyst.model import Actuator, Thermal
 from dehyst.records import Record, rms
 
-# Radii of the plays, as parts of the range; powers of the voltage; steps of the alternation; samples at most.
-_RADII, _POWERS, _STEPS, _MOST = np.geomspace(0.01, 0.5, 16), 4, 6, 40_000
+# Steps of Gauss-Newton; samples at most; ridge of the weights of m, relative to the mean square of their columns.
+_STEPS, _MOST, _RIDGE = 5, 6000, 1e-6
 # Parts of the temperatures that are held out in turn; standard errors from which on an offset counts.
 _FOLDS, _SURE = 4, 3.0
 # Parts of the range of temperatures of which records must have some.
@@ -43,6 +43,8 @@ class TemperatureEffect:
         Lowest and highest temperature of the records [degrees Celsius].
     better : float
         Error at held-out temperatures, relative to the error without the effect.
+    missed : float
+        RMS error of the sum of plays [m].
     datums : tuple of float
         Displacement of each record at the lowest voltage and the reference [m].
     """
@@ -54,6 +56,7 @@ class TemperatureEffect:
     reference: float
     range: tuple[float, float]
     better: float
+    missed: float
     datums: tuple[float, ...]
 
     def at_reference(self, record: Record, datum: float | None = None) -> Record:
@@ -69,10 +72,12 @@ class TemperatureEffect:
         return replace(record, displacement=zero + at_once)
 
     def refined(self, records: Sequence[Record], traces: Sequence[Trace]) -> TemperatureEffect:
-        """Return the effect with its gain fitted again with the identified actuator, which fits better than plays.
+        """Return the effect with its gain fitted again with the identified actuator, where that misses less than plays.
 
         `records`: measured records. `traces`: the same records converted to the reference temperature, and simulated.
         """
+        if rms(np.concatenate([trace.residual for trace in traces[: len(records)]])) > self.missed:
+            return self
         rows, left = [], []
         for record, trace in zip(records, traces, strict=False):
             temperature = record.temperature
@@ -135,17 +140,15 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
     within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
     # A sensor that is zeroed again hides the offset, but for what the temperature changes within a record.
     rows.expands = within >= RULES.temperatures
-    gain, offset, errors, datums = rows.jackknifed()
+    gain, offset, errors, datums, missed = rows.jackknifed()
     if rows.expands and abs(offset) < _SURE * errors[1]:
         rows.expands = False
-        gain, offset, errors, datums = rows.jackknifed()
-    missed = rms(rows.held_out()) / max(rms(rows.held_out(fixed=True)), 1e-300)
-    if not missed <= RULES.temperature_helps or not np.all(1 + 2 * gain * rows.kelvins > 0):
-        return (
-            None,
-            f"{words}: held-out temperatures do not show its effect",
-        )
-    return TemperatureEffect(gain, offset, *errors, rows.reference, (low, high), missed, tuple(datums)), ""
+        gain, offset, errors, datums, missed = rows.jackknifed()
+    better = rms(rows.held_out()) / max(rms(rows.held_out(fixed=True)), 1e-300)
+    if not better <= RULES.temperature_helps or not np.all(1 + 2 * gain * rows.kelvins > 0):
+        return None, f"{words}: held-out temperatures do not show its effect"
+    found = gain, offset, *errors, rows.reference, (low, high), better, missed, tuple(datums)
+    return TemperatureEffect(*found), ""
 
 
 class _TemperatureRows:
@@ -157,15 +160,14 @@ class _TemperatureRows:
         lowest = min(float(record.voltage.min()) for record in records)
         span = max(float(record.voltage.max()) for record in records) - lowest
         columns, y, kelvins, own = [], [], [], []
+        # m is 0 at the lowest voltage after a fall from the highest.
+        bottom = play_curves(np.array([0.0, 1.0, 0.0]))[-1]
         for q, record in enumerate(records):
             u = np.ascontiguousarray((record.voltage - lowest) / span)
-            stretched, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), u)
             # The state is known once the voltage has been at both of its ends.
             first = max(int(np.argmax(u)), int(np.argmin(u)))
             kept = slice(first, None, step)
-            powers = u[kept, None] ** np.arange(1, _POWERS + 1)
-            # Plays are 0 at the lowest voltage after a fall from the highest.
-            columns.append(np.hstack([powers, u[kept, None] - stretched[kept] - _RADII]))
+            columns.append(play_curves(u)[kept] - bottom)
             y.append(record.displacement[kept])
             own.append(np.full(y[-1].size, q))
             temperature = record.temperature
@@ -178,12 +180,13 @@ class _TemperatureRows:
         self.folds = np.searchsorted(edges, self.kelvins, side="right")
         self.expands, self.weights = True, np.zeros(self.columns.shape[1])
 
-    def jackknifed(self) -> tuple[float, float, tuple[float, float], Array]:
-        """Return gain, offset, their standard errors, and the datum of each record."""
+    def jackknifed(self) -> tuple[float, float, tuple[float, float], Array, float]:
+        """Return gain, offset, their standard errors, the datum of each record, and the RMS error [m]."""
         gain, offset, datums = self.solved(np.ones(self.y.size, dtype=bool))
+        missed = rms(self.errors(gain, offset, self.datums @ datums))
         found = np.array([self.solved(self.folds != k)[:2] for k in np.unique(self.folds)])
         errors = np.sqrt((len(found) - 1) * found.var(axis=0))
-        return gain, offset, (float(errors[0]), float(errors[1])), datums
+        return gain, offset, (float(errors[0]), float(errors[1])), datums, missed
 
     def solved(self, kept: Array, *, fixed: bool = False) -> tuple[float, float, Array]:
         """Return gain, offset and the datums by the samples `kept` (n,); with `fixed` both numbers are 0."""
@@ -194,11 +197,21 @@ class _TemperatureRows:
         for _ in range(1 if fixed else _STEPS):
             free = [] if fixed else [m * kelvins, self.expands * kelvins]
             rows = np.column_stack([(1 + gain * kelvins)[:, None] * columns, own, *free])
-            found = np.linalg.lstsq(rows, y, rcond=1e-10)[0]
+            scale = np.sqrt(np.mean(rows**2, axis=0))
+            scale[scale == 0] = 1.0
+            gram, image = rows.T @ rows / np.outer(scale, scale), rows.T @ y / scale
+            ridge = np.where(np.arange(len(gram)) < size, _RIDGE * len(y), 0.0)
+            found = np.linalg.lstsq(gram + np.diag(ridge), image, rcond=None)[0] / scale
             self.weights, datums = found[:size], found[size : size + own.shape[1]]
             change, offset = (0.0, 0.0) if fixed else found[-2:]
             gain, m = gain + float(change), columns @ self.weights
         return gain, float(self.expands * offset), datums
+
+    def errors(self, gain: float, offset: float, datums: Array | float = 0.0) -> Array:
+        """Return the errors (n,) [m] by the weights found last."""
+        return np.asarray(
+            self.y - datums - (1 + gain * self.kelvins) * (self.columns @ self.weights) - offset * self.kelvins
+        )
 
     def held_out(self, *, fixed: bool = False) -> Array:
         """Return the errors (n,) [m] of each fold by the others, the datums of its records aside."""
@@ -206,7 +219,6 @@ class _TemperatureRows:
         for k in np.unique(self.folds):
             own = self.folds == k
             gain, offset, _ = self.solved(~own, fixed=fixed)
-            kelvins, used = self.kelvins[own], self.datums[own]
-            error = self.y[own] - (1 + gain * kelvins) * (self.columns[own] @ self.weights) - offset * kelvins
+            used, error = self.datums[own], self.errors(gain, offset)[own]
             errors[own] = error - used @ np.linalg.lstsq(used, error, rcond=None)[0]
         return errors

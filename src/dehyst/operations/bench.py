@@ -27,7 +27,7 @@ from dehyst.operations.declaration import Folder, Input, Only, Values, beside, o
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_calibration, write_stage_report
-from dehyst.virtual import ModelledActuator, VirtualActuator, VirtualBench, VirtualStage
+from dehyst.virtual import AgeingActuator, AgeingCourse, ModelledActuator, VirtualActuator, VirtualBench, VirtualStage
 from dehyst.virtual.bench import BenchAxis
 from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 from dehyst.virtual.emulator.epics_ioc import serve_ioc
@@ -232,6 +232,7 @@ def serve(
     slew_rate: float | None = None,
     speed: float = 1.0,
     noise: float | None = None,
+    ageing: AgeingCourse | None = None,
     wave_points: int = 65536,
     fault: tuple[str, ...] = (),
     seconds: float | None = None,
@@ -264,6 +265,9 @@ def serve(
         Speed of the instrument: its seconds for each second of real time.
     noise
         Of the sensor [nm]; default: the actuator's, 2 nm.
+    ageing
+        Changes of each actuator that grow until a time has passed: of its gain [%], of the width of its loop [%], of
+        the sensor's zero [% of the stroke]; and this time [s of the instrument]; default: none.
     wave_points
         Largest number of samples of wave generator and recorder.
     fault
@@ -296,6 +300,7 @@ def serve(
         shares,
         **bench,
         noise=None if noise is None else 1e-9 * noise,
+        ageing=ageing,
     )
     lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: run.say(f"fault: {words}"))
     controller = Controller(instrument, reported_limits=ranges)
@@ -318,11 +323,14 @@ def _instrument(
     faults: Sequence[Fault],
     limits: tuple[float, float] | None,
     shares: tuple[float, float],
+    *,
+    ageing: AgeingCourse | None,
     **options: Any,
 ) -> tuple[VirtualBench, list[tuple[float, float]]]:
     """Return the virtual bench, and the limits [V] that it reports of each axis."""
     driven, own = zip(*map(_driven, names), strict=True)
     reported = [limits or one for one in own]
+    driven = driven if ageing is None else tuple(AgeingActuator(one, ageing) for one in driven)
     device, count = driven[0], len(driven)
     if count > 1:
         table, second = (spread_coupling(count, share) for share in shares)

@@ -8,6 +8,7 @@ Each has a `stroke` [m] at its `highest` voltage [V] on the major loop. `play(vo
 continues from the state that the last call reached; `relax` resets the state.
 """
 
+from dehyst.virtual.ageing import AgeingActuator, AgeingCourse
 from dehyst.virtual.base import VirtualActuator
 from dehyst.virtual.bench import VirtualBench
 from dehyst.virtual.bouc_wen import BoucWenActuator
@@ -16,4 +17,12 @@ from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 from dehyst.virtual.stage import VirtualStage
 
-__all__ = ["BoucWenActuator", "PlayActuator", "PreisachActuator", "VirtualBench", "VirtualStage"]
+__all__ = [
+    "AgeingActuator",
+    "AgeingCourse",
+    "BoucWenActuator",
+    "PlayActuator",
+    "PreisachActuator",
+    "VirtualBench",
+    "VirtualStage",
+]

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.model import DESCRIPTION, Actuator, State
+from dehyst.virtual.ageing import AgeingActuator
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
@@ -89,6 +90,8 @@ def fingerprint(actuator: VirtualActuator | Actuator) -> str:
 
     Name, provenance, state and limits of a model have no effect, because they may differ for the same actuator.
     """
+    if isinstance(actuator, AgeingActuator):
+        actuator = actuator.new
     if isinstance(actuator, ModelledActuator):
         actuator = actuator.actuator
     kind = "model" if isinstance(actuator, Actuator) else type(actuator).__name__.removesuffix("Actuator").lower()

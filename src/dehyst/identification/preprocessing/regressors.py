@@ -285,3 +285,18 @@ def _advanced(grid: Grid, creep: Creep, last: _Last | None, time: Array, y: Arra
         columns.append(smooth_elongations(grid.lengths, grid.closings, y, internal[branches:]))
     rows = np.hstack(columns)
     return rows[repeated:], (float(time[-1]), float(y[-1]), rows[-1])
+
+
+# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
+_RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
+
+
+def play_curves(u: Array) -> Array:
+    """Return curves (n, C) of plays of a voltage `u` (n,), as a part of its range: together they follow any hysteresis.
+
+    Each play, and the voltage itself, is divided into hats: what it has of each segment of the range.
+    """
+    elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
+    plays = np.column_stack([u, u[:, None] - elongation])
+    edges = np.linspace(0.0, 1.0, _SEGMENTS + 1)
+    return np.hstack([np.clip(plays, a, b) - a for a, b in pairwise(edges)])

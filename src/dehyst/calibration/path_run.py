@@ -1,0 +1,202 @@
+"""A path that is followed on a rig, again and again, with a model that may adapt to what the sensor measures."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
+from dehyst._validation import vector
+from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
+from dehyst.calibration.session import NullProgress, ProgressListener
+from dehyst.calibration.tracking import TrackedPath
+from dehyst.control import ClampWarning, Compensator, plan_path
+from dehyst.instruments import AbstractRig, Samples
+from dehyst.model import Actuator, State
+from dehyst.records import Record
+from dehyst.waveforms import Excitation, wanted_path
+
+# A step from the end of a path to its beginning that is larger than this many steps of the path needs a way back.
+_CLOSED = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Repetition:
+    """One repetition of a path.
+
+    `record`: as recorded, with the way back to the beginning, if there is one. `wanted` (n,): displacement [m] of each
+    of its samples. `path`: the path and its errors. `clamped`: number of samples whose voltage was changed to keep
+    limits and slew rate. `drift`: changes of the model so far; None without adaptation. `used`: whether new weights are
+    used after this repetition. `reason`: why not.
+    """
+
+    record: Record
+    wanted: Array
+    path: TrackedPath
+    clamped: int
+    drift: Drift | None = None
+    used: bool = False
+    reason: str = ""
+
+
+class PathRun:
+    """A path on a rig of one axis: a homing, then repetitions, each played as a whole by `AbstractRig.play`.
+
+    The weights of the model adapt between two repetitions, see `AdaptiveCompensator`. Voltages stay within the limits
+    of the rig and of the model, and within the slew rate of the rig. A path that does not end where it begins gets a
+    way back. Nothing is sent before `play`.
+
+    Parameters
+    ----------
+    rig : AbstractRig
+    actuator : Actuator
+        The model, at its reference temperature; the resonance of a mass is not compensated.
+    displacement : (n,) array_like
+        The path [m].
+    sample_rate : float
+        Of the path [Hz]; the rig plays at the nearest rate that it has.
+    adapt : bool, optional
+        Whether to adapt the model.
+    memory, zero_drifts
+        As in `AdaptiveCompensator`.
+
+    Attributes
+    ----------
+    rate : float
+        Rate [Hz] at which the rig plays.
+
+    Raises
+    ------
+    RigError, RecordError, ModelError
+        If the rig has several axes, its limits exclude those of the model, the path has fewer than 24 samples, does not
+        move or lies far outside of the model's reach, or adaptation does not support the model.
+    """
+
+    def __init__(
+        self,
+        rig: AbstractRig,
+        actuator: Actuator,
+        displacement: ArrayLike,
+        sample_rate: float,
+        *,
+        adapt: bool = False,
+        memory: float = 10.0,
+        zero_drifts: bool = True,
+    ) -> None:
+        self._rig, self._path, self._adapt = rig, vector(displacement, "displacement"), bool(adapt)
+        self._wanted = _closed(self._path)
+        self.rate = rig.nearest_rate(sample_rate)
+        (low, high), period = actuator.voltage_range, 1 / self.rate
+        limits = max(low, rig.limits.low), min(high, rig.limits.high)
+        self._planner = Compensator(actuator, limits, rig.slew_rate, period=period, warns=False)
+        if sentence := self._planner.strays(self._path):
+            raise ModelError(sentence)
+        if self._wanted.size < FEWEST:
+            raise RecordError(argument="path", got=f"{self._wanted.size} samples", need=f"{FEWEST} at least")
+        self._options: dict[str, Any] = {"period": period, "warns": False, "memory": memory, "zero_drifts": zero_drifts}
+        self._loop = self._begun(actuator.state)
+
+    @property
+    def actuator(self) -> Actuator:
+        """The model in use."""
+        return self._loop.actuator
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest voltage [V] that is sent."""
+        return self._planner.limits
+
+    @property
+    def stroke(self) -> float:
+        """Displacement [m] between these limits, the reference of percentages."""
+        low, high = self._planner.reach
+        return high - low
+
+    def play(self, repetitions: int, watcher: ProgressListener | None = None) -> Iterator[Repetition]:
+        """Home, and yield each of the `repetitions` as it ends; the voltage ends at the safe one, after any error too.
+
+        `watcher` receives the progress. Raise `RigError` if the instrument or its sensor fails.
+        """
+        listener = watcher or NullProgress()
+        with self._rig.safely():
+            end, pause = self._home(listener), 0.0
+            for number in range(1, repetitions + 1):
+                repetition, pause = self._repeat(f"repetition {number}", end, pause, listener)
+                end = float(repetition.record.time[-1])
+                yield repetition
+            self._rig.retreat()
+
+    def _home(self, listener: ProgressListener) -> float:
+        """Play the shortest homing and the way to the path, and begin the loop there; return the device's time [s]."""
+        bounds = self._planner.bounds
+        present = bounds.nearest(self._rig.read().voltage)
+        way = plan_path(self._planner, self._path[:1], home=True, present=present)
+        times = way.time if way.time is not None else np.zeros(1)
+        count = round((times[-1] - times[0]) * self.rate)
+        at = times[-1] - np.arange(max(count, 1), -1, -1) / self.rate
+        record = self._play("homing", np.interp(at, times, way.voltage), None, listener)
+        self._loop = self._begun(way.state)
+        return float(record.time[-1])
+
+    def _begun(self, state: State) -> AdaptiveCompensator:
+        one = self._planner
+        loop = AdaptiveCompensator(one.actuator, one.limits, one.slew_rate, state=state, **self._options)
+        loop.learning = self._adapt
+        return loop
+
+    def _repeat(self, name: str, end: float, expected: float, listener: ProgressListener) -> tuple[Repetition, float]:
+        """Play a repetition; return it, and the pause [s] since the `end` of the wave before, by the device's time.
+
+        `expected`: this pause as a guess, the one before: what a device needs between two waves, it needs again.
+        """
+        loop, wanted, size = self._loop, self._wanted, self._wanted.size
+        at = np.arange(size) / self.rate
+        ahead = np.interp(at + loop.actuator.delay, at, wanted, period=size / self.rate)
+        with warnings.catch_warnings():
+            # They are counted.
+            warnings.simplefilter("ignore", ClampWarning)
+            voltage = loop.plan(ahead, expected)
+        record = self._play(name, voltage, wanted, listener)
+        rows = self._rig.rows(size)
+        measured = np.full(size, np.nan)
+        measured[rows] = record.displacement
+        pause = max(0.0, float(record.time[0]) - end - 1 / self.rate)
+        loop.learn(ahead, voltage, measured, pause)
+        along = rows < self._path.size
+        path = TrackedPath(record.time[along], wanted[rows[along]], record.displacement[along], self.stroke)
+        repetition = Repetition(record, wanted[rows], path, int(loop.clamped(voltage).sum()))
+        if self._loop.learning:
+            last = loop.log[-1]
+            repetition = replace(repetition, drift=loop.drift, used=last.used, reason=last.reason)
+        return repetition, pause
+
+    def _play(self, name: str, voltage: Array, wanted: Array | None, listener: ProgressListener) -> Record:
+        excitation, count = Excitation(name, voltage, self.rate), 0
+        rows = self._rig.rows(len(excitation))
+        listener.step(name, excitation.duration)
+
+        def listen(samples: Samples) -> None:
+            nonlocal count
+            part = rows[count : count + samples.time.size]
+            count += samples.time.size
+            listener.samples(samples, None if wanted is None else wanted[part], self.stroke)
+
+        return self._rig.play(excitation, listen)
+
+
+def _closed(path: Array) -> Array:
+    """Return a path (n,) [m] with a way back to its beginning, no faster than the path, if it does not end there."""
+    steps = np.abs(np.diff(path))
+    fastest, back = float(steps.max(initial=0.0)), float(path[0] - path[-1]) if path.size else 0.0
+    if not fastest:
+        raise RecordError(argument="path", got="no motion", need="a displacement that changes")
+    if abs(back) <= _CLOSED * fastest:
+        return path
+    leg = int(np.ceil(0.5 * np.pi * abs(back) / fastest)) + 1
+    return np.concatenate([path, wanted_path(1.0, (float(path[-1]), float(path[0])), leg=leg)[1:-1]])

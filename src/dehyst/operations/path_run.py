@@ -1,0 +1,168 @@
+"""`run`: a path followed on an instrument, with a model that may adapt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+import dehyst._validation as check
+from dehyst._errors import ModelError, RecordError
+from dehyst.adaptation import AdaptiveCompensator
+from dehyst.calibration.path_run import PathRun, Repetition
+from dehyst.calibration.plan import even_rate
+from dehyst.instruments import open_rig
+from dehyst.model import Actuator
+from dehyst.operations.axes import is_stage
+from dehyst.operations.declaration import Input, Output, beside, operation
+from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
+from dehyst.operations.paths import Zero, reach_remarks, zero_of_path
+from dehyst.operations.run import Result, Run, files
+
+# Repetitions that are printed: the first, the last, and some between them.
+_PRINTED = 12
+# Part by which a rate may differ without a remark.
+_RATES = 0.01
+_adapting = beside("adapt")
+
+
+@operation(AdaptiveCompensator, name="run", details=True)
+def run_path(
+    run: Run,
+    rig: str,
+    *,
+    model: Input,
+    path: Input,
+    cycles: int = 10,
+    adapt: bool = False,
+    output: Output | None = None,
+    updated: Annotated[Output | None, _adapting] = None,
+    memory: Annotated[float, _adapting] = 10.0,
+    zero_drifts: Annotated[bool, _adapting] = True,
+    limits: tuple[float, float] | None = None,
+    slew_rate: float | None = None,
+    zero: Zero | None = None,
+    columns: Columns = AS_FOUND,
+) -> Result:
+    """Follow a path on RIG again and again, and measure the error; with --adapt the model is kept true.
+
+    RIG: as of dehyst calibrate, with one axis. A homing comes first. Each repetition is played as a whole, and the
+    weights adapt between two repetitions. The voltage ends at the safe one; Ctrl-C brings it there too. The status is 1
+    if a voltage of the last repetition was clamped.
+
+    Parameters
+    ----------
+    model
+        The model (JSON) of one axis.
+    path
+        A file with times and a displacement, or the path of dehyst scan. If it does not end where it begins, a way back
+        follows.
+    cycles
+        Repetitions of the path.
+    adapt
+        Adapt the model to the rig's sensor after each repetition.
+    output
+        Write the record of all repetitions here (CSV): with the wanted displacement, and the number of the repetition.
+    updated
+        Write the adapted model here (JSON).
+    limits
+        Range of the voltage [V]; default: that of the model and the device.
+    slew_rate
+        Largest slew rate [V/s]; default: the device's, or the whole range in 0.1 s.
+    zero
+        Zero of the path, as of dehyst compensate.
+    """
+    columns.demand(PATH, "on a path")
+    check.between(cycles, "cycles", 1, 1_000_000)
+    if is_stage(model):
+        raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
+    actuator = read_model(run, model)
+    table = columns.table(path)
+    wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
+    if not clock:
+        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+    rate = even_rate(path, clock["time_s"])
+    done: list[Repetition] = []
+    with open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
+        allowed = instrument.limits.low, instrument.limits.high
+        wanted = wanted + zero_of_path(actuator, allowed, zero)
+        follower = PathRun(instrument, actuator, wanted, rate, adapt=adapt, memory=memory, zero_drifts=zero_drifts)
+        if abs(follower.rate / rate - 1) > _RATES:
+            run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
+        for remark in reach_remarks(actuator, wanted, follower.limits, zero):
+            run.note(remark)
+        try:
+            with run.watch(["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]) as watcher:
+                for repetition in follower.play(cycles, watcher):
+                    done.append(repetition)
+                    run.known = {"cycles": [_fields(one) for one in done]}
+        except BaseException as error:
+            for line in _written(done, follower.actuator, output, updated):
+                error.add_note(f"{line}, until then")
+            raise
+    fields = {
+        "rig": instrument.identity,
+        "stroke_um": 1e6 * follower.stroke,
+        "cycles": [_fields(one) for one in done],
+        "exchanges": sum(one.used for one in done),
+    }
+    rows = [_line(number, one) for number, one in enumerate(done, 1)]
+    picked = np.unique(np.linspace(0, len(rows) - 1, _PRINTED).astype(int)).tolist()
+    last = done[-1]
+    head = f"The last repetition: {_errors(last)} of the stroke"
+    if last.clamped:
+        head += f"; {last.clamped} samples were clamped at a limit or by the slew rate"
+    ends = _written(done, follower.actuator, output, updated)
+    return Result(
+        fields,
+        [head, *(rows[k] for k in picked), *ends],
+        [head, *(f"{row}  {one.reason}" for row, one in zip(rows, done, strict=True)), *ends],
+        good=not last.clamped,
+    )
+
+
+def _written(done: list[Repetition], actuator: Actuator, output: Path | None, updated: Path | None) -> list[str]:
+    """Write what there is; return a line for each file."""
+    if not done:
+        return []
+    if output is not None:
+        records = [one.record for one in done]
+        columns = {
+            "time_s": np.concatenate([one.time for one in records]),
+            "voltage_V": np.concatenate([one.voltage for one in records]),
+            "displacement_um": 1e6 * np.concatenate([one.displacement for one in records]),
+            "wanted_um": 1e6 * np.concatenate([one.wanted for one in done]),
+            "repetition": np.repeat(np.arange(1, len(done) + 1), [len(one) for one in records]),
+        }
+        write_table(output, columns)
+    if updated is not None:
+        actuator.save(updated)
+    return files(Record=output, Model=updated)
+
+
+def _errors(one: Repetition) -> str:
+    return f"largest {one.path.largest_percent:6.3f} %, RMS {one.path.rms_percent:6.3f} %"
+
+
+def _line(number: int, one: Repetition) -> str:
+    words = f"  {number:4d}  {_errors(one)}"
+    if one.drift is not None:
+        words += (
+            f"; gain {100 * one.drift.gain:+.2f} %, width {100 * one.drift.width:+.2f} %, "
+            f"offset {1e6 * one.drift.offset:+.4f} um"
+        )
+    return words
+
+
+def _fields(one: Repetition) -> dict[str, Any]:
+    found = {**one.path.as_dict(), "clamped": one.clamped}
+    if one.drift is None:
+        return found
+    return found | {
+        "gain_percent": 100 * one.drift.gain,
+        "width_percent": 100 * one.drift.width,
+        "offset_um": 1e6 * one.drift.offset,
+        "used": one.used,
+        "reason": one.reason,
+    }

@@ -1,0 +1,144 @@
+"""A path on a rig, again and again: the model stays true while the actuator ages, within limits, and safely."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from calibration_listener import Heard
+
+import dehyst
+from dehyst import Creep, ModelError, RecordError, RigError
+from dehyst.calibration import PathRun
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator
+
+RATE, AGEING = 200.0, AgeingCourse(gain=-7, width=25, seconds=12)
+
+
+@pytest.fixture(scope="module")
+def model():
+    time = 0.01 * np.arange(2400)
+    tops = np.interp(time, np.arange(0, 26, 2), [0, 200, 0, 200, 0, 170, 0, 140, 0, 110, 0, 80, 0])
+    record = dehyst.Record(time, tops, PlayActuator(seed=1).play(tops, time=time), name="new")
+    return dehyst.identify(record, structure="maxwell_slip").actuator
+
+
+def path_of(model, turns=(0.1, 0.85, 0.4, 0.7, 0.1), leg=60):
+    low, high = model.reach
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(leg) / leg)
+    legs = [a + (b - a) * rise for a, b in pairwise(turns)]
+    return low + (high - low) * np.concatenate(legs)
+
+
+def rig_of(ageing=AGEING, creep=0.0, **options):
+    return SimulatedRig(AgeingActuator(PlayActuator(seed=1, creep=creep), ageing), **options)
+
+
+def lived(rig, model, cycles, **options):
+    run = PathRun(rig, model, path_of(model), RATE, **options)
+    return run, list(run.play(cycles))
+
+
+def test_the_model_stays_true_while_the_actuator_ages(model):
+    _, frozen = lived(rig_of(), model, 30)
+    rig = rig_of()
+    run, adapted = lived(rig, model, 30, adapt=True)
+    before, after = (np.array([one.path.rms_percent for one in each]) for each in (frozen, adapted))
+    assert after[-1] < 0.4 * before[-1]
+    assert np.all(after <= 1.2 * before)
+    drift = adapted[-1].drift
+    assert drift.gain == pytest.approx(-0.07, abs=0.02)
+    assert drift.width == pytest.approx(0.25, abs=0.1)
+    assert adapted[-1].drift is not None
+    assert frozen[-1].drift is None
+    assert run.actuator.slip.stiffness.sum() > model.slip.stiffness.sum()
+    bench = rig.instrument.axis
+    assert bench.log.refused == 0
+    assert (bench.log.lowest, bench.voltage) == (0.0, rig.safe)
+
+
+def test_without_ageing_adaptation_does_no_harm(model):
+    _, frozen = lived(rig_of(AgeingCourse()), model, 10)
+    _, adapted = lived(rig_of(AgeingCourse()), model, 10, adapt=True)
+    assert adapted[-1].path.rms_percent <= 1.05 * frozen[-1].path.rms_percent
+
+
+def test_a_drift_of_the_sensor_is_reported_and_not_followed(model):
+    _, found = lived(rig_of(AgeingCourse(offset=2, seconds=60)), model, 12, adapt=True)
+    last = found[-1]
+    reached = (last.path.reached - last.path.wanted).mean()
+    assert last.drift.offset == pytest.approx(reached, rel=0.3)
+    assert abs(last.drift.gain) < 0.02
+
+
+def test_limits_and_slew_rate_of_the_rig_hold(model):
+    rig = rig_of(limits=(0, 150), slew_rate=150)
+    run, found = lived(rig, model, 4, adapt=True)
+    assert run.limits == (0, 150)
+    log = rig.instrument.axis.log
+    assert log.highest <= 150
+    assert log.steepest <= 150 * (1 + 1e-6)
+    assert sum(one.clamped for one in found) > 0
+
+
+def test_a_path_that_does_not_end_where_it_begins_gets_a_way_back(model):
+    run = PathRun(rig_of(), model, path_of(model, (0.1, 0.8)), RATE)
+    (one,) = run.play(1)
+    assert one.path.wanted.size == 60
+    assert one.record.displacement.size > 110
+    assert np.abs(np.diff(one.record.voltage)).max() < 6
+    assert one.path.largest_percent < 1
+
+
+def test_a_wave_in_pieces_and_a_delay_are_matched_sample_by_sample(model):
+    rig = rig_of(AgeingCourse(), record_points=97)
+    _, found = lived(rig, model, 6, adapt=True)
+    assert found[-1].path.rms_percent < 0.3
+    assert not found[-1].reason.startswith("the sensor")
+
+
+def test_an_actuator_creeps_on_while_the_device_prepares_the_next_wave(model):
+    creeping = replace(model, creep=Creep([2.0], [0.1 * model.spring.slopes.mean()]))
+    rig, found = SimulatedRig(creeping), []
+    for one in PathRun(rig, creeping, path_of(creeping), RATE, adapt=True).play(8):
+        found.append(one.path.largest_percent)
+        rig._wait(1.5)
+    assert found[1] > 0.1
+    assert found[-1] < 0.1 * found[1]
+
+
+def test_an_instrument_that_fails_is_brought_back(model):
+    rig = rig_of()
+    run, found = PathRun(rig, model, path_of(model), RATE, adapt=True), []
+    with pytest.raises(RigError) as caught:
+        for one in run.play(5):
+            found.append(one)
+            rig.instrument.axis.unplugged = True
+    assert len(found) == 1
+    assert "brought to" in " ".join(caught.value.__notes__)
+    assert rig.instrument.axis.voltage == rig.safe
+
+
+def test_a_listener_hears_each_wave(model):
+    heard = Heard()
+    run = PathRun(rig_of(), model, path_of(model), RATE)
+    list(run.play(2, heard))
+    assert heard.samples_of["repetition 1"] == heard.samples_of["repetition 2"] == 240
+
+
+def test_what_cannot_be_followed_is_refused_before_anything_is_sent(model):
+    low, high = model.reach
+    cases = (
+        (np.full(100, 5e-6), RecordError),
+        (np.array([low, high]), RecordError),
+        (1e3 * path_of(model), ModelError),
+        ([np.nan] * 30, ModelError),
+    )
+    for path, error in cases:
+        rig = rig_of()
+        with pytest.raises(error):
+            PathRun(rig, model, path, RATE)
+        assert rig.instrument.axis.log.highest == 0
+    with pytest.raises(ModelError):
+        PathRun(rig_of(limits=(300, 400), device_limits=(0, 500)), model, path_of(model), RATE)

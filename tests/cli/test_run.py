@@ -1,0 +1,70 @@
+"""`dehyst run`: a path on a rig that ages, what it writes and says, and its exit status."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import run
+
+import dehyst
+from dehyst.records import write_columns
+from dehyst.virtual import PlayActuator
+
+RIG = """
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import AgeingCourse, AgeingActuator, PlayActuator
+
+
+def make(**options):
+    return SimulatedRig(AgeingActuator(PlayActuator(), AgeingCourse(gain=-7, width=25, seconds=15)), **options)
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("run")
+    time = 0.01 * np.arange(2400)
+    tops = np.interp(time, np.arange(0, 26, 2), [0, 200, 0, 200, 0, 170, 0, 140, 0, 110, 0, 80, 0])
+    record = dehyst.Record(time, tops, PlayActuator().play(tops, time=time))
+    dehyst.identify(record, structure="maxwell_slip").actuator.save(target / "model.json")
+    phase = 2 * np.pi * np.arange(200) / 200
+    write_columns(target / "path.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 7 - 5 * np.cos(phase)})
+    (target / "rig.py").write_text(RIG)
+    return target
+
+
+def test_the_model_is_kept_true_and_written(folder):
+    words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "25", "--json")
+    status, out, _ = run(*words, cwd=folder)
+    frozen = json.loads(out)
+    assert status == 0
+    status, out, _ = run(*words, "--adapt", "-o", "run.csv", "--updated", "new.json", cwd=folder)
+    adapted = json.loads(out)
+    assert status == 0
+    assert adapted["exchanges"] > 3
+    assert adapted["cycles"][-1]["rms_percent"] < 0.4 * frozen["cycles"][-1]["rms_percent"]
+    assert adapted["cycles"][-1]["gain_percent"] == pytest.approx(-7, abs=4)
+    assert len(dehyst.read(folder / "run.csv")) == 25 * 200
+    new, old = (dehyst.Actuator.load(folder / name) for name in ("new.json", "model.json"))
+    assert new.slip.breakaway.tolist() == old.slip.breakaway.tolist()
+    assert new.slip.stiffness.tolist() != old.slip.stiffness.tolist()
+
+
+def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):
+    words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "2")
+    status, out, _ = run(*words, "--adapt", cwd=folder)
+    assert status == 0
+    assert "offset" in out
+    status, out, _ = run(*words, "--limits", "0", "90", cwd=folder)
+    assert status == 1
+    assert "clamped" in out
+
+
+def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):
+    words = ("run", "sim://play", "--model", "model.json", "--path", "path.csv")
+    assert run(*words, "--memory", "3", cwd=folder)[0] == 2
+    assert run(*words, "--cycles", "0", cwd=folder)[0] == 2
+    write_columns(folder / "untimed.csv", {"displacement_um": np.arange(5.0)})
+    status, _, err = run("run", "sim://play", "--model", "model.json", "--path", "untimed.csv", cwd=folder)
+    assert status == 2
+    assert "rate" in err
