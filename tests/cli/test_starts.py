@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
     """A folder with a record, its model, one that creeps, and paths with and without time."""
     target = tmp_path_factory.mktemp("starts")
     truth = PlayActuator(plays=60)
-    tops = descending_tops(truth.highest, drive=Sampling(sample_rate=100.0))
+    tops = descending_tops(truth.highest, drive=Sampling(sample_rate=10.0))
     training = Record(tops.time, tops.voltage, truth.play(tops.voltage), "loops")
     write_record(target / "loops.csv", training)
     plain = dehyst.identify(training, norm="l2", structure="maxwell_slip").actuator
