@@ -71,7 +71,7 @@ def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
     status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
     first, slew, second, promised, *_ = out.splitlines()
     assert slew == "slew rate: not limited"
-    assert status == 0 and "(homed first, " in first and " samples, " in first
+    assert status == 0 and "(homed first from 0 V, " in first and " samples, " in first
     assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
     assert promised.startswith("expect this path ")
 
