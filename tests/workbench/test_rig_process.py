@@ -385,6 +385,7 @@ def test_a_driver_that_fails_at_rest_disarms(holder, tmp_path):
     words = " ".join(holder.state["words"])
     assert words.startswith("Stopped: the rig cannot be read: SystemExit: no more. The voltage could not be brought")
     assert holder.state["status"] == "lost"
+    assert words.count("by hand") == 1
 
 
 def test_a_driver_that_holds_pythons_lock_is_not_held_against_the_page(holder, tmp_path):
