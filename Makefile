@@ -9,6 +9,7 @@
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
 PYTHON ?= python3
+comma := ,
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
@@ -78,24 +79,35 @@ bench: $(VENV)/.test
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.demo: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet .
+# Compiled once for all environments; what is imported is compiled to bytecode then.
+export PIP_COMPILE = 0
+WHEEL := build/wheel-$(shell $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)')
+install = $(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEEL)/*.whl && \
+	$(BIN)/python -m pip install --quiet 'dehyst$(1)'
+
+$(WHEEL)/.built: $(SOURCES) | $(BIN)/python
+	rm -rf $(WHEEL)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir $(WHEEL) .
 	touch $@
 
-$(VENV)/.test: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[test]'
+$(VENV)/.demo: $(BIN)/python $(WHEEL)/.built
+	$(call install,)
+	touch $@
+
+$(VENV)/.test: $(BIN)/python $(WHEEL)/.built
+	$(call install,[test])
 	touch $@ $(VENV)/.demo
 
-$(VENV)/.check: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[test,check]'
+$(VENV)/.check: $(BIN)/python $(WHEEL)/.built
+	$(call install,[test$(comma)check])
 	touch $@ $(VENV)/.test $(VENV)/.demo
 
-$(VENV)/.docs: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[docs]'
+$(VENV)/.docs: $(BIN)/python $(WHEEL)/.built
+	$(call install,[docs])
 	touch $@ $(VENV)/.demo
 
-$(VENV)/.release: $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet '.[release]'
+$(VENV)/.release: $(BIN)/python $(WHEEL)/.built
+	$(call install,[release])
 	touch $@
 
 clean:

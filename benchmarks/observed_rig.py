@@ -156,10 +156,10 @@ class ObservedController:
 class RigHolder:
     """A rig process, and what it sends; `parent` puts a server's stand-in between, in a process group of its own."""
 
-    def __init__(self, folder: Path, *, parent: bool = False, deaf: bool = False) -> None:
+    def __init__(self, folder: Path, *, parent: bool = False) -> None:
         self.folder, self.messages, self.state = folder, [], {}
         self._arrived: queue.SimpleQueue = queue.SimpleQueue()
-        self._alive, self._parent = threading.Event(), parent
+        self._alive, self._deaf, self._parent = threading.Event(), threading.Event(), parent
         module = (
             [str(Path(__file__).resolve().parents[1] / "tests" / "support" / "rig_parent.py")]
             if parent
@@ -174,9 +174,9 @@ class RigHolder:
         threading.Thread(target=self._drain, daemon=True).start()
         if not parent:
             self.send(stop_key=self.stop["key"], origins=[ORIGIN])
-        if not deaf:
-            threading.Thread(target=self._read, daemon=True).start()
-            self.until(lambda: self.stop["port"] is not None)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self.until(lambda: self.stop["port"] is not None)
         threading.Thread(target=self._live, daemon=True).start()
 
     def send(self, **message: object) -> None:
@@ -192,6 +192,11 @@ class RigHolder:
     def alive(self, on: bool) -> None:
         """Let signs of life come, or not."""
         (self._alive.set if on else self._alive.clear)()
+
+    def deafen(self) -> None:
+        """Read no more messages; the next one comes soon, if only as a sign of life."""
+        self._deaf.set()
+        self._reader.join()
 
     def until(self, condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
         """Take messages until the condition holds; raise if it does not in time."""
@@ -274,6 +279,8 @@ class RigHolder:
     def _read(self) -> None:
         for line in self.process.stdout:
             self._arrived.put(json.loads(line))
+            if self._deaf.is_set():
+                return
 
     def _drain(self) -> None:
         for line in self.process.stderr:

@@ -73,9 +73,9 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract
 # Shared machines stall: a time limit on one example would fail tests that are right.
 # A push tries the same examples each time, so that it does not fail by chance; `make nightly` tries new ones.
 settings.register_profile(
-    "dehyst", deadline=None, max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "dehyst", deadline=None, max_examples=20, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
-settings.register_profile("nightly", settings.get_profile("dehyst"), max_examples=300, derandomize=False)
+settings.register_profile("nightly", settings.get_profile("dehyst"), max_examples=80, derandomize=False)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dehyst"))
 
 # Reads an actuator, a state and a path; prints, a line a sample, the voltages and what they lead back to: by the stack,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from click.testing import CliRunner
 from summaries import anatomy
+from virtual_loops import record_loops
 
 import dehyst
 from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
@@ -17,8 +18,6 @@ from dehyst.control import PossibleStart
 from dehyst.operations.registry import find
 from dehyst.operations.start import start_words
 from dehyst.records import write_record
-from dehyst.studies import demo
-from dehyst.virtual import PlayActuator
 
 
 @pytest.mark.parametrize("kind", [ModelError, RecordError, FileFormatError, LinkError])
@@ -64,7 +63,7 @@ def test_a_command_shows_its_options(command, error, shown):
 def folder(tmp_path_factory):
     """Records and models that some command must refuse, or has something to say of."""
     place = tmp_path_factory.mktemp("words")
-    write_record(place / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
+    write_record(place / "loops.csv", record_loops()[0])
     (place / "units.csv").write_text("a,b,c\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)))
     (place / "path.csv").write_text("displacement_um\n" + "".join(f"{k / 10}\n" for k in range(50)))
     anatomy("creep").save(place / "creeps.json")
@@ -107,7 +106,7 @@ def test_columns_are_suggested_as_data(folder, monkeypatch):
 def test_the_help_of_knots_is_what_is_done():
     shown = CliRunner().invoke(main, ["identify", "--help"]).stdout
     assert re.search(r"knots \(N\) [^.]*\bN \+ 1\b[^.]*\b41\b", " ".join(shown.split()))
-    record = demo.record_loops(PlayActuator(plays=60))[0]
+    record = record_loops()[0]
     for elements, knots in ((20, 21), (50, 41)):
         fit = dehyst.identify(record, elements=elements, norm="l2", delay=0.0)
         assert fit.actuator.spring.displacement.size == knots

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import plain_records
 import pytest
 from command_line import TIMEOUT, run
+from virtual_loops import record_loops
 
 import dehyst
 from dehyst import Actuator
@@ -18,9 +19,7 @@ from dehyst.cli import terminal
 from dehyst.identification import Deadline
 from dehyst.operations.identify import _BestSoFar as BestSoFar
 from dehyst.records import read, write_record
-from dehyst.studies import demo
 from dehyst.studies.paper import run as paper_study
-from dehyst.virtual import PlayActuator
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 # Trials take long here, so that a test can stop between them.
@@ -43,8 +42,7 @@ from dehyst.cli import main; main()
 
 @pytest.fixture
 def folder(tmp_path):
-    training, _ = demo.record_loops(PlayActuator(plays=60))
-    write_record(tmp_path / "loops.csv", training)
+    write_record(tmp_path / "loops.csv", record_loops()[0])
     return tmp_path
 
 

@@ -1,10 +1,12 @@
 """What commands write: a file that begins otherwise and a folder of others are not replaced, and own outputs are."""
 
+import json
 import os
 import re
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from command_line import run
@@ -229,6 +231,21 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
 @pytest.fixture(scope="module")
 def journey():
     return demo.run()
+
+
+def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatch):
+    monkeypatch.setattr(demo, "run", lambda progress: journey)
+    status, out, _ = run("demo", "-o", "d", "--json", cwd=tmp_path)
+    numbers = json.loads(out)
+    assert status == 0
+    assert numbers["compensated"]["largest_percent"] <= 0.7
+    assert numbers["linear"]["largest_percent"] > 10
+    names = {"loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json", "report.html"}
+    assert {path.name for path in (tmp_path / "d").iterdir()} == names
+    tracking = read_table(tmp_path / "d" / "tracking.csv").columns
+    data = {column.name: column.data for column in tracking}
+    error = np.abs(data["compensated_um"] - data["wanted_um"]).max() / numbers["stroke_um"] * 100
+    assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
 
 
 def test_demo_writes_into_a_folder_that_is_new_empty_or_its_own(journey, tmp_path):

@@ -1,6 +1,7 @@
 """Commands with several axes: records with axes in --columns, and models of several axes."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import coupled_stage
@@ -300,3 +301,11 @@ def test_the_zero_and_the_present_voltage_of_a_stage(folder):
     run(*words, "-o", folder / "z1.csv", "--zero", "2")
     moved = read_table(folder / "z1.csv").column("displacement", "x_um")[-len(t) :]
     assert np.allclose(moved, 1e-6 * (5 + np.sin(t)), rtol=0, atol=1e-14)
+
+
+def test_axes_whose_columns_are_not_named_get_a_proposal(folder):
+    stage = Stage.load(folder / "stage.json")
+    replace(stage, axes=("1", "2"), recorded_columns=()).save(folder / "numbered.json")
+    words = ["compensate", folder / "numbered.json", folder / "path.csv", "-o", folder / "numbered.csv"]
+    assert '--columns "1=x_um, 2=y_um"' in run(*words, status=2)
+    run(*words, "--columns", "1=x_um, 2=y_um", "--no-home")

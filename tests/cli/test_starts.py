@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
     """A folder with a record, its model, one that creeps, and paths with and without time."""
     target = tmp_path_factory.mktemp("starts")
     truth = PlayActuator(plays=60)
-    tops = descending_tops(truth.highest, drive=Sampling(sample_rate=100.0))
+    tops = descending_tops(truth.highest, drive=Sampling(sample_rate=10.0))
     training = Record(tops.time, tops.voltage, truth.play(tops.voltage), "loops")
     write_record(target / "loops.csv", training)
     plain = dehyst.identify(training, norm="l2", structure="maxwell_slip").actuator
@@ -71,7 +71,7 @@ def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
     status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
     first, slew, second, promised, *_ = out.splitlines()
     assert slew == "slew rate: not limited"
-    assert status == 0 and "(homed first, " in first and " samples, " in first
+    assert status == 0 and "(homed first from 0 V, " in first and " samples, " in first
     assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
     assert promised.startswith("expect this path ")
 

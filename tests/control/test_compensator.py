@@ -183,7 +183,7 @@ def test_after_saturation_the_memory_is_true(seed):
     assert clipped > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_after_saturation_a_virtual_actuator_is_where_it_should_be():
     """Not of the model's class, identified from a record: the benchmark that the README shows."""
     path = places.BENCHMARKS / "saturation.py"

@@ -8,7 +8,7 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
@@ -17,6 +17,7 @@ from dehyst.control.planning.states import MajorLoop
 from dehyst.identification import Structure
 from dehyst.trust.prediction_band import top_start
 from dehyst.waveforms import Sampling
+from examples import examples
 
 LIMITS = -40.0, 260.0
 DRIVE = Sampling(frequency=0.01, sample_rate=2.0)
@@ -117,7 +118,7 @@ def test_a_little_less_does_not_home(name):
 
 
 @pytest.mark.parametrize("name", TIMED)
-@settings(max_examples=25)
+@examples(8, nightly=60)
 @given(seed=st.integers(0, 10**6))
 def test_in_time_no_past_is_left_farther_than_said(name, seed):
     actuator = TIMED[name]

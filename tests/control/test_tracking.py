@@ -47,12 +47,8 @@ def followed(name, structure="auto", seeds=(3, 4)):
     return tuple(max(column) for column in zip(*found, strict=True))
 
 
-# What is learnt from other truths than plays is looked at in `make nightly`.
-PLAY_NOW = ["play", *(pytest.param(name, marks=pytest.mark.nightly) for name in CASES if name != "play")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PLAY_NOW)
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", CASES)
 def test_a_path_is_followed(name):
     assert fitted(name).outcome is Outcome.WIDER
     for got, measured in zip(followed(name), MEASURED[name], strict=True):

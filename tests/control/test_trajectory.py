@@ -196,7 +196,7 @@ def test_wider_actuators_too_are_told_what_was_sent(kind, seed, slewing, size):
 
 @pytest.mark.parametrize("kind", ["plain", *WIDE])
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
-@examples(20, nightly=100)
+@examples(8, nightly=80)
 def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing, loaded):
     """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
     plant = replace(PLANT if kind == "plain" else wider(kind), load_stiffness=1e7)

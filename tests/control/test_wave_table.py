@@ -14,6 +14,7 @@ from dehyst.control import Compensator, wave_table
 from dehyst.control.planning.steady_cycle import steady_state, timed
 from dehyst.control.planning.wave_table import approach_to
 from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
+from examples import at_night
 
 UM = 1e-6
 PLAIN = replace(plain_records.plant(10), limits=(-50.0, 250.0))
@@ -216,7 +217,7 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
     assert played.voltage[end] == pytest.approx(30.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("parts", [{}, {"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)}])
+@pytest.mark.parametrize("parts", [{}, at_night({"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)})])
 def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
     table = wave_table(slow, TRIANGLE)

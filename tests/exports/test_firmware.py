@@ -29,6 +29,7 @@ from dehyst.exports import export, sizes
 from dehyst.exports.firmware import CONFIG, CORE, SOURCES, code
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
 from dehyst.exports.golden_trace import Call, golden_trace
+from examples import at_night, spanning
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -57,21 +58,14 @@ def pythons(kind, samples):
 # Wishes grow narrower over 3072 samples, and begin again.
 SOME = [
     *((kind, 4000) for kind in ("all", "moving")),
-    *(pytest.param(kind, 10_000, marks=pytest.mark.nightly) for kind in ("all", "moving")),
+    *(at_night(kind, 10_000) for kind in ("all", "moving")),
 ]
-MANY = [("plain", 10**5), pytest.param("plain", 10**6, marks=pytest.mark.nightly)]
+MANY = [("plain", 10**4), at_night("plain", 10**6)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize(
-    ("kind", "samples"),
-    [
-        *((kind, 10**5) for kind in ("plain", "slewing")),
-        *(pytest.param(kind, 10**6, marks=pytest.mark.nightly) for kind in ("plain", "slewing")),
-        *((kind, 50_000) for kind in ("all", "moving")),
-    ],
-)
+@pytest.mark.parametrize(("kind", "compiler"), spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")))
+@pytest.mark.parametrize("samples", [10**4, at_night(10**5)])
 def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
     if compiler == "clang" and shutil.which("clang") is None:
         pytest.skip("clang is not installed")
@@ -98,7 +92,7 @@ def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "samples"), [*MANY, ("all", 50_000), ("moving", 50_000)])
+@pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()
@@ -108,8 +102,7 @@ def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
     assert here != pythons(kind, samples)
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "number"), spanning([*KINDS], ["double", "float"]))
 def test_what_was_exported_replays_what_python_did(tmp_path, kind, number, unmeasured):
     need("gcc", "make")
     made = export(KINDS[kind](), tmp_path / "c", number)
@@ -201,8 +194,7 @@ def test_the_core_is_the_text_of_its_sources_and_the_number_type_one_line():
         assert unused not in double["piezo.c"]
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
-@pytest.mark.parametrize("kind", ["plain", "moving"])
+@pytest.mark.parametrize(("kind", "number"), spanning(["plain", "moving"], ["double", "float"]))
 def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, number):
     need("gcc")
     folder = written(tmp_path / "c", KINDS[kind](), number)
@@ -282,7 +274,7 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
         sizes(tmp_path / "c")
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("number", ["double", at_night("float")])
 def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
     broken = tmp_path / "cc"
     broken.write_text("#!/bin/sh\necho 'licence expired' >&2\nexit 1\n")
@@ -485,8 +477,7 @@ def test_floats_stay_within_the_limits(limits):
         code(Compensator(plain_records.plant(3), (100, 100 + 1e-9)), "float")
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
-@pytest.mark.parametrize("kind", ["slewing", "moving"])
+@pytest.mark.parametrize(("kind", "number"), spanning(["slewing", "moving"], ["double", "float"]))
 def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
     need("gcc")
     folder = export(KINDS[kind](), tmp_path / "c", number).folder
@@ -523,8 +514,7 @@ def test_no_name_breaks_out_of_its_comment(tmp_path, name):
     assert "evil" not in symbols
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
-@pytest.mark.parametrize("standard", ["c++98", "c++11", "c++17"])
+@pytest.mark.parametrize(("standard", "number"), spanning(["c++98", "c++11", "c++17"], ["double", "float"]))
 def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
     need("g++")
     compensator = Compensator(plain_records.plant(3), (-20.7, 1e3 / 3), 1234.567, period=1e-4 / 3)

@@ -26,12 +26,12 @@ from fmu_runner import (
 
 from dehyst import Compensator
 from dehyst.exports import export_fmu
+from examples import spanning
 
 FMICallException = fmpy.fmi1.FMICallException
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("model", "version"), spanning(MODELS, VERSIONS))
 def test_the_compensator_is_pythons_bit_for_bit(fmus, model, version):
     v, clamps = voltages(ALL[model], PATH)
     assert clamps.limited > 5
@@ -40,8 +40,7 @@ def test_the_compensator_is_pythons_bit_for_bit(fmus, model, version):
         assert slave.counts() == tuple(clamps)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("model", "version"), spanning(MODELS, VERSIONS))
 def test_the_actuator_is_pythons(fmus, model, version):
     volts = actuator_voltages(model)
     with Slave(fmus(model, version, "actuator")[1]) as slave:
@@ -179,9 +178,7 @@ def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):
             assert slave.step() == ALL[model].limits[0]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("model", "version", "kind"), spanning(MODELS, VERSIONS, KINDS))
 def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, version, kind):
     _, folder = fmus(model, version, kind)
     given = PATH if kind == "compensator" else actuator_voltages(model)

@@ -8,6 +8,7 @@ from compiled_exports import KINDS, need, written
 from dehyst import FileFormatError
 from dehyst.exports import sizes
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, CORTEX_M4F_SMALL
+from examples import at_night
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -19,7 +20,7 @@ def adversary(compensator, steps=200):
     return np.where(np.arange(steps) % 2, low - far, high + far)
 
 
-@pytest.mark.parametrize("kind", ["plain", "graded", "creep"])
+@pytest.mark.parametrize("kind", ["plain", at_night("graded"), at_night("creep")])
 def test_a_step_takes_bounded_time(tmp_path, kind):
     """No step gets longer by those before it, and clamped steps over the whole range are among the longest."""
     need("arm-none-eabi-gcc", "qemu-system-arm")

@@ -12,6 +12,7 @@ import structured_records as wide
 import dehyst
 from dehyst import Creep, Record
 from dehyst.identification import Readiness
+from examples import at_night
 
 RATE = 50.0
 PLANT = plain_records.plant(10)
@@ -50,7 +51,7 @@ def disturbed(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", DISTURBANCES)
+@pytest.mark.parametrize("name", [at_night("drift"), "vibration"])
 def test_what_the_voltage_does_not_cause_makes_no_part(name):
     fit = disturbed(name)
     assert fit.actuator.dynamics is None
@@ -58,7 +59,7 @@ def test_what_the_voltage_does_not_cause_makes_no_part(name):
     assert fit.actuator.delay == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_makes_no_resonance():
     fit = dehyst.identify(recorded(PLANT, lambda time: 0 * time, 5e-3))
     assert fit.actuator.dynamics is None

@@ -13,6 +13,7 @@ from dehyst import Record
 from dehyst.identification.held_out import drift_and_creep
 from dehyst.virtual import BoucWenActuator, PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
+from examples import at_night
 
 PERIOD, STEP = 10.0, 0.05
 SENSOR_LAG = PERIOD / 60
@@ -42,7 +43,7 @@ def tops(truth, lag, sensor_lag=0.0, **options):
 
 @pytest.mark.parametrize(
     ("truth", "lag", "options"),
-    [(PlayActuator, 0.1, {"creep": 0.03}), (BoucWenActuator, 0.3, {"delay": 0.0})],
+    [(PlayActuator, 0.1, {"creep": 0.03}), at_night(BoucWenActuator, 0.3, {"delay": 0.0})],
     ids=["creeping", "gradual friction"],
 )
 def test_a_lag_is_found_beside_what_looks_like_one(truth, lag, options):
@@ -51,7 +52,7 @@ def test_a_lag_is_found_beside_what_looks_like_one(truth, lag, options):
     assert found.delay + found.lag == pytest.approx(lag, rel=0.1)
 
 
-@pytest.mark.parametrize("creep", [0.0, 0.03])
+@pytest.mark.parametrize("creep", [at_night(0.0), 0.03])
 def test_creep_is_no_lag(creep):
     found = dehyst.identify(tops(PlayActuator, 0.0, creep=creep), norm="l2").actuator
     assert (found.delay, found.lag) == (0, 0)
@@ -67,8 +68,13 @@ def one_speed():
     return Record(played.time, played.voltage, low_pass(y, SENSOR_LAG, STEP) + noise, "one speed")
 
 
+@cache
+def found_at_one_speed():
+    return dehyst.identify(one_speed(), norm="l2")
+
+
 def test_a_sensor_s_low_pass_is_a_lag_of_first_order_and_no_creep():
-    fit = dehyst.identify(one_speed(), norm="l2")
+    fit = found_at_one_speed()
     assert fit.actuator.creep is None
     assert fit.actuator.lag > 0.3 * SENSOR_LAG
     assert fit.actuator.delay + fit.actuator.lag == pytest.approx(SENSOR_LAG, rel=0.1)
@@ -76,7 +82,8 @@ def test_a_sensor_s_low_pass_is_a_lag_of_first_order_and_no_creep():
 
 
 def test_the_error_is_promised_for_either_cause_of_a_lag_until_it_is_known():
-    unknown, none, known = (dehyst.identify(one_speed(), norm="l2", sensor_lag=lag) for lag in (None, 0.0, SENSOR_LAG))
+    unknown = found_at_one_speed()
+    none, known = (dehyst.identify(one_speed(), norm="l2", sensor_lag=lag) for lag in (0.0, SENSOR_LAG))
     rms, largest = unknown.expectation.if_actuator_lags
     assert unknown.expectation.rms > 2 * rms
     assert unknown.expectation.largest > largest
@@ -100,6 +107,7 @@ def two_speeds(sensor_lag, **options):
     return records
 
 
+@pytest.mark.nightly
 def test_branches_that_follow_a_step_at_once_are_no_creep():
     """Even where a lag was excluded by an option, so that only creep is left to explain it."""
     fit = dehyst.identify(two_speeds(PERIOD / 30), norm="l2", delay=0.0)
@@ -107,6 +115,7 @@ def test_branches_that_follow_a_step_at_once_are_no_creep():
     assert any("low-pass" in remark for remark in fit.remarks)
 
 
+@pytest.mark.nightly
 def test_creep_at_two_speeds_stays():
     fit = dehyst.identify(two_speeds(0.0, creep=0.02), norm="l2")
     assert fit.actuator.creep is not None

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import ModelError, RecordError
-from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, VoltageNote
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import SensorWatch
 from dehyst.waveforms import Excitation
@@ -424,9 +424,9 @@ def test_ctrl_c_between_an_error_and_the_retreat_waits():
     rig = FakeRig()
     retreated = rig._retreated
 
-    def late():
+    def late(cause):
         interrupt()
-        return retreated()
+        return retreated(cause)
 
     def listen(samples):
         if samples.voltage[-1] > 20:
@@ -497,3 +497,21 @@ def test_limits_that_vanish_and_ramps_of_more_than_an_hour_are_refused(limits, s
 def test_a_narrow_range_and_a_slow_ramp_are_allowed(limits, slew):
     rig = FakeRig(limits=limits, slew_rate=slew)
     assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (*limits, slew)
+
+
+@pytest.mark.parametrize("safe", [True, False])
+def test_the_note_on_an_error_knows_whether_the_voltage_is_safe(safe):
+    rig = FakeRig()
+
+    def fail():
+        raise OSError("gone")
+
+    def listen(_):
+        if not safe:
+            rig._halt = fail
+        raise ValueError("first")
+
+    with pytest.raises(ValueError, match="first") as caught:
+        rig.play(UP, listen)
+    (note,) = caught.value.__notes__
+    assert isinstance(note, VoltageNote) and note.safe is safe

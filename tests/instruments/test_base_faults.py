@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fake_gcs import FakeController
 from faulty_link import KINDS, Meddling, PipeLink, Proxy, QuickRig
+from hand_clock import Hand
 
 from dehyst._errors import DehystError
 from dehyst.instruments import DeviceError, LinkError, SensorError, open_rig
@@ -77,8 +78,8 @@ def refuse_excess(bench, lines=()):
 
 
 def ordeal(seed, share, kinds=KINDS):
-    """One rig's life with a meddler on the line; returns how many replies were changed, and the seconds it took."""
-    rng, began = random.Random(seed), time.monotonic()
+    """One rig's life with a meddler on the line; returns how many replies were changed, and its processor time [s]."""
+    rng, began = random.Random(seed), time.process_time()
     controller = FakeController(limits=DEVICE)
     meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0, kinds)
     try:
@@ -91,15 +92,15 @@ def ordeal(seed, share, kinds=KINDS):
             act(rig, rng)
         rig.close()
     refuse_excess(controller.bench, controller.lines)
-    return meddle.count, time.monotonic() - began
+    return meddle.count, time.process_time() - began
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     ("share", "replies"),
     [
-        (0.02, 500),
-        (0.3, 1000),
+        (0.02, 250),
+        (0.3, 500),
         *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((0.02, 1000), (0.05, 4000), (0.3, 6000))),
     ],
 )
@@ -118,7 +119,7 @@ def test_each_kind_of_meddling(kind):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("sequences", [200, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("sequences", [100, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_random_calls_keep_limits_and_slew_rate(sequences):
     done = 0
     for seed in range(sequences):
@@ -169,6 +170,16 @@ def served(faults=(), **options):
     return bench, Server(Controller(bench), port=0, rehearsal=Rehearsal([Fault.parse(fault) for fault in faults]))
 
 
+class PollingRig(PiRig):
+    """The device's time goes on while the host waits, and not while a busy machine does."""
+
+    clock = Hand()
+
+    def _wait(self, seconds):
+        self.clock.wait(seconds)
+        time.sleep(0.001)
+
+
 @pytest.mark.parametrize(
     ("fault", "error", "why", "back"),
     [
@@ -184,10 +195,11 @@ def served(faults=(), **options):
     ],
 )
 def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
-    bench, server = served([fault], speed=4.0)
+    bench, server = served([fault], speed=1.0, clock=PollingRig.clock)
     wave = Excitation("up and down", 55 * 0.5 * (1 - np.cos(np.linspace(0, 20, 10000))), 1000.0)
-    lots = []
-    with server, PiRig.connect("127.0.0.1", server.port, timeout=0.3, patience=0.3, limits=ALLOWED) as rig:
+    # Answers that do not come are waited for; all others may take their time.
+    lots, timeout = [], 1.0 if fault in ("silence", "truncate", "refuse") else 30.0
+    with server, PollingRig.connect("127.0.0.1", server.port, timeout=timeout, patience=0.3, limits=ALLOWED) as rig:
         with pytest.raises(error, match=why) as caught:
             rig.play(wave, lots.append)
         note = caught.value.__notes__[0]
@@ -195,8 +207,8 @@ def test_each_rehearsed_fault_over_a_socket(fault, error, why, back):
         with server.lock:
             assert bench.axis.voltage == 0.0 or not back
     came = sum(lot.time.size for lot in lots)
-    # It comes at 5000; a tenth of a second, which is 400 samples here, may not have been asked for.
-    assert 2000 < came < 10000
+    # The fault comes at 5000; a sensor is judged later, and what was recorded last may not have been asked for.
+    assert 4500 <= came < 10000
     assert np.abs(np.concatenate([lot.voltage for lot in lots]) - wave.voltage[:came]).max() < 1e-6
     assert bench.axis.log.refused == 0
 
@@ -257,7 +269,7 @@ def test_a_second_client_is_told_so_and_the_first_is_undisturbed():
 
 
 def test_a_real_ctrl_c_over_a_socket():
-    _, server = served()
+    _, server = served(speed=4.0)
     wave = Excitation("long", 30 - 30 * np.cos(np.linspace(0, 60, 40000)), 1000.0)
     lots = []
     with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig:

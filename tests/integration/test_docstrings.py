@@ -11,23 +11,22 @@ NAME = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(.*?\))?`(?!`)")
 # Names of other programs: of pipython, and files that FMI prescribes or an export is given.
 FOREIGN = {"ReadGCSCommand", "GcsCommandset", "modelDescription.xml", "NAME.h", "check.c"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+# Fields of a node that hold a name.
+NAMED = {
+    ast.Name: ("id",),
+    ast.Attribute: ("attr",),
+    ast.arg: ("arg",),
+    ast.keyword: ("arg",),
+    ast.alias: ("asname", "name"),
+    **dict.fromkeys(DEFINITIONS, ("name",)),
+}
 
 
 def bound(tree):
     """All names that are bound or used as an attribute, an argument or a key in a tree."""
     names = set()
     for node in ast.walk(tree):
-        for kind, field in (
-            (ast.Name, "id"),
-            (ast.Attribute, "attr"),
-            (ast.arg, "arg"),
-            (ast.keyword, "arg"),
-            (ast.alias, "asname"),
-            (ast.alias, "name"),
-            (DEFINITIONS, "name"),
-        ):
-            if isinstance(node, kind):
-                names.add(getattr(node, field))
+        names.update(getattr(node, field) for field in NAMED.get(type(node), ()))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
             names.add(node.value)
     return names

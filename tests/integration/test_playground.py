@@ -8,7 +8,12 @@ import subprocess
 import numpy as np
 import places
 import pytest
+from virtual_loops import record_loops
 
+import dehyst
+from dehyst import Compensator
+from dehyst.control import PossibleStart
+from dehyst.exports import wasm_module
 from dehyst.virtual import PlayActuator
 
 EXTENSIONS = places.DOCS / "_extensions"
@@ -18,7 +23,6 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 def test_the_actuator_of_the_page_is_the_virtual_one(tmp_path):
     if shutil.which("node") is None:
         pytest.skip("node is not installed: the page's script cannot be run (Debian: nodejs)")
-    pytest.importorskip("sphinx", reason="needs the extra docs")
     voltage = np.concatenate([np.linspace(200, 0, 200), np.random.default_rng(0).uniform(0, 200, 2000)])
     truth = PlayActuator()
     truth.play(np.linspace(0, 200, 400))
@@ -39,11 +43,14 @@ def test_the_actuator_of_the_page_is_the_virtual_one(tmp_path):
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """The page's own part, with its script."""
-    pytest.importorskip("sphinx", reason="needs the extra docs")
     text = (places.DOCS / "tutorials" / "try_it.md").read_text()
     body = re.search(r'<div id="playground">.*</div>', text, re.DOTALL)[0]
     folder = tmp_path_factory.mktemp("site")
-    script = runpy.run_path(str(EXTENSIONS / "playground.py"))["script"]()
+    actuator = dehyst.identify(record_loops()[0], structure="maxwell_slip").actuator
+    module = wasm_module(
+        Compensator(actuator, (0.0, 200.0), period=1e-3, state=PossibleStart.named(actuator, "bottom").state)
+    )
+    script = runpy.run_path(str(EXTENSIONS / "playground.py"))["script"](module)
     assert re.search(r"^(import|export) |import\.meta", script, re.MULTILINE) is None
     (folder / "playground.js").write_text(script)
     style = (places.DOCS / "_static" / "playground.css").read_text()

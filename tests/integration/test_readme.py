@@ -8,11 +8,10 @@ import pages
 import places
 import pytest
 from summaries import PARTS, anatomy
+from virtual_loops import record_loops
 
 import dehyst
 from dehyst.records import write_record
-from dehyst.studies import demo
-from dehyst.virtual import PlayActuator
 
 ROOT = places.ROOT
 
@@ -28,7 +27,7 @@ def its_code():
 
 def test_its_code_runs(tmp_path, monkeypatch, capsys):
     code = its_code()
-    write_record(tmp_path / "loops.csv", demo.record_loops(PlayActuator(plays=60))[0])
+    write_record(tmp_path / "loops.csv", record_loops()[0])
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(code, names)

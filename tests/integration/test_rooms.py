@@ -4,6 +4,7 @@ import ast
 import importlib
 import re
 from collections import Counter
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 
 import architecture
@@ -12,7 +13,6 @@ import pytest
 from faces import DRIVERS, FACES
 
 MODULES = architecture.files()
-TREES = {module: ast.parse(path.read_text()) for module, path in MODULES.items()}
 TABLE = re.compile(r"^\[tool\.importlinter\]\n((?:(?!\[).*\n?)*)", re.M)
 WORDS = re.compile(r"(?<![a-z0-9])(?:tells?|told|says?|said)(?![a-z0-9])", re.I)
 ROOMS = sorted(
@@ -21,13 +21,22 @@ ROOMS = sorted(
 PAGES = [places.ROOT / "README.md", *sorted(places.DOCS.rglob("*.md"))]
 
 
+@cache
+def tree_of(module):
+    return ast.parse(MODULES[module].read_text())
+
+
+def trees():
+    return {module: tree_of(module) for module in MODULES}
+
+
 def room_of(module):
     return (*module.split("."), "", "")[1]
 
 
 def offered(face):
     """The names that a face imports, for everybody or for sister rooms."""
-    return {alias.name for node in TREES[face].body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    return {alias.name for node in tree_of(face).body if isinstance(node, ast.ImportFrom) for alias in node.names}
 
 
 OFFERED = {f"dehyst.{room}": offered(f"dehyst.{room}") for room in FACES if room != "dehyst"}
@@ -39,7 +48,7 @@ ALONE = {*DRIVERS, "dehyst.fleet.page"}
 
 def crossing():
     """Every import from another room, for type checkers too: the importing module, and what it imports from where."""
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.walk(tree):
             source = node.module if isinstance(node, ast.ImportFrom) else ""
             if room_of(module) != "" and room_of(source) in {*ROOMS} - {room_of(module)}:
@@ -59,7 +68,7 @@ def test_every_room_below_the_commands_has_a_face():
 
 @pytest.mark.parametrize("face", OFFERED)
 def test_a_face_only_imports_and_lists(face):
-    documentation, *statements = TREES[face].body
+    documentation, *statements = tree_of(face).body
     assert isinstance(documentation, ast.Expr)
     assert isinstance(documentation.value, ast.Constant)
     if not isinstance(statements[-1], ast.ImportFrom):
@@ -80,7 +89,7 @@ def test_folders_without_a_face_hold_only_a_docstring():
     bare = {module for module, path in MODULES.items() if path.name == "__init__.py"} - OFFERED.keys() - {"dehyst"}
     assert "dehyst.identification.solvers" in bare
     for module in bare:
-        assert [type(node) for node in TREES[module].body] == [ast.Expr], module
+        assert [type(node) for node in tree_of(module).body] == [ast.Expr], module
 
 
 def test_rooms_import_each_other_through_their_faces():
@@ -104,7 +113,7 @@ def test_no_room_is_imported_as_a_whole():
     """`from dehyst.records import Record` shows what is used, `import dehyst.records` does not."""
     whole = [
         f"{module}: {name.name}"
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Import)
         for name in node.names
@@ -121,7 +130,7 @@ def test_rooms_are_few_and_no_folder_is_a_heap():
 
 
 def test_no_two_classes_have_one_name():
-    names = Counter(node.name for tree in TREES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    names = Counter(node.name for tree in trees().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
     assert {name: count for name, count in names.items() if count > 1} == {}
 
 
@@ -209,5 +218,5 @@ def test_readme_docs_and_examples_use_only_public_names(page):
 
 @pytest.mark.parametrize("module", DRIVERS)
 def test_a_driver_defines_its_public_names(module):
-    defined = {node.name for node in TREES[module].body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
+    defined = {node.name for node in tree_of(module).body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
     assert set(DRIVERS[module]) <= defined

@@ -11,11 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import places
 import pytest
+from virtual_loops import record_loops
 
 import dehyst
 from dehyst.records import write_record
-from dehyst.studies import demo
-from dehyst.virtual import PlayActuator
 
 PAGES = sorted(places.DOCS.rglob("*.md"))
 EXAMPLES = sorted((places.EXAMPLES / "gallery").glob("*.py"))
@@ -66,7 +65,7 @@ def test_the_code_of_every_page_runs_somewhere():
 def laboratory(tmp_path_factory):
     """A folder with the files that the pages name."""
     folder = tmp_path_factory.mktemp("laboratory")
-    record, other = demo.record_loops(PlayActuator(plays=60))
+    record, other = record_loops()
     write_record(folder / "loops.csv", record)
     write_record(folder / "new.csv", other)
     write_record(folder / "today.csv", record)

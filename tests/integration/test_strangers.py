@@ -73,7 +73,7 @@ def test_a_case_is_repeatable_and_disturbed():
     assert clean.end == sum(map(len, clean.records))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_case_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(scores, "RIVALS", ("Prandtl-Ishlinskii, modified",))
     monkeypatch.setattr(command, "RIVALS", scores.RIVALS)

@@ -9,6 +9,7 @@ import places
 import pytest
 
 from dehyst._threads import one_thread
+from examples import at_night
 
 # Looks at every BLAS library from inside the solvers, whenever a function of linear algebra is called.
 WATCH = """
@@ -74,7 +75,7 @@ def answer(program):
 
 
 @pytest.mark.skipif(os.cpu_count() == 1, reason="one processor: BLAS has one thread without a limit, too")
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["a structure", "plain, insight", at_night("compare")])
 def test_every_blas_library_has_one_thread_inside_of(solver):
     seen = answer(WATCH % (SETUP, SOLVERS[solver]))
     assert seen["looks"] > 5

@@ -84,7 +84,7 @@ def test_against_runge_and_kutta(slip):
 
     series, damping, h = 5e6, 0.1, 1e-6
     actuator = Actuator(slip, CURVE, transformer=TAU, dynamics=Dynamics(OMEGA, damping, series), load_stiffness=5e6)
-    time = np.arange(700) * h
+    time = np.arange(350) * h
     start = actuator.relaxed(40.0)
     memory = reference_model.Wide(Actuator(slip, CURVE), start)
 

@@ -7,10 +7,11 @@ import plain_records
 import pytest
 import reference_model
 import strategies as our
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
+from examples import examples
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -47,7 +48,7 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
 
 @pytest.mark.parametrize("stack", [True, False])
 @given(motion=our.wider_motions(max_elements=6, max_samples=25))
-@settings(max_examples=40)
+@examples(10, nightly=80)
 def test_simulate_agrees_with_the_oracle(stack, motion):
     actuator, state, time, path = motion
     v = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage

@@ -6,6 +6,7 @@ from electromechanical_oracle import charge_driven, legs, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, actuator_of, assert_proportional, paper_stack
 
 from dehyst import Dynamics, State
+from examples import at_night
 
 STACK = paper_stack()
 TURNS = [0, 200, 0, 140, 30, 90, 60, 150, -20, 0]
@@ -17,7 +18,7 @@ def assert_vanishes(errors):
     assert errors[-1] < 5e-4
 
 
-@pytest.mark.parametrize("residual", [False, True], ids=["relaxed", "with residual charge"])
+@pytest.mark.parametrize("residual", [at_night(False), True], ids=["relaxed", "with residual charge"])
 def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(residual):
     actuator = actuator_of(STACK)
     time, voltage = legs(TURNS, 40)

@@ -53,7 +53,7 @@ def climbing(draw, size):
 def actuators(draw):
     n, m = draw(st.integers(0, 6)), draw(st.integers(2, 6))
     rho = draw(rising(st.floats(0, 1e30, exclude_min=True), n))
-    kappa = draw(st.lists(st.floats(0, 1e30), min_size=n, max_size=n))
+    kappa = draw(st.lists(st.floats(0, 1e20), min_size=n, max_size=n))
     y = draw(numbers)
     strained = draw(st.lists(st.floats(-1, 1), min_size=n, max_size=n))
     return Actuator(
@@ -241,6 +241,29 @@ def test_refuses_wider_parts(tmp_path, where, value, message):
     *parents, last = where.split(".")
     reduce(lambda part, key: part[key], parents, data)[last] = value
     refused(tmp_path, data, message)
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        ("slip.stiffness_V_per_m", [[1.0, 1e30], [1.0, 1.0]]),
+        ("creep.stiffness_V_per_m", [1.0, 1e30, 1.0]),
+        ("smooth.stiffness_V_per_m", [1.0, 1e21]),
+        ("dynamics.series_V_per_m", 1e30),
+        ("load_stiffness_N_per_m", 1e29),
+        ("limits", {"voltage_V": [0.0, 100.0], "recorded_slew_rate_V_per_s": 1e12}),
+        ("thermal", {"gain_per_K": 1e9, "offset_m_per_K": 0.0, "reference_degC": 20.0}),
+        ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": -1.0, "reference_degC": 20.0}),
+        ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": 0.0, "reference_degC": 3e5}),
+    ],
+)
+def test_refuses_numbers_of_no_piezo_actuator(where, value):
+    data = wide().as_dict()
+    *parents, last = where.split(".")
+    reduce(lambda part, key: part[key], parents, data)[last] = value
+    with pytest.raises(ModelError) as caught:
+        Actuator.from_dict(data)
+    assert caught.value.argument.startswith(where) and caught.value.got and caught.value.need
 
 
 def test_runs_the_same_afterwards(tmp_path):

@@ -311,3 +311,10 @@ def test_a_channel_by_itself():
     one = Channel("temperature", "degC", "temperature", "", TEMPERATURE)
     assert (one.column, one.fault) == ("temperature_C", "")
     assert Channel("Room", "degC", "temperature", "", TEMPERATURE).column == "Room_degC"
+
+
+@pytest.mark.parametrize(("temperature", "remarks"), [(20.0, 0), (295.0, 1), (180.0, 0), (400.0, 0)])
+def test_kelvins_in_a_column_of_degrees_are_remarked(temperature, remarks):
+    time = np.arange(100.0)
+    record = Record(time, np.sin(time), 1e-6 * np.sin(time), others={"temperature_C": temperature + time / 10})
+    assert sum("temperature_K" in sentence for sentence in record.problems()) == remarks

@@ -8,6 +8,7 @@ import pytest
 import dehyst
 from dehyst import FileFormatError, MissingExtraError, ModelError, Record, RecordError
 from dehyst._units import per_metre, plain
+from dehyst.records.formats.columns import Column, Table
 
 TIME, VOLTS, MICROMETRES = np.arange(5) / 4, np.array([0.0, 5.0, 10.0, 5.0, 0.0]), np.array([1.0, 2.0, 3.5, 2.5, 1.2])
 RECORD = Record(TIME, VOLTS, MICROMETRES / 1e6, "stage")
@@ -179,3 +180,22 @@ def test_a_file_without_a_unit_is_read_in_the_one_given(tmp_path):
         dehyst.read(stated, units="nm")
     with pytest.raises(FileFormatError, match="units: got 'V'"):
         dehyst.read(bare, units="V")
+
+
+@pytest.mark.parametrize("names", ["xyz", "xy", "yz"])
+def test_several_axes_and_one_voltage_are_ambiguous(names):
+    columns = tuple(Column(f"{name}_um", MICROMETRES) for name in names)
+    table = Table("a.csv", "", columns)
+    with pytest.raises(FileFormatError) as caught:
+        table.select("displacement")
+    assert all(f"'{name}_um'" in str(caught.value) for name in names)
+    assert caught.value.change == ("displacement",)
+    assert table.select("displacement", "y_um").column is columns[names.index("y")]
+
+
+def test_one_axis_is_the_displacement():
+    columns = [Column("y_um", MICROMETRES), Column("x_V", VOLTS)]
+    assert Table("a.csv", "", tuple(columns)).select("displacement").column is columns[0]
+    named = Column("displacement_um", MICROMETRES)
+    both = Table("a.csv", "", (named, Column("x_um", MICROMETRES)))
+    assert both.select("displacement").column is named

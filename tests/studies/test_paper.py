@@ -249,6 +249,7 @@ def test_tracking_is_what_the_truth_does_with_the_voltage(result):
     assert isinstance(found.trials["goldfarb"].actuator, Actuator)
 
 
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_numbers(monkeypatch, numbers):
     monkeypatch.setattr(experiment, "PLANS", experiment.PLANS[:1])
     again = experiment.run(experiment.virtual_actuator(), lambda _: None)
@@ -257,6 +258,7 @@ def test_the_same_seed_gives_the_same_numbers(monkeypatch, numbers):
     assert again.trials["breakpoints"].tracking.largest == first["tracking"]
 
 
+@pytest.mark.nightly
 def test_the_same_result_is_written_the_same(result, folder, tmp_path):
     paper.write(result, tmp_path)
     for path in folder.iterdir():

@@ -3,21 +3,20 @@
 from functools import cache
 
 import numpy as np
+from virtual_loops import PLAYS, record_loops
 
 import dehyst
 from dehyst import Record
-from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
 
-PLAYS = 60
 GAIN, WIDTH, OFFSET, DELAY = 0.02, 0.1, 0.2e-6, 2.0
 
 
 @cache
 def model():
     """The actuator as it was identified."""
-    return dehyst.identify(demo.record_loops(PlayActuator(plays=PLAYS))[0]).actuator
+    return dehyst.identify(record_loops()[0]).actuator
 
 
 def later(seed=1, *, gain=0.0, offset=0.0, delay=0.0, width=0.0, slow=None, tops=(200.0, 120.0, 160.0), cycles=2):

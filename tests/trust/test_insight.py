@@ -17,6 +17,7 @@ from dehyst.trust.experiment_design import advise
 from dehyst.trust.feasible_set import feasible_set
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
+from examples import at_night
 
 PLANT = plain_records.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)
@@ -142,7 +143,7 @@ def trapped(truth, cycles):
     return Record(made.time, made.voltage, truth.play(made.voltage), "major")
 
 
-@pytest.mark.parametrize("noise", [0.0, 2e-9])
+@pytest.mark.parametrize("noise", [at_night(0.0), 2e-9])
 def test_the_newcomers_trap_is_caught(noise):
     truth = PlayActuator(noise=noise)
     record = trapped(truth, 3)

@@ -9,7 +9,8 @@ import pytest
 import structured_records as wide
 
 import dehyst
-from dehyst import IdentifyError, Record, RecordError
+from dehyst import Actuator, IdentifyError, Record, RecordError
+from dehyst.model import MaxwellSlip, Spring
 from dehyst.trust.recheck import Standing
 
 STROKE = 16.152e-6
@@ -175,3 +176,13 @@ def test_arguments_in_the_wrong_order_are_explained():
     for actuator in (record, "model.json"):
         with pytest.raises(IdentifyError, match=r"actuator: got \w+, need an Actuator"):
             dehyst.check(actuator, record)
+
+
+def test_a_record_of_no_actuator_has_changes_in_numbers():
+    """A delay that would shift the loops out of the record is bounded."""
+    time = 0.02 * np.arange(2000)
+    voltage = np.round(50 + 45 * np.sin(2 * np.pi * time / 10))
+    model = Actuator(MaxwellSlip([1e-7, 5e-7], [2e6, 1e6]), Spring([-2e-6, 0, 1.1e-5], [-20, 0.1, 95]), limits=(0, 90))
+    recheck = dehyst.check(model, Record(time, voltage, 1e-3 * (50 + 45 * np.sin(2 * np.pi * time / 10))))
+    assert recheck.mismatch
+    assert all(np.isfinite([change.value, change.effect]).all() for change in recheck.changes)

@@ -19,6 +19,7 @@ import httpx
 import pytest
 from starlette.applications import Starlette
 from starlette.routing import Route
+from virtual_loops import record_loops
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
 from workbench_client import served, until
@@ -491,7 +492,8 @@ def test_the_page_lists_all_its_scripts_and_nothing_else_is_beside_them(client):
         assert client.get(path).status_code == 404
 
 
-def test_an_installed_package_makes_the_record_to_try(tmp_path):
+def test_an_installed_package_makes_the_record_to_try(tmp_path, monkeypatch):
+    monkeypatch.setattr("dehyst.studies.demo.record_loops", lambda truth: record_loops())
     page = PageFiles(measured=tmp_path / "nowhere")
     app = httpx.ASGITransport(Starlette(routes=[Route("/page/{name}", page.file)]))
 

@@ -134,7 +134,10 @@ def test_the_script_makes_the_same_files_again(visited, tmp_path):
     # A path that was drawn is an input too, and the script says so.
     assert "uploads/, paths/" in "".join((folder / "commands.sh").read_text().splitlines(keepends=True)[:2])
     shutil.copytree(folder / "paths", tmp_path / "again" / "paths")
-    shutil.copy(folder / "commands.sh", tmp_path / "again")
+    # An assessment and exports make no file that is compared here.
+    lines = (folder / "commands.sh").read_text().splitlines(keepends=True)
+    script = "".join(line for line in lines if not line.startswith(("dehyst insight", "dehyst export")))
+    (tmp_path / "again" / "commands.sh").write_text(script)
     program = tmp_path / "bin" / "dehyst"
     program.parent.mkdir()
     program.write_text(f"#!/bin/sh\nexec {sys.executable} -c 'from dehyst.cli import main; main()' \"$@\"\n")

@@ -388,6 +388,7 @@ def test_options_in_sentences_are_the_fields_of_the_page(run):
         "give it as sensor_lag=SECONDS (0 if none)": "give it as <Lag of the sensor> (0 if none)",
         "give it as sensor_lag. (voltage=, time=)": "give it as <Lag of the sensor>. (<Column of the voltage>, "
         "<Column of the time>)",
+        'Select one with displacement "NAME". A name': "Select one with <Column of the displacement>. A name",
         "the goal, at any time; --other NAME": "the goal, at any time; --other NAME",
     }
     got = run(f"print({json.dumps(list(sentences))}.map(inPage));")

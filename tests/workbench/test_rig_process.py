@@ -43,77 +43,77 @@ def play(holder, file, name="wave"):
     holder.send(do="play", file=str(file), record=str(holder.folder / f"{name}.h5"))
 
 
-@pytest.mark.parametrize(
-    ("line", "why"),
-    [
-        (b"{broken\n", "not JSON"),
-        (b"\xff\xfe\n", "not JSON"),
-        (b"[" * 50_000 + b"\n", "not JSON"),
-        (b"[1, 2]\n", "need an object"),
-        (b'"stop"\n', "need an object"),
-        (b'{"do": "fly"}\n', "need one of connect, arm"),
-        (b'{"do": ["play"]}\n', "need one of"),
-        (b"{}\n", "need one of"),
-        (b'{"do": "play", "x": "' + b"a" * 2_000_000 + b'"}\n', "more than 65536 bytes"),
-    ],
-)
-def test_a_line_that_is_no_command_is_refused_and_the_next_one_obeyed(holder, line, why):
-    holder.raw(line)
-    assert why in answered(holder, 1)[0]
+LINES = [
+    (b"{broken\n", "not JSON"),
+    (b"\xff\xfe\n", "not JSON"),
+    (b"[" * 50_000 + b"\n", "not JSON"),
+    (b"[1, 2]\n", "need an object"),
+    (b'"stop"\n', "need an object"),
+    (b'{"do": "fly"}\n', "need one of connect, arm"),
+    (b'{"do": ["play"]}\n', "need one of"),
+    (b"{}\n", "need one of"),
+    (b'{"do": "play", "x": "' + b"a" * 2_000_000 + b'"}\n', "more than 65536 bytes"),
+]
+
+
+def test_a_line_that_is_no_command_is_refused_and_the_next_one_obeyed(holder):
+    for count, (line, why) in enumerate(LINES, 1):
+        holder.raw(line)
+        assert why in answered(holder, count)[-1]
     holder.connect("sim://play")
     assert holder.state["status"] == "connected"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        {"do": "connect", "address": 5},
-        {"do": "connect", "address": "sim://play", "limits": [0]},
-        {"do": "connect", "address": "sim://play", "limits": ["0", "9"]},
-        {"do": "connect", "address": "sim://play", "limits": [100, 0]},
-        {"do": "connect", "address": "sim://play", "slew": True},
-        {"do": "connect", "address": "sim://nothing"},
-        {"do": "connect", "address": "pi://127.0.0.1:1"},
-        {"do": "arm", "limits": [0, 1], "slew": 1},
-        {"do": "plan"},
-    ],
-)
-def test_a_command_with_impossible_fields_is_refused(holder, command):
-    assert refused(holder, **command)
+IMPOSSIBLE = [
+    {"do": "connect", "address": 5},
+    {"do": "connect", "address": "sim://play", "limits": [0]},
+    {"do": "connect", "address": "sim://play", "limits": ["0", "9"]},
+    {"do": "connect", "address": "sim://play", "limits": [100, 0]},
+    {"do": "connect", "address": "sim://play", "slew": True},
+    {"do": "connect", "address": "sim://nothing"},
+    {"do": "connect", "address": "pi://127.0.0.1:1"},
+    {"do": "arm", "limits": [0, 1], "slew": 1},
+    {"do": "plan"},
+]
+
+
+def test_a_command_with_impossible_fields_is_refused(holder):
+    for command in IMPOSSIBLE:
+        assert refused(holder, **command), command
     holder.connect("sim://play")
     assert holder.state["status"] == "connected"
 
 
-@pytest.mark.parametrize(
-    "confirmation",
-    [
-        {},
-        {"limits": list(LIMITS)},
-        {"limits": [0.0, 200.0], "slew": SLEW},
-        {"limits": [-1.0, 100.0], "slew": SLEW},
-        {"limits": list(LIMITS), "slew": 99.99},
-        {"limits": list(LIMITS), "slew": None},
-        {"limits": None, "slew": SLEW},
-    ],
-)
-def test_arming_needs_the_limits_and_the_slew_rate_in_force(confirmation, tmp_path):
+UNCONFIRMED = [
+    {},
+    {"limits": list(LIMITS)},
+    {"limits": [0.0, 200.0], "slew": SLEW},
+    {"limits": [-1.0, 100.0], "slew": SLEW},
+    {"limits": list(LIMITS), "slew": 99.99},
+    {"limits": list(LIMITS), "slew": None},
+    {"limits": None, "slew": SLEW},
+]
+
+
+def test_arming_needs_the_limits_and_the_slew_rate_in_force(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address)
-        assert "arm: got" in refused(holder, do="arm", identity=holder.state["identity"], **confirmation)
-        assert holder.state["status"] == "connected"
+        for confirmation in UNCONFIRMED:
+            assert "arm: got" in refused(holder, do="arm", identity=holder.state["identity"], **confirmation)
+            assert holder.state["status"] == "connected"
 
 
-@pytest.mark.parametrize("identity", [None, "", "another rig"])
-def test_arming_needs_the_identity_of_the_connected_rig(simulated, identity):
+def test_arming_needs_the_identity_of_the_connected_rig(simulated):
     confirmed = {name: simulated.state[name] for name in ("limits", "slew")}
-    assert "arm: got the rig" in refused(simulated, do="arm", identity=identity, **confirmed)
-    assert simulated.state["status"] == "connected"
+    for identity in (None, "", "another rig"):
+        assert "arm: got the rig" in refused(simulated, do="arm", identity=identity, **confirmed)
+        assert simulated.state["status"] == "connected"
 
 
-@pytest.mark.parametrize("plan", [{"frequency": 0}, {"goal": 0}, {"frequency": -1}, {"goal": 1e-300}])
-def test_a_plan_with_impossible_numbers_is_refused(simulated, plan):
-    assert next(iter(plan)) in refused(simulated, do="plan", **plan)
-    assert simulated.state["plan"] is None
+def test_a_plan_with_impossible_numbers_is_refused(simulated):
+    for plan in ({"frequency": 0}, {"goal": 0}, {"frequency": -1}, {"goal": 1e-300}):
+        assert next(iter(plan)) in refused(simulated, do="plan", **plan)
+        assert simulated.state["plan"] is None
 
 
 def test_a_request_with_an_id_is_answered_once(tmp_path):
@@ -246,34 +246,36 @@ def test_while_a_wave_plays_other_commands_are_refused(tmp_path):
 
 def test_live_data_come_ten_times_a_second_thinned_with_what_is_wanted(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
+
+        def lives():
+            """Live data of the wave; what was read at rest, just before it, belongs to no step."""
+            return [one for one in holder.messages if one["kind"] == "live" and one["step"] is not None]
+
         holder.connect(controller.address)
         holder.arm()
-        holder.play()
         began = time.monotonic()
-        holder.until(lambda: time.monotonic() > began + 2.0)
-        playing = [one for one in holder.messages if one["kind"] == "live" and one["status"] == "playing"]
-        # What was read at rest, just before the wave, belongs to no step.
-        live = [one for one in playing if one["step"] is not None]
-        assert live in (playing, playing[1:])
-        assert 10 <= len(live) <= 25
+        holder.play()
+        holder.until(lambda: len(lives()) >= 10)
+        live = lives()
+        assert len(live) <= 12 * (time.monotonic() - began) + 2
+        assert all(one["status"] == "playing" for one in live)
         assert all(len(one["t"]) == len(one["v"]) == len(one["y"]) == len(one["expected"]) <= 200 for one in live)
         assert {one["step"] for one in live} == {"triangle-9-90"}
         shares = [one["share"] for one in live]
         assert shares == sorted(shares)
-        assert 0 < shares[-1] < 0.5
+        assert 0 < shares[-1] < 1
 
 
 def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
     """Signs of life go on; live data fill the pipe; then the pipe is closed, and the voltage is brought back."""
-    with ObservedController() as controller, held(tmp_path, deaf=True) as holder:
+    with ObservedController() as controller, held(tmp_path) as holder:
         fcntl.fcntl(holder.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
-        holder.alive(True)
-        holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
-        holder.send(do="arm", identity=controller.identity, limits=LIMITS, slew=SLEW)
+        holder.connect(controller.address)
+        holder.arm()
+        holder.deafen()
         play(holder, triangle(tmp_path, seconds=3.0))
-        assert controller.wait_for((tmp_path / "wave.h5").exists)
+        assert controller.wait_for(lambda: controller.told == 3001)
         assert controller.wait_for(lambda: on_disk(tmp_path) == 3001)
-        assert controller.told == 3001
         away = controller.voltage
         assert away > 1.0
         play(holder, triangle(tmp_path), "second")
@@ -286,15 +288,16 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
 
 
 def test_a_reader_that_closes_the_pipe_does_not_hold_up_the_wave(tmp_path):
-    with ObservedController() as controller, held(tmp_path, deaf=True) as holder:
+    with ObservedController() as controller, held(tmp_path) as holder:
+        holder.connect(controller.address)
+        holder.arm()
+        holder.deafen()
         holder.process.stdout.close()
-        holder.alive(True)
-        holder.send(do="connect", address=controller.address, limits=LIMITS, slew=SLEW)
-        holder.send(do="arm", identity=controller.identity, limits=LIMITS, slew=SLEW)
         play(holder, triangle(tmp_path, seconds=2.0))
+        assert controller.wait_for(lambda: controller.told == 2001)
         assert controller.wait_for(lambda: on_disk(tmp_path) == 2001)
         holder.alive(False)
-        assert controller.wait_for(lambda: abs(controller.voltage) < 1e-9, 5.0)
+        assert controller.wait_for(lambda: abs(controller.voltage) < 1e-9)
 
 
 def test_a_calibration_without_signs_of_life_stops_and_keeps_its_samples(tmp_path):
@@ -382,6 +385,7 @@ def test_a_driver_that_fails_at_rest_disarms(holder, tmp_path):
     words = " ".join(holder.state["words"])
     assert words.startswith("Stopped: the rig cannot be read: SystemExit: no more. The voltage could not be brought")
     assert holder.state["status"] == "lost"
+    assert words.count("by hand") == 1
 
 
 def test_a_driver_that_holds_pythons_lock_is_not_held_against_the_page(holder, tmp_path):

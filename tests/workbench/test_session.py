@@ -21,6 +21,7 @@ SHOWN = {
     "displacement_um": [0, 10],
     "columns": {"voltage": "U", "displacement": "s"},
     "scales": {"voltage": "100 V/V"},
+    "usable": True,
     "problems": ["The record is short."],
 }
 VERDICT = {
@@ -134,7 +135,8 @@ def played(steps):
 async def test_a_record_is_ready_with_what_was_understood(stage):
     entry = await stage.record()
     assert (entry.status, entry.samples, entry.voltage) == ("ready", 100, [0, 100])
-    assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'", "The record is short."]
+    assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'"]
+    assert (entry.problems, entry.usable) == (["The record is short."], True)
     assert stage.session.state()["log"] == ["dehyst show uploads/loops.csv --output records/loops.npz --force"]
     assert stage.changes > 1
 
@@ -166,6 +168,14 @@ async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage)
     renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
     await stage.next(Finished({**SHOWN, **renamed}))
     assert (entry.status, entry.file_columns) == ("ready", columns)
+
+
+@played
+async def test_a_model_is_no_record(stage):
+    Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100])).save(stage.session.folder.path / "uploads" / "m.json")
+    entry = stage.session.add_record("uploads/m.json", "m.json")
+    assert entry.status == "refused" and "is a model" in entry.error
+    assert stage.session.state()["jobs"] == []
 
 
 @played
@@ -281,11 +291,14 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
 
 @played
 async def test_a_record_of_several_axes_is_identified_and_followed(stage):
-    parts = {"x": {**SHOWN, "problems": []}, "y": {**SHOWN, "voltage_V": [-5, 120], "problems": ["short"]}}
+    parts = {
+        "x": {**SHOWN, "problems": []},
+        "y": {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]},
+    }
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
     await stage.next(Finished(parts))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
-    assert "y: short" in entry.words
+    assert (entry.problems, entry.usable) == (["y: short"], False)
     model = stage.session.identify({"train": [entry.id]})
     errors = [{"record": "two (x)", "role": "training", **dict.fromkeys(("samples", "left_out"), 1)}]
     errors[0] |= {"largest_percent": 1.0, "rms_percent": 0.5}

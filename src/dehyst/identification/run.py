@@ -316,7 +316,7 @@ class IdentificationRun:
         moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
         if moved <= self.held_out_errors.in_time:
             return caveats, 0.0
-        self.remarks.append(messages.of_lag(lag, moved, self.stroke))
+        self.remarks.append(messages.of_lag(actuator.delay, actuator.lag, moved, self.stroke))
         caveats.append(f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms")
         return caveats, lag
 

@@ -54,8 +54,18 @@ _SHORTEST_SWEEP = 0.1
 _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Relative slack for rates that a device rounds.
 _SLACK = 1e-6
-# First words of a note on an error that reports where the voltage was left.
-_NOTE = "The voltage"
+
+
+class VoltageNote(str):
+    """A note on an error that says where the voltage was left; `safe`: whether this is the safe voltage."""
+
+    safe: bool
+
+    def __new__(cls, text: str, *, safe: bool) -> Self:
+        """Return the text with its outcome."""
+        note = super().__new__(cls, text)
+        note.safe = safe
+        return note
 
 
 class AbstractRig(ABC):
@@ -271,9 +281,8 @@ class AbstractRig(ABC):
                     shield.deferring = True
                     raise
             except BaseException as error:
-                if not any(note.startswith(_NOTE) for note in getattr(error, "__notes__", ())):
-                    # The cause of the error may prevent the retreat too.
-                    error.add_note(self._retreated().replace(f" ({error})", ""))
+                if not any(isinstance(note, VoltageNote) for note in getattr(error, "__notes__", ())):
+                    error.add_note(self._retreated(error))
                 raise
 
     @final
@@ -411,18 +420,22 @@ class AbstractRig(ABC):
         if self._closed:
             raise RigError(f"{self.name}: is closed; open it again")
 
-    def _retreated(self) -> str:
-        """Retreat if the link still works, else close it; return the outcome as a sentence."""
+    def _retreated(self, cause: BaseException) -> VoltageNote:
+        """Retreat after a `cause` if the link still works, else close it; return the outcome."""
         of = f" of the axes {', '.join(self.axes)}" if self._parts else ""
         safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
         try:
             self.retreat()
-            return f"{_NOTE}{of} was brought to {safe} V."
+            return VoltageNote(f"The voltage{of} was brought to {safe} V.", safe=True)
         except Exception as error:  # a driver's library may raise anything; the first error is the one to report
             with suppress(Exception):
                 self.close()
-            failure = f"{_NOTE}{of} could not be brought to {safe} V ({error})"
-            return f"{failure}: the device holds, or plays to its end, what it has; see to it by hand."
+            # The cause of the first error may prevent the retreat too, and is not repeated.
+            why = "" if str(error) == str(cause) else f" ({error})"
+            failure = f"The voltage{of} could not be brought to {safe} V{why}"
+            return VoltageNote(
+                f"{failure}: the device holds, or plays to its end, what it has; see to it by hand.", safe=False
+            )
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:

@@ -41,6 +41,16 @@ _NEW = {"displacement_creep", "thermal"}
 _ADDED = {1: _KEYS - _PLAIN, 2: {"identification", *_NEW}, 3: _NEW, VERSION: set()}
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
+# Largest magnitudes in a file, far beyond those of any piezo actuator: a larger one was edited or damaged.
+_LARGEST = {
+    "stiffness_V_per_m": 1e20,
+    "series_V_per_m": 1e20,
+    "load_stiffness_N_per_m": 1e15,
+    "gain_per_K": 1.0,
+    "offset_m_per_K": 1e-3,
+    "reference_degC": 1e3,
+    "recorded_slew_rate_V_per_s": 1e11,
+}
 # Of the limits; one of them may be missing.
 _LIMITS = ("voltage_V", "recorded_slew_rate_V_per_s")
 
@@ -154,7 +164,25 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
         limits = _part(data, "limits", known or set(_LIMITS[:1]))
         found["limits"] = _or_none(_pair, limits.get(_LIMITS[0]), f"limits.{_LIMITS[0]}")
         found["recorded_slew_rate"] = _or_none(number, limits.get(_LIMITS[1]), _LIMITS[1])
-    return found | {"delay": number(data["delay_s"], "delay_s"), "state": state(data, version)}
+    found |= {"delay": number(data["delay_s"], "delay_s"), "state": state(data, version)}
+    for where in ("", "limits", *_PARTS, "slip"):
+        _demand_plausible(where, data.get(where) if where else data)
+    return found
+
+
+def _demand_plausible(where: str, values: Mapping[str, Any] | None) -> None:
+    """Raise `ModelError` for a number of a part that no piezo actuator has; the values are known to be numbers."""
+    for key in _LARGEST.keys() & (values or {}).keys():
+        given, most = values[key], _LARGEST[key]  # type: ignore[index]
+        rows = np.concatenate(given) if given and isinstance(given, list) and isinstance(given[0], list) else given
+        sizes = np.abs(np.atleast_1d(np.asarray(0.0 if rows is None else rows, dtype=np.float64)))
+        if sizes.max(initial=0.0) > most:
+            raise ModelError(
+                argument=f"{where}.{key}" if where else key,
+                got=f"{sizes.max():.6g}",
+                need=f"{most:g} at most in magnitude, far beyond any piezo actuator",
+                hint="correct the file, or identify again",
+            )
 
 
 def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:

@@ -11,11 +11,12 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
+from dehyst._units import quantity_of
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
 from dehyst.operations.run import Run
-from dehyst.records.formats.columns import Table
+from dehyst.records.formats.columns import Table, listed
 from dehyst.records.tables import AxisColumns, axis_columns
 
 
@@ -193,6 +194,7 @@ class AxesModel:
         else:
             recorded = {axis: getattr(one, quantity) for axis, one in self.recorded(columns).items()}
             names = recorded if recorded and set(recorded.values()) <= set(table.names) else names
+            self._demand_named(table, quantity, names)
         scale = getattr(columns, f"{quantity}_scale")
         middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]
         rows = max(column.data.size for column in table.columns)
@@ -201,4 +203,17 @@ class AxesModel:
                 np.full(rows, middle[j]) if names[axis] == MIDDLE else table.column(quantity, names[axis], scale)
                 for j, axis in enumerate(self.axes)
             ]
+        )
+
+    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, str]) -> None:
+        """Raise an error that proposes columns if a table lacks one of these columns of the axes."""
+        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
+        if not missing:
+            return
+        fits = [column.name for column in table.columns if quantity_of(column.parts[1]) == quantity]
+        fits += ["NAME"] * len(self.axes)
+        proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
+        raise FileFormatError(
+            f"{table.source}: no column '{names[missing[0]]}' for the {quantity} of the axis {missing[0]}",
+            hint=f'the file holds {listed(table.names)}. Name the column of each axis, as --columns "{proposal}"',
         )

@@ -129,7 +129,7 @@ def compensate(
         Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first
         sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
     present
-        Present voltage on the actuator [V]; default: 0, or the voltage of --start.
+        Present voltage on the actuator [V]; default: the voltage of --start, else 0 or the nearest limit.
     table
         Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1
         start-up, 2 steady cycles.

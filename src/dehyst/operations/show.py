@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -170,13 +171,18 @@ class _AxisView:
             mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
             yield f"  {name}: {first} ... {last} -> {a:.6g} ... {b:.6g} {unit}{mark}"
 
-    def problems(self) -> list[str]:
-        """Return why no loop can be identified from the record, and other suspicious properties."""
+    @cached_property
+    def unusable(self) -> str:
+        """Why no loop can be identified from the record; empty if one can."""
         try:
             self.record.check_usable()
         except RecordError as error:
-            return [f"Not usable for an identification: {error}.", *self.record.problems()]
-        return [*self.record.problems()]
+            return f"Not usable for an identification: {error}."
+        return ""
+
+    def problems(self) -> list[str]:
+        """Return why no loop can be identified from the record, and other suspicious properties."""
+        return [*filter(None, [self.unusable]), *self.record.problems()]
 
     def fields(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -192,6 +198,7 @@ class _AxisView:
             "others": {one.column: _span(one.values) for one in record.others},
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),
+            "usable": not self.unusable,
             "problems": self.problems(),
         }
 

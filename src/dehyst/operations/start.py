@@ -155,9 +155,10 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
 
 
 def homed_words(homed: HomedPath) -> str:
-    """Describe the homing before a path, in brackets."""
+    """Describe the homing before a path and the voltage at which it begins, in brackets."""
+    begin = "" if homed.homing is None else f" from {homed.homing.turns[0]:.6g} V"
     seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
-    return f"(homed first, {counted(homed.first, 'sample')}{seconds})"
+    return f"(homed first{begin}, {counted(homed.first, 'sample')}{seconds})"
 
 
 def left_open(path: HomedPath) -> StartError | None:

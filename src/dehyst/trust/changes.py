@@ -11,6 +11,7 @@ evidence of a change.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -160,7 +161,7 @@ def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float)
     for name, value, spread, most in min(fits, key=lambda fit: fit.squares).parts():
         offset = name == "offset"
         size, doubt = (value - known.datum, known.doubt) if offset else (value, 0.0)
-        error = float(np.linalg.norm([spread, doubt, known.own / most]))
+        error = float(np.linalg.norm([spread, doubt, known.own / most if most else math.inf]))
         found.append(Change(name, size, error, size * most, least))
     return tuple(found)
 
@@ -228,13 +229,14 @@ def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
 
 
 def _fitted(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
-    """Fit all columns; the simulated displacement is delayed until no delay is left."""
+    """Fit all columns; the simulated displacement is delayed, by half the record at most, until no delay is left."""
     delay, fit = 0.0, _regression(loop, slow, step)
+    longest = 0.5 * float(loop.time[-1] - loop.time[0])
     place = fit.names.index("delay")
     for _ in range(_STEPS):
         if abs(fit.values[place]) <= 1e-2 * fit.errors[place]:
             break
-        delay += float(fit.values[place])
+        delay = float(np.clip(delay + fit.values[place], -longest, longest))
         fit = _regression(loop.later(delay), slow, step)
     fit.values[place] += delay
     return fit

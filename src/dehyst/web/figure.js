@@ -3,6 +3,11 @@ import { Chart } from "./chart.js";
 import { fill, h, make } from "./dom.js";
 import { KEYS } from "./gestures.js";
 
+// Axes of the quantities.
+export const SECONDS = { label: "Time (s)", unit: "s" };
+export const VOLTS = { label: "Voltage (V)", unit: "V" };
+export const MICROMETRES = { label: "Displacement (\u00b5m)", unit: "\u00b5m" };
+
 export class Figure {
   // `views` are [name, title] pairs; `choose` is called with the name of the view that the person chose. `more` stands
   // behind the title.

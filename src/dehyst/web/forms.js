@@ -57,3 +57,10 @@ export const list = (sentences, style) =>
 
 export const fold = (summary, ...content) =>
   h("details", { key: `fold ${summary}` }, h("summary", {}, summary), content);
+
+// The first of some remarks in sight, the others in a fold.
+export function remarks([first, ...others]) {
+  if (!first) return null;
+  const summary = others.length === 1 ? "One more thing to know" : `${others.length} more things to know`;
+  return [list([first], "remarks"), others.length > 0 && fold(summary, list(others, "remarks"))];
+}

@@ -1,12 +1,14 @@
 // The pictures of a plan: the wanted path with its points, the voltage, the error, and where the voltage turns.
 import { h, make } from "./dom.js";
-import { Figure } from "./figure.js";
+import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { duration, extent, length, percent, range, short, whole } from "./numbers.js";
 import { branches } from "./path.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
-const SECONDS = { label: "Time (s)", unit: "s" };
 export const MORE = 1.05; // by how much speeds and holds may exceed those of records without a word
+
+// A curve over time.
+export const curve = (name, colour, x, y, more) => ({ name, colour, x, y, rising: true, width: 1.8, ...more });
 
 export class PathFigures {
   // `edited` is called with the points (s, um) after each change by the person. `turns`: the figure in which the page
@@ -27,21 +29,15 @@ export class PathFigures {
     const { clamps, clamped } = planned;
     const cut = clamps.limited + clamps.slewed > 0;
     const note = band ? [["band", `trust band, \u00b1${length(band)}`]] : [];
-    const curve = (name, colour, y, more) => ({ name, colour, x: path.time, y, rising: true, ...more });
-    const straight = (y) => curve("straight gain", "without", y, { dash: [5, 4] });
+    const straight = (y) => curve("straight gain", "without", path.time, y, { dash: [5, 4], width: 1.4 });
     const off = (values) => Float32Array.from(values, (value, i) => value - path.wanted[i]);
     this.handles.set(points ?? [], reach);
-    // While a point is dragged, the picture stays where it is.
-    const x = this.handles.held ? this.path.chart.home.x : undefined;
-    const y = points && extent([this.handles.ends], 0.02);
+    const { x, y } = this.handles.ranges();
     this.path.set(
       {
         x: { ...SECONDS, range: x },
-        y: { label: "Displacement (\u00b5m)", unit: "\u00b5m", range: y },
-        series: [
-          straight(planned.straightReached),
-          ...wantedCurves({ path, planned, band }),
-        ],
+        y: { ...MICROMETRES, range: y },
+        series: [straight(planned.straightReached), ...wantedCurves({ path, planned, band })],
         notes: note,
       },
       { keep: true, spoken: "Wanted displacement over time, and what a straight gain would reach." },
@@ -51,11 +47,11 @@ export class PathFigures {
     this.voltage.set(
       {
         x: SECONDS,
-        y: { label: "Voltage (V)", unit: "V" },
+        y: VOLTS,
         levels: limits.map((value) => ({ value, name: `limit ${short(value, 4)} V`, colour: "limit" })),
         series: [
           straight(planned.straight),
-          curve("dehyst", "simulated", planned.voltage, { width: 1.8 }),
+          curve("dehyst", "simulated", path.time, planned.voltage),
           ...(cut ? [{ name: "clamped", colour: "limit", kind: "points", width: 5, x: when, y: volts }] : []),
         ],
       },
@@ -69,7 +65,7 @@ export class PathFigures {
         band: band ? [-band, band] : undefined,
         series: [
           straight(off(planned.straightReached)),
-          curve("dehyst, without the model's error", "simulated", off(planned.reached), { width: 1.8 }),
+          curve("dehyst, without the model's error", "simulated", path.time, off(planned.reached)),
         ],
         notes: note,
       },
@@ -82,9 +78,8 @@ export class PathFigures {
 
 // The wanted displacement of a plan with its band, and what is reached if voltages are clamped.
 export function wantedCurves({ path: { time, wanted }, planned: { clamps, reached }, band }) {
-  const curve = (name, colour, y, more) => ({ name, colour, x: time, y, rising: true, width: 1.8, ...more });
-  const all = [curve("wanted", "measured", wanted, { around: band })];
-  if (clamps.limited + clamps.slewed > 0) all.push(curve("reached", "simulated", reached));
+  const all = [curve("wanted", "measured", time, wanted, { around: band })];
+  if (clamps.limited + clamps.slewed > 0) all.push(curve("reached", "simulated", time, reached));
   return all;
 }
 
@@ -145,7 +140,8 @@ export function judged(planned, { stroke, band, turned, light = "green", speed =
     clamps.slewed && `${whole(clamps.slewed)} samples are held back by the slew rate`,
   ].filter(Boolean);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
-  const followed = `The path can be followed${band ? `: expect it within ${share(band)}` : ""}.`;
+  const tested = turned?.open ? " where records turned" : "";
+  const followed = `The path can be followed${band ? `: expect it within ${share(band)}${tested}` : ""}.`;
   const usual = turned?.open && light === "green" ? "amber" : light;
   return {
     light: cut.length ? "red" : usual,

@@ -1,7 +1,7 @@
 // The points of a path as handles on a chart: elements of the page, so that pointer, keyboard and screen reader reach
 // them. A double click on the chart adds one.
 import { fill, h } from "./dom.js";
-import { short } from "./numbers.js";
+import { extent, short } from "./numbers.js";
 import { inserted, moved, removed } from "./path.js";
 
 export const HANDLE_KEYS =
@@ -28,6 +28,12 @@ export class PointHandles {
     const beyond = BEYOND * (high - low);
     Object.assign(this, { points, reach: [low, high], ends: [low - beyond, high + beyond] });
     this.place();
+  }
+
+  // Ranges of a picture with these points and other columns of y: while a point is dragged, it stays where it is.
+  ranges(others = []) {
+    const x = this.held ? this.chart.home.x : undefined;
+    return { x, y: this.points.length > 0 ? extent([this.ends, ...others], 0.02) : undefined };
   }
 
   get duration() {

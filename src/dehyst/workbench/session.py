@@ -28,6 +28,10 @@ _T = TypeVar("_T")
 _SOON = 0.5
 # Columns of a file from which the page offers to choose.
 _MOST_COLUMNS = 500
+_NO_RECORD = (
+    "this is a model, and the page shows those that it identified: drop the record that it was identified from, or use "
+    "the model in a terminal (dehyst check, dehyst compensate)"
+)
 _MICRO = 1e6
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
@@ -64,6 +68,8 @@ class RecordEntry:
     displacement_um: list[float] = field(default_factory=list)
     noise_nm: float = 0.0
     words: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    usable: bool = True
 
     @property
     def reading(self) -> dict[str, str]:
@@ -76,15 +82,19 @@ class RecordEntry:
         parts = list(result.values()) if "samples" not in result else [result]
         first = parts[0]
         self.axes = list(result) if "samples" not in result else []
-        self.status, self.words = "ready", []
+        self.status, self.words, self.problems = "ready", [], []
+        self.usable = all(one["usable"] for one in parts)
         self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
         self.rate_hz, self.noise_nm = float(first["sample_rate_Hz"]), max(float(one["noise_nm"]) for one in parts)
         for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
             setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
         for axis, one in zip(self.axes or [""], parts, strict=True):
             scales = {name: f", {scale}" for name, scale in one["scales"].items()}
-            said = [f"{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()]
-            self.words += [f"{axis}: {words}" if axis else words for words in (*said, *one["problems"])]
+            prefix = f"{axis}: " if axis else ""
+            self.words += [
+                f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
+            ]
+            self.problems += [f"{prefix}{words}" for words in one["problems"]]
 
 
 @dataclass
@@ -314,6 +324,10 @@ class WorkbenchSession:
         # A record is a measurement, which is not replaced without force: here by the same file, read otherwise.
         step = Step("show", given, force=True)
         entry.options, entry.status, entry.error, entry.hint = dict(options), "reading", None, None
+        if is_model(self.folder.path / entry.source):
+            entry.status, entry.error = "refused", _NO_RECORD
+            self.touch()
+            return
 
         def done(finished: Finished) -> None:
             # With names for all columns the result has these, not the file's.

@@ -67,7 +67,7 @@ def test_a_fast_recording_gives_the_model_of_a_slow_one():
     unseen = recorded(12, 500, 40, 0.0)
     found = {}
     for rate in (200, 10_000):
-        fit = identify(recorded(20, rate, 3, 0.003))
+        fit = identify(recorded(20, rate, 3, 0.003), structure="maxwell_slip")
         found[rate] = errors_of(fit.actuator, compare(fit.actuator, prepare(unseen), STROKE), "validation")[0]
         assert fit.actuator.delay == pytest.approx(DELAY, abs=1e-3)
         assert fit.errors[0].samples > 0.99 * 20 * rate

@@ -13,6 +13,7 @@ import structured_records as wide
 from dehyst.identification.preprocessing import regressors
 from dehyst.identification.preprocessing.regressors import RowSource, internal_states
 from dehyst.identification.solvers.program import NORMS
+from examples import at_night
 
 ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
 
@@ -83,7 +84,7 @@ def test_an_epoch_of_which_no_row_is_in_memory_has_its_constant():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("samples", "most"), [(250_000, 256), pytest.param(1_000_000, 512, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(("samples", "most"), [at_night(250_000, 256), at_night(1_000_000, 512)])
 def test_a_million_samples_of_a_wider_structure_take_half_a_gigabyte_at_most(samples, most):
     """A quarter of them takes half of it: blocks are as large."""
     script = places.BENCHMARKS / "size.py"

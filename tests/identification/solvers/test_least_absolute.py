@@ -19,7 +19,7 @@ from dehyst.identification.solvers.least_absolute import interior
 from dehyst.identification.solvers.problem import Blocks, Problem
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure import Grid
-from examples import examples
+from examples import at_night, examples
 
 KINDS = ("random", "collinear", "noise-free", "tiny", "repeated rows", "rounded")
 
@@ -231,7 +231,7 @@ def test_the_program_of_a_record():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("columns", "inequalities"), [(60, 0), (100, 200)])
+@pytest.mark.parametrize(("columns", "inequalities"), [at_night(60, 0), (100, 200)])
 def test_a_hundred_thousand_rows_take_seconds_not_minutes(columns, inequalities):
     a, b, _ = table("random", 2, 100_000, columns)
     limits = bound(a[:, 1:], 3, inequalities) if inequalities else None

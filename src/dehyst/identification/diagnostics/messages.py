@@ -94,12 +94,26 @@ def of_dropped(part: str, without: float, within: float, stroke: float, drive: S
     )
 
 
-def of_lag(lag: float, moved: float, stroke: float) -> str:
-    """Return the sentence for a lag [s] that may be the sensor's, in which the displacement moves by `moved` [m]."""
+def of_lag(delay: float, lag: float, moved: float, stroke: float) -> str:
+    """Return the sentence for the delay and lag [s] of a model that may be the sensor's.
+
+    In both together the displacement moves by `moved` [m].
+    """
+    taken = []
+    if delay:
+        taken.append(
+            f"A delay of {1e3 * delay:.3g} ms is left out of the model and is not compensated: the displacement "
+            "follows a path that much later if the actuator delays it, and on time if only the sensor does."
+        )
+    if lag:
+        taken.append(
+            f"A lag of {1e3 * lag:.3g} ms was taken as the amplifier's, and is compensated: a path is missed by as "
+            "much if it is the sensor's filter."
+        )
     return (
-        f"The displacement lags by {1e3 * lag:.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of the stroke "
-        "(RMS): a delay, or the low-pass filter of the sensor or the amplifier. This was taken as the actuator's, and "
-        "is compensated. If it is the sensor's filter, a path is missed by as much; the expected error allows for it. "
+        f"The displacement lags by {1e3 * (delay + lag):.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of "
+        "the stroke (RMS): a delay, or the low-pass filter of the sensor or the amplifier. "
+        f"{' '.join(taken)} The expected error allows for it. "
         "Look for its time constant in the sensor's data sheet, or watch a step with a faster sensor, and give it as "
         "sensor_lag. A sensor lag of 0 says that it has none: the model stays, and the expected error is that of an "
         "actuator that lags."

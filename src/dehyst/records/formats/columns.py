@@ -84,6 +84,8 @@ _PLUG = re.compile(
     r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
 )
 _PLUG_RANGE = 10.5
+# Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
+_AXES = {"x", "y", "z"}
 # Characters of a name that a message shows.
 _SHOWN = 60
 
@@ -478,6 +480,8 @@ class Table:
         fits = [c for c in self.columns if c.words & {*known.words.split(", ")}]
         fits = [c for c in fits if not c.foreign] or fits
         fits = [c for c in fits if c.parts[1] in units] or fits
+        if quantity == "displacement" and fits and all(c.parts[0].lower() in _AXES for c in fits):
+            return [c for c in self.columns if c.parts[0].lower() in _AXES and c.parts[1] in units] or fits
         more = {*known.more.split(", ")}
         return fits or [c for c in self.columns if c.words & more and c.parts[1] in units]
 

@@ -1,16 +1,16 @@
 // The pictures of a path of several coupled axes: the wanted displacements, and the voltages that were written last.
 import { voltageColumns } from "./api.js";
 import { h, make } from "./dom.js";
-import { Figure } from "./figure.js";
-import { extent } from "./numbers.js";
+import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
+import { curve } from "./path_figures.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
-import { COLOURS, MICROMETRES, SECONDS_AXIS, VOLTS } from "./records.js";
+import { COLOURS } from "./records.js";
 
 // A path of an axis that stays in the middle of its reach while another one moves along points.
 export const resting = ({ range_um: [low, high] }, points) =>
   [points[0], points.at(-1)].map(([time]) => [time, (low + high) / 2]);
 
-const curve = (name, k, x, y) => ({ name, colour: COLOURS[k % COLOURS.length], x, y, rising: true, width: 1.8 });
+const curves = (names, x, y) => names.map((name, k) => curve(name, COLOURS[k % COLOURS.length], x(k), y(k)));
 
 export class AxesFigures {
   // `edited` is called with the points (s, um) of the drawn axis after each change by the person.
@@ -25,11 +25,9 @@ export class AxesFigures {
   draw(names, paths, drawn) {
     this.handles.set(drawn?.points ?? [], drawn?.reach ?? [0, 1]);
     const column = (k, at) => Float64Array.from(paths[k], (point) => point[at]);
-    const series = names.map((name, k) => curve(name, k, column(k, 0), column(k, 1)));
-    // While a point is dragged, the picture stays where it is.
-    const x = this.handles.held ? this.path.chart.home.x : undefined;
-    const y = drawn && extent([this.handles.ends, ...series.map((one) => one.y)], 0.02);
-    const axes = { x: { ...SECONDS_AXIS, range: x }, y: { ...MICROMETRES, range: y } };
+    const series = curves(names, (k) => column(k, 0), (k) => column(k, 1));
+    const { x, y } = this.handles.ranges(series.map((one) => one.y));
+    const axes = { x: { ...SECONDS, range: x }, y: { ...MICROMETRES, range: y } };
     this.path.set({ ...axes, series }, { keep: true, spoken: `Wanted displacement of ${names.join(", ")} over time.` });
   }
 
@@ -39,8 +37,8 @@ export class AxesFigures {
     if (!written || written.id === this.written) return;
     this.written = written.id;
     const columns = await Promise.all(names.map((name) => voltageColumns(written, name)));
-    const series = names.map((name, k) => curve(name, k, columns[k].time, columns[k].voltage));
+    const series = curves(names, (k) => columns[k].time, (k) => columns[k].voltage);
     if (this.written !== written.id) return;
-    this.voltage.set({ x: SECONDS_AXIS, y: VOLTS, series }, { spoken: `Voltage of ${names.join(", ")} over time.` });
+    this.voltage.set({ x: SECONDS, y: VOLTS, series }, { spoken: `Voltage of ${names.join(", ")} over time.` });
   }
 }

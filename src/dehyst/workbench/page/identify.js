@@ -30,7 +30,7 @@ const form = new Form("identify", {
   name: { label: "Name of the model", placeholder: "of the first record" },
 });
 
-const withRole = (role) => readyRecords().filter((one) => roleOf(one.id) === role);
+const withRole = (role) => readyRecords().filter((one) => roleOf(one) === role);
 
 export function identifyCard() {
   const [train, validate] = [withRole("train"), withRole("validate")];

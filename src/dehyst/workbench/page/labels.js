@@ -14,10 +14,10 @@ export const LABELS = {
   norm: "Norm of the error",
 };
 
-// An option as a command has it (--sensor-lag SECONDS) or as a function has it (sensor_lag=SECONDS).
+// An option as a command has it (--sensor-lag SECONDS) or as a function has it (sensor_lag=SECONDS, time "NAME").
 const FLAGS = Object.entries(LABELS).map(([name, label]) => [
   new RegExp(
-    `(--${name.replace("_", "-")}(?![-\\w])[ =]?|\\b${name}${name.includes("_") ? "\\b=?" : "="})` +
+    `(--${name.replace("_", "-")}(?![-\\w])[ =]?|\\b${name}${name.includes("_") ? "\\b=?" : '(?:=| (?="))'})` +
       '("NAME"|NAMES?\\b|HZ\\b|SCALE\\b|SECONDS\\b)?(?=(.?))',
     "g",
   ),

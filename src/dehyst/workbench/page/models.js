@@ -2,10 +2,10 @@
 import { cancelJob, endIdentification } from "./api.js";
 import { h, table } from "./dom.js";
 import { announce, button, problem, removeButton } from "./acts.js";
-import { duration, length, percent, range } from "./numbers.js";
+import { duration, percent, range } from "./numbers.js";
 import { chooseModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
 import { goTo, isOpen, needsModel } from "./steps.js";
-import { axesBlock, fileLink, lightOf, modelChoice, mounted, verdictBlock } from "./verdict.js";
+import { VERDICT_HEADS, axesBlock, fileLink, modelChoice, mounted, verdictBlock, verdictCells } from "./verdict.js";
 
 const began = new Map(); // when the server said how long an identification has run
 const lately = new Map(); // status of each model as last seen
@@ -109,25 +109,15 @@ function comparison(all, chosen) {
   // A smaller error is a better one only on the same records.
   const records = models.map((one) => `${[...one.train].sort()} ${[...one.validate].sort()}`);
   const same = new Set(records).size === 1;
-  const error = (name) => {
-    const best = same ? Math.min(...models.map((one) => one.verdict[name])) : NaN;
-    const mark = h("span", { class: "unseen" }, " (best)");
-    return ({ verdict }) =>
-      verdict[name] === best ? h("td", { class: "best" }, percent(best), mark) : h("td", {}, percent(verdict[name]));
+  const cell = (verdict) => (name) => {
+    const best = same && models.every((one) => verdict[name] <= one.verdict[name]);
+    const mark = best && h("span", { class: "unseen" }, " (best)");
+    return h("td", { class: best && "best" }, percent(verdict[name]), mark);
   };
-  const [largest, rms] = [error("largest_percent"), error("rms_percent")];
-  const light = ({ verdict }) => {
-    const [colour, words] = lightOf(verdict);
-    return h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
-  };
-  const text = { text: "Verdict", class: "text" };
-  const heads = ["Model", text, "Largest error", "Largest error", "RMS error", "Structure", "Time taken", "From"];
+  const heads = ["Model", ...VERDICT_HEADS, "Structure", "Time taken", "From"];
   const rows = models.map((one) => [
     one.name,
-    light(one),
-    largest(one),
-    length(one.verdict.largest_um),
-    rms(one),
+    ...verdictCells(one.verdict, cell(one.verdict)),
     one.options?.structure ?? "auto",
     duration(one.seconds),
     one.verdict.basis ?? "",

@@ -4,7 +4,7 @@ import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
 import { AxesFigures, resting } from "./axes_figures.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
-import { Form, fold, list, tick } from "./forms.js";
+import { Form, fold, list, remarks, tick } from "./forms.js";
 import { inPage } from "./labels.js";
 import { duration, length, limitsFrom, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
@@ -16,32 +16,27 @@ import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
 import { bandOf, fileLink, jobCards, lightOf, modelChoice, remarksOf, reportOf } from "./verdict.js";
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
-const RATE = { label: "Samples a second", unit: "Hz", value: "1000", above: 0 };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
 const form = new Form(
   "path",
   {
+    axis: { label: "Axis to draw", choices: [] },
     low: { label: "Lowest voltage", unit: "V" },
     high: { label: "Highest voltage", unit: "V" },
     slew: { label: "Largest slew rate", unit: "V/s", placeholder: "none", optional: true, above: 0 },
-    rate: RATE,
+    rate: { label: "Samples a second", unit: "Hz", value: "1000", above: 0 },
   },
-  replan,
-);
-const figures = new PathFigures(usePoints);
-const axesForm = new Form(
-  "axes",
-  { axis: { label: "Axis to draw", choices: [] }, rate: RATE },
   (name) => {
     if (name === "axis") view.points = firstPoints();
     replan();
   },
 );
+const figures = new PathFigures(usePoints);
 const axesFigures = new AxesFigures(usePoints);
 // Of a model of several axes, whose path is of all of them.
 const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
-const drawnAxis = () => chosenModel().axes?.find((one) => one.name === axesForm.values.axis) ?? chosenModel();
+const drawnAxis = () => chosenModel().axes?.find((one) => one.name === form.values.axis) ?? chosenModel();
 
 export function pathView(state, model) {
   if (!model) return null;
@@ -60,9 +55,9 @@ export function pathView(state, model) {
         "div",
         { class: "card" },
         sourceChoice(model),
-        model.coupling && view.source === "points" && axesForm.field("axis"),
+        model.coupling && view.source === "points" && form.field("axis"),
         { scan: scanFields, points: pointsField, file: fileField }[view.source](),
-        model.coupling ? axesForm.row(["rate"]) : form.row(["low", "high", "slew", "rate"]),
+        form.row(model.coupling ? ["rate"] : ["low", "high", "slew", "rate"]),
         button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
         problem("path"),
       ),
@@ -95,7 +90,7 @@ function fileField() {
       view.file = parsedPaths(await file.text(), namesOf(chosenModel()));
       const [points] = view.file;
       const steps = points.slice(1, 1000).map((one, k) => one[0] - points[k][0]);
-      form.values.rate = axesForm.values.rate = short(1 / Math.min(...steps), 6);
+      form.values.rate = short(1 / Math.min(...steps), 6);
       replan();
     } catch (error) {
       view.file = null;
@@ -154,8 +149,8 @@ function adopt(model) {
   if (view.model === model.id) return;
   view.model = model.id;
   view.file = null;
-  axesForm.fields.axis.choices = namesOf(model).map((name) => [name, name]);
-  [axesForm.values.axis] = namesOf(model);
+  form.fields.axis.choices = namesOf(model).map((name) => [name, name]);
+  [form.values.axis] = namesOf(model);
   if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
@@ -270,7 +265,7 @@ export function currentRequest() {
   if (model.coupling) {
     const paths = chosenPaths();
     const points = Object.fromEntries(namesOf(model).map((name, k) => [name, paths[k]]));
-    return { points, rate: axesForm.number("rate") };
+    return { points, rate: form.number("rate") };
   }
   const { slew, ...others } = choices();
   const path = view.source === "scan" ? { scan: scans.scan() } : { points: chosenPaths()[0] };
@@ -305,9 +300,7 @@ function voltages(state) {
 
 function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
   const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
-  const [first, ...others] = words.map(inPage);
   const maker = modelOf(model)?.name ?? "a model that was removed";
-  const summary = others.length === 1 ? "One more thing to know" : `${others.length} more things to know`;
   return h(
     "li",
     { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
@@ -315,7 +308,6 @@ function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, c
     h("p", {}, `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
     errors.some(Boolean) && h("p", {}, `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
     clamped > 0 && h("p", { class: "error" }, `${whole(clamped)} voltages are clamped: the path is missed there.`),
-    first && list([first], "remarks"),
-    others.length > 0 && fold(summary, list(others, "remarks")),
+    remarks(words.map(inPage)),
   );
 }

@@ -2,7 +2,7 @@
 import { button, problem } from "./acts.js";
 import { readRecord } from "./api.js";
 import { h } from "./dom.js";
-import { Form } from "./forms.js";
+import { Form, fold } from "./forms.js";
 import { LABELS } from "./labels.js";
 import { numberFrom, range } from "./numbers.js";
 
@@ -52,11 +52,12 @@ export function readingForm(record) {
   const { id, name, options, hint, file_columns: columns = [] } = record;
   const stamp = JSON.stringify([options, hint, columns]);
   if (forms.get(id)?.stamp !== stamp) forms.set(id, { stamp, ...filled(record) });
-  const { form, marked, guesses, help } = forms.get(id);
+  const { form, marked, guesses, help, known } = forms.get(id);
   const count = Number(form.values.axes);
   const field = (one, option = one) => form.field(one, { class: marked(option) && "suggested" });
   const column = (one) => h("div", { class: "column" }, field(one), field(`${one}_unit`, one));
   const axis = (_, k) => [count > 1 && field(`name_${k + 1}`), column(voltageOf(k)), column(displacementOf(k))];
+  const others = Object.keys(OTHERS).map((one) => field(one));
   const place = `reading ${id}`;
   const read = () => readRecord(id, chosen(form, columns, guesses));
   return h(
@@ -66,7 +67,7 @@ export function readingForm(record) {
     columns.length > 3 && field("axes"),
     column("time"),
     Array.from({ length: count }, axis),
-    Object.keys(OTHERS).map((one) => field(one)),
+    known ? others : fold("Scales, sample rate, decimal sign", others),
     problem(place),
     button("Read again", place, read, { class: "main", type: "submit" }),
   );
@@ -120,7 +121,8 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
     (name in UNITS && "columns" in suggested) ||
     (many && (name === "axes" || (quantityOf(name) in UNITS && form.values[name] !== "")));
   const coupled = `There are ${pairs.length} voltages with displacements, perhaps of coupled axes: check the pairs.`;
-  return { form, marked, guesses, help: many ? coupled : hint && "The marked options may mend it." };
+  const known = Object.keys(OTHERS).some((name) => values[name]);
+  return { form, marked, guesses, known, help: many ? coupled : hint && "Try the marked options." };
 }
 
 // Columns of a voltage and a displacement that may belong together: in their order, by their units.

@@ -3,8 +3,8 @@ import { announce, button, problem, removeButton } from "./acts.js";
 import { example, readRecord, recordColumns, upload } from "./api.js";
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
-import { Figure } from "./figure.js";
-import { facts, fold, list, tick } from "./forms.js";
+import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
+import { facts, fold, list, remarks, tick } from "./forms.js";
 import { identifyCard } from "./identify.js";
 import { inPage } from "./labels.js";
 import { bytes, duration, percent, range, short, whole } from "./numbers.js";
@@ -14,15 +14,12 @@ import { isOpen, openStep } from "./steps.js";
 
 // Colours of curves; their values are in style.css.
 export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
-export const VOLTS = { label: "Voltage (V)", unit: "V" };
-export const MICROMETRES = { label: "Displacement (\u00b5m)", unit: "\u00b5m" };
-export const SECONDS_AXIS = { label: "Time (s)", unit: "s" };
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
 const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
-export const roleOf = (id) => roles.get(id) ?? "train";
+export const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
 const placeOf = (id) => Math.max(0, session.state.records.findIndex((one) => one.id === id));
 const colourOf = (id, axis = 0) => COLOURS[(placeOf(id) + axis) % COLOURS.length];
 
@@ -154,12 +151,12 @@ function scrollToRefused(records) {
 }
 
 function card(record, first) {
-  const { id, name, status } = record;
+  const { id, name, status, usable } = record;
   const swatch = h("i", { class: "swatch", style: `background:var(--${colourOf(id)})` });
   const content = { reading: readingCard, ready: readyCard, refused: refusedCard }[status];
   return h(
     "li",
-    { class: `card ${status}`, key: id, id: `record-${id}` },
+    { class: `card ${usable ? status : "refused"}`, key: id, id: `record-${id}` },
     h("div", { class: "card-head" }, swatch, h("h3", {}, name), removeButton("records", record)),
     problem(`records ${id}`),
     content(record, first),
@@ -185,7 +182,8 @@ function refusedCard(record, first) {
 }
 
 function readyCard(record) {
-  const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement, words } = record;
+  const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement } = record;
+  const { words, problems } = record;
   const understood = words?.length > 0 || record.file_columns?.length > 0;
   const box = (label, checked, change) => {
     const onchange = (event) => {
@@ -194,7 +192,7 @@ function readyCard(record) {
     };
     return tick(label, { type: "checkbox", checked, spoken: `${label}: ${name}`, onchange });
   };
-  const role = (label, own) => box(label, roleOf(id) === own, (on) => roles.set(id, on ? own : "none"));
+  const role = (label, own) => box(label, roleOf(record) === own, (on) => roles.set(id, on ? own : "none"));
   return [
     facts([
       ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
@@ -202,6 +200,7 @@ function readyCard(record) {
       ["Displacement", range(displacement, "\u00b5m")],
       ...(record.axes?.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
+    remarks(problems.map(inPage)),
     understood && fold("How the file was understood", list(words), readingForm(record)),
     h(
       "div",
@@ -216,8 +215,8 @@ function readyCard(record) {
 // How each view takes its axes from the columns of a record.
 const VIEWS = {
   loops: { x: VOLTS, y: MICROMETRES, columns: ["voltage", "displacement"] },
-  time: { x: SECONDS_AXIS, y: MICROMETRES, columns: ["time", "displacement"] },
-  voltage: { x: SECONDS_AXIS, y: VOLTS, columns: ["time", "voltage"] },
+  time: { x: SECONDS, y: MICROMETRES, columns: ["time", "displacement"] },
+  voltage: { x: SECONDS, y: VOLTS, columns: ["time", "voltage"] },
 };
 
 const axesOf = ({ axes }) => (axes?.length ? axes : [""]);

@@ -2,10 +2,10 @@
 import { button, problem } from "./acts.js";
 import { rig as request } from "./api.js";
 import { h, table } from "./dom.js";
-import { Figure } from "./figure.js";
+import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list } from "./forms.js";
 import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
-import { MICROMETRES, SECONDS_AXIS, VOLTS, journey } from "./records.js";
+import { journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";
 import { watch } from "./state.js";
 import { isOpen } from "./steps.js";
@@ -229,7 +229,7 @@ class LiveFigures {
   draw() {
     const [t, v, y, expected] = NAMES.map((name) => this.kept[name].subarray(0, this.count));
     const now = t[this.count - 1];
-    const seconds = { ...SECONDS_AXIS, range: [Math.max(t[0], now - STRIP), Math.max(now, t[0] + 1)] };
+    const seconds = { ...SECONDS, range: [Math.max(t[0], now - STRIP), Math.max(now, t[0] + 1)] };
     const both = (x, rising) => [
       { name: "measured", colour: "measured", x, y, rising },
       ...(expected.some(Number.isFinite) ? [{ name: "expected", colour: "simulated", x, y: expected, rising }] : []),

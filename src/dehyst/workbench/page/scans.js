@@ -1,6 +1,6 @@
 // The form of the named scans: the options that the library declares, and those of how often and where it is played.
 import { h } from "./dom.js";
-import { Form } from "./forms.js";
+import { Form, fold } from "./forms.js";
 import { parsed, plain, roundDown } from "./numbers.js";
 import { DECLARED } from "./declared.js";
 
@@ -64,7 +64,7 @@ export class ScanForm extends Form {
 
   view() {
     const { needs, may } = optionsOf(this.values.kind);
-    const more = h("details", { key: "more" }, h("summary", {}, "More options"), this.row(may));
+    const more = fold("More options", this.row(may));
     return [this.field("kind"), h("div", { class: "scan-options" }, this.row(needs), more)];
   }
 

@@ -3,12 +3,11 @@
 import { announce, button, problem } from "./acts.js";
 import { assess } from "./api.js";
 import { fill, h, make } from "./dom.js";
-import { Figure } from "./figure.js";
-import { card } from "./forms.js";
+import { Figure, MICROMETRES, SECONDS } from "./figure.js";
+import { card, fold } from "./forms.js";
 import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
-import { MICROMETRES, SECONDS_AXIS } from "./records.js";
 import { isPlane } from "./report.js";
 import { openJobs } from "./state.js";
 import { goTo } from "./steps.js";
@@ -35,6 +34,11 @@ export function trustView(_, model) {
     h("div", { id: "trust-insight" }, assessment ? assessment.element : !report && invitation(model, running)),
     report && problem(report),
     problem("trust"),
+    fold(
+      "Does it still hold later?",
+      h("p", {}, "Measure one loop again now and then, and check the model by it in a terminal, in the page's folder:"),
+      h("pre", {}, `dehyst check ${model.file} new-record.csv`),
+    ),
   ];
 }
 
@@ -89,5 +93,5 @@ function drawPath(plan, figure) {
   if (found) figure.set(...turnsPicture(found));
   const notes = [["band", `expected largest error, \u00b1${length(band)}`]];
   const spoken = "The wanted path with the error to expect.";
-  promise.set({ x: SECONDS_AXIS, y: MICROMETRES, series: wantedCurves(plan), notes }, { spoken });
+  promise.set({ x: SECONDS, y: MICROMETRES, series: wantedCurves(plan), notes }, { spoken });
 }

@@ -16,6 +16,14 @@ const LIGHTS = {
 const readiness = (verdict) => String(verdict.readiness).toLowerCase().replaceAll("_", " ");
 export const lightOf = (verdict) => LIGHTS[readiness(verdict)] ?? ["amber", String(verdict.readiness)];
 
+// The cells of a verdict in a table, and their heads; `write` writes a cell of a share in percent.
+export const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
+export function verdictCells(verdict, write = (name) => percent(verdict[name])) {
+  const [colour, words] = lightOf(verdict);
+  const light = h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
+  return [light, write("largest_percent"), length(verdict.largest_um), write("rms_percent")];
+}
+
 // What the records did not show: it limits what the verdict holds for.
 export const remarksOf = (verdict) => (verdict.remarks ?? []).map(inPage);
 
@@ -43,13 +51,9 @@ export function axesBlock({ axes, coupling }) {
   if (!coupling) return null;
   const { matrix, is_matrix: whole, verdicts } = coupling;
   const rows = axes.map(({ name, range_v: volts, range_um: reach }) => {
-    const { largest_percent: largest, largest_um: um, rms_percent: rms } = verdicts[name];
-    const [colour, words] = lightOf(verdicts[name]);
-    const light = h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
-    return [name, light, percent(largest), length(um), percent(rms), range(volts, "V"), range(reach, "\u00b5m")];
+    return [name, ...verdictCells(verdicts[name]), range(volts, "V"), range(reach, "\u00b5m")];
   });
-  const text = { text: "Verdict", class: "text" };
-  const heads = ["Axis", text, "Largest error", "Largest error", "RMS error", "Known for", "Reaches"];
+  const heads = ["Axis", ...VERDICT_HEADS, "Known for", "Reaches"];
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
   const rest = whole ? "This matrix describes all coupling, and is compensated." : "Coupling is more than this matrix.";

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from dehyst._errors import DehystError, RigError
 from dehyst._process import Outlet
-from dehyst.instruments import AbstractRig, open_rig
+from dehyst.instruments import AbstractRig, VoltageNote, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.workbench.rig.messages import Request, number, pair, text
 from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
@@ -23,8 +23,8 @@ _PERIOD, _TICK = 0.1, 0.02
 _LOST_AFTER = 3
 # Fields of the state that belong to one rig.
 OF_RIG = ("name", "identity", "axis", "limits", "slew", "safe", "plan")
-# Begin of the note that AbstractRig adds to an error if the retreat failed too.
-_NOT_SAFE = "The voltage could not be brought"
+# What a device does that no command reaches.
+_ADVICE = "The device holds, or plays to its end, what it has; see to it by hand."
 
 
 class RigDriver:
@@ -248,7 +248,7 @@ class RigDriver:
             voltage = rig.retreat()
         # Whatever a driver raises, also to end the program: the outcome is a sentence.
         except BaseException as error:
-            self._lose(f"{_NOT_SAFE} to {rig.safe:.6g} V ({reason_of(error)}).", words)
+            self._lose(f"The voltage could not be brought to {rig.safe:.6g} V ({reason_of(error)}).", words)
             return
         self._watchdog.disarm()
         self._stopped = [*words, f"The voltage was brought to {voltage:.6g} V."]
@@ -265,23 +265,23 @@ class RigDriver:
             self._show("none")
         elif not self._watchdog.armed or self._status == "armed":
             self._show(self._status, words=notes)
-        elif any(note.startswith(_NOT_SAFE) for note in notes):
-            self._lose(" ".join(notes), stopped)
+        elif any(isinstance(note, VoltageNote) and not note.safe for note in notes):
+            # The note gives the advice too.
+            self._lose(" ".join(notes), stopped, advice=[])
             self._watchdog.settle()
         else:
             self._retreat([sentence, *stopped])
             self._watchdog.settle()
 
-    def _lose(self, outcome: str, words: list[str]) -> None:
+    def _lose(self, outcome: str, words: list[str], advice: Sequence[str] = (_ADVICE,)) -> None:
         """Give up a rig whose voltage cannot be brought anywhere; send where it was last."""
         last, now = self._feed.last, time.monotonic()
         known = "Its voltage was never read."
         if last is not None:
             known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
-        advice = "The device holds, or plays to its end, what it has; see to it by hand."
         self._watchdog.lose()
         self._close()
-        self._show("lost", words=[*words, outcome, known, *([] if "see to it by hand" in outcome else [advice])])
+        self._show("lost", words=[*words, outcome, known, *advice])
 
     def _look(self) -> None:
         """Read a rig at rest, ten times a second."""
