@@ -34,7 +34,7 @@ FLIPS = int(os.environ.get("DEHYST_FLIPS", "60"))
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
     folder = tmp_path_factory.mktemp("base") / "out"
-    Session(folder, SimulatedRig(PlayActuator()), NullProgress()).record(LOOK, "look")
+    Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()).record(LOOK, "look")
     return folder
 
 
@@ -45,7 +45,7 @@ def folder(base, tmp_path):
 
 def go_on(folder):
     """Go on in a folder; returns whether its record was kept."""
-    job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
+    job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
     record = job.record(LOOK, "look")
     assert len(record) == len(LOOK)
     assert read(folder / RECORD).meta["complete"] is True
@@ -220,7 +220,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
-        job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
+        job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
         assert not job.is_complete(LOOK, "look")
     assert go_on(folder)
 
@@ -231,7 +231,7 @@ def test_an_undamaged_record_is_kept(folder, base):
 
 
 def test_a_record_of_another_name_copied_over_is_not_taken(folder):
-    job = Session(folder, SimulatedRig(PlayActuator()), NullProgress())
+    job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
     job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
     shutil.copy(folder / "records" / "homing.h5", folder / RECORD)
     assert not go_on(folder)
@@ -398,7 +398,7 @@ def test_flipped_bits_are_never_kept(base, tmp_path, seed):
     original = samples(base / RECORD)
     # What describes the samples is at the ends of the file.
     ends = [*range(2400), *range(max(2400, len(whole) - 4000), len(whole))]
-    rig = SimulatedRig(PlayActuator())
+    rig = SimulatedRig(PlayActuator(plays=30))
     played = 0
     for number in range(FLIPS // 4):
         content = bytearray(whole)

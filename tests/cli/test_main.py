@@ -264,7 +264,7 @@ def test_the_newcomers_trap_is_caught(folder):
     status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
     found = json.loads(out)
     assert status == 1
-    assert found["directions"]["determined"] == 10
+    assert found["start"] is None and found["directions"]["determined"] == 10
     assert "k_1 + k_19 is determined, k_1 - k_19 is not." in found["directions"]["sentences"]
     assert found["trajectory"]["open_m"] > 3 * found["trajectory"]["misfit_m"]
     assert found["advice"][0]["determined"] == 19

@@ -10,6 +10,7 @@ import strategies as our
 
 from dehyst import Dynamics, SmoothSlip
 from dehyst._native import StepCoefficients
+from examples import at_night
 
 SOURCES = plain_records.CORE_SOURCES
 
@@ -186,7 +187,9 @@ KINDS = [
 ]
 
 
-@pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+@pytest.mark.parametrize(
+    "options", [at_night(["-O2"]), at_night(["-O3", "-flto"]), ["-O1", "-fsanitize=address,undefined"]]
+)
 def test_c_compiled_apart_gives_the_same_bits(compiled, options):
     compile_apart(compiled, *options, "-fno-sanitize-recover")
     for seed, kind in enumerate(KINDS):
@@ -199,7 +202,7 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
             assert np.array_equal(got[:, column + 1], back), kind
 
 
-@pytest.mark.parametrize("options", [["-O2", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+@pytest.mark.parametrize("options", [["-O2", "-flto"], at_night(["-O1", "-fsanitize=address,undefined"])])
 def test_the_wider_core_works_in_single_precision(compiled, options):
     compiled.use_float()
     compile_apart(compiled, *options, "-fno-sanitize-recover", "-Wdouble-promotion")

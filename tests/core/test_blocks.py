@@ -14,6 +14,7 @@ import sanitized
 import dehyst
 from dehyst import ModelError
 from dehyst.exports.model_header import config_header
+from examples import at_night
 
 
 def test_the_core_has_the_version_of_the_package():
@@ -35,7 +36,7 @@ def test_what_c_replays_is_what_python_computes(tmp_path):
         np.testing.assert_allclose(golden_core.numbers(name, kept), golden_core.numbers(name, fresh), rtol=1e-9)
 
 
-@pytest.mark.parametrize("number", ["double", "float"])
+@pytest.mark.parametrize("number", ["double", at_night("float")])
 def test_broken_blocks_are_refused_or_keep_to_their_limits(tmp_path, number):
     if missing := sanitized.runtime_missing():
         pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
@@ -88,7 +89,7 @@ static dehyst_model loaded;
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["slewing", "all", "moving"])
+@pytest.mark.parametrize("kind", [at_night("slewing"), "all", at_night("moving")])
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_models_exchanged_in_a_running_loop_give_pythons_bits(tmp_path, kind):
     """The exported one and a loaded one, in turn."""

@@ -42,8 +42,9 @@ def tools():
             pytest.skip(f"{tool} is not installed: the core cannot be built alone")
 
 
-# Under sanitizers at night: `test_blocks` and the fuzzers run the core under them on each push.
-@pytest.mark.parametrize("sanitize", ["OFF", pytest.param("ON", marks=pytest.mark.nightly)])
+# At night: `make check` runs the programs of the laws on each push, under sanitizers.
+@pytest.mark.nightly
+@pytest.mark.parametrize("sanitize", ["OFF", "ON"])
 def test_its_laws_hold(tmp_path, sanitize):
     if sanitize == "ON" and (missing := sanitized.runtime_missing()):
         pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")

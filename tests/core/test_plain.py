@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, slip_elongations
-from examples import examples
+from examples import at_night, examples
 
 RANGE = 1e-12
 SOURCES = plain_records.CORE_SOURCES
@@ -272,7 +272,7 @@ def test_the_core_itself_refuses_what_python_did_not(make, message):
         make()
 
 
-@pytest.mark.parametrize("level", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("level", [at_night("-O0"), "-O2", at_night("-Os")])
 def test_the_core_needs_nothing(compiled, level):
     """Firmware without a C library links it: no heap, no input or output, no mathematics library."""
     compiled.compile(level, "-ffreestanding", "-flto", "-c", *SOURCES)
@@ -319,7 +319,9 @@ def bench():
     return actuator, state, np.concatenate([our.make_path(actuator, state.displacement, 7, k, 300) for k in kinds])
 
 
-@pytest.mark.parametrize("options", [["-O2"], ["-O3", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+@pytest.mark.parametrize(
+    "options", [at_night(["-O2"]), ["-O3", "-flto"], at_night(["-O1", "-fsanitize=address,undefined"])]
+)
 def test_c_compiled_apart_gives_the_same_bits(compiled, options):
     actuator, state, path = bench()
     compiled.compile(*options, "-fno-sanitize-recover", "main.c", *SOURCES, "-o", "main")
@@ -341,7 +343,7 @@ def test_the_core_stays_within_its_arrays(compiled):
         assert np.isfinite(got).all()
 
 
-@pytest.mark.parametrize("options", [["-O2", "-flto"], ["-O1", "-fsanitize=address,undefined"]])
+@pytest.mark.parametrize("options", [at_night(["-O2", "-flto"]), ["-O1", "-fsanitize=address,undefined"]])
 def test_the_core_works_in_single_precision(compiled, options):
     actuator, state, path = bench()
     strict = [*options, "-fno-sanitize-recover", "-Wdouble-promotion"]

@@ -21,6 +21,7 @@ import places
 import plain_records
 import pytest
 import structured_records
+from command_line import run
 from compiled_exports import KINDS, need, written
 
 import dehyst
@@ -306,9 +307,9 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("given", [compiled_exports.plain().actuator, None, 3, "model.json"])
 def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
-    for run in (export, lambda one, _: code(one)):
+    for write in (export, lambda one, _: code(one)):
         with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
-            run(given, tmp_path / "c")
+            write(given, tmp_path / "c")
     for path in (None, 3, b"c", "a\0b"):
         with pytest.raises(FileFormatError, match="name of a file"):
             export(compiled_exports.plain(), path)
@@ -566,35 +567,34 @@ def test_on_the_command_line(tmp_path):
     made = compiled_exports.plain()
     model = tmp_path / "model.json"
     made.actuator.save(model)
-    command = [str(Path(sys.executable).parent / "dehyst"), "export", str(model), "c", "--limits", "0", "250"]
 
-    def dehyst_export(*more):
-        return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
+    def exported(*more, high=250):
+        return run("export", model, "c", "--limits", "0", high, *more, cwd=tmp_path)
 
-    done = dehyst_export("--json", "--slew-rate", "2e4", "--period", "1e-3")
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
+    status, out, err = exported("--json", "--slew-rate", "2e4", "--period", "1e-3")
+    assert status == 0, err
+    told = json.loads(out)
     compensator = Compensator(
         made.actuator, (0, 250), 2e4, period=1e-3, state=made.actuator.turned(plain_records.STROKE)
     )
     assert told["bytes"]
     for name, text in code(compensator).items():
         assert (tmp_path / "c" / name).read_text() == text, name
-    again = dehyst_export()
-    assert again.returncode == 2
-    assert again.stderr.startswith("dehyst: c: holds an earlier export")
-    done = dehyst_export("--force", "--number", "float", "--start", "bottom", "--name", "stage")
+    status, _, err = exported()
+    assert status == 2
+    assert err.startswith("dehyst: c: holds an earlier export")
+    status, out, _ = exported("--force", "--number", "float", "--start", "bottom", "--name", "stage")
     assert (tmp_path / "c" / "stage.h").exists()
-    assert done.returncode == 0
-    late = dehyst_export("--force", "--slew-rate", "2e4")
-    assert late.returncode == 2
-    assert "--period" in late.stderr
-    assert "begins at 0" in done.stdout
-    assert "highest, never" in done.stdout
+    assert status == 0
+    assert "begins at 0" in out
+    assert "highest, never" in out
+    status, _, err = exported("--force", "--slew-rate", "2e4")
+    assert status == 2
+    assert "--period" in err
     top = made.actuator.voltage(made.actuator.turned(plain_records.STROKE))
     for high, said in ((top / 1.009, False), (top / 1.02, True)):
-        command[-1] = str(high)
-        assert ("memory begins at the nearest limit" in dehyst_export("--force").stderr) == said
+        _, _, err = exported("--force", "--no-measure", high=high)
+        assert ("memory begins at the nearest limit" in err) == said
 
 
 def test_a_creeping_model_that_is_ahead_says_so(tmp_path):

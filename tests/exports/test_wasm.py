@@ -22,6 +22,7 @@ from dehyst.cli import main
 from dehyst.exports import export_wasm, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
 from dehyst.exports.naming import shipped, shipped_bytes
+from examples import at_night
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -74,7 +75,8 @@ console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "samples"), [("plain", 10**6), *((kind, 20_000) for kind in KINDS if kind != "plain")]
+    ("kind", "samples"),
+    [("plain", 10**5), at_night("plain", 10**6), *((kind, 20_000) for kind in KINDS if kind != "plain")],
 )
 def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
     compensator = KINDS[kind]()
@@ -280,7 +282,7 @@ console.log(opened);
 """
 
 
-@pytest.mark.parametrize("kind", ["plain", "graded", "all", "moving"])
+@pytest.mark.parametrize("kind", ["plain", at_night("graded"), "all", at_night("moving")])
 def test_hostile_models_are_refused_or_stay_within_their_memory(tmp_path, kind):
     assert 30 < int(node(exported(tmp_path / kind, KINDS[kind]()), SEAL + HOSTILE)) < 3000
 
@@ -311,7 +313,7 @@ console.log(opened(numbers), [...found].sort().join());
 """
 
 
-@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
+@pytest.mark.parametrize("kind", ["plain", "all", at_night("moving")])
 def test_every_wrong_size_and_number_is_refused(tmp_path, kind):
     sound, refused = node(exported(tmp_path / kind, KINDS[kind]()), SEAL + EVERY).split()
     assert sound == "0"

@@ -7,12 +7,13 @@ import time
 
 import pytest
 
+import dehyst.fleet.run
 from dehyst.fleet import identify_fleet, load
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("distributed", reason="needs Dask: pip install 'dehyst[fleet]'")
 from command_line import DEHYST
-from fleet_records import descendants, kill, until, write_parquet
+from fleet_records import descendants, inline, kill, until, write_parquet
 
 pytestmark = pytest.mark.slow
 BY, COUNT = ("serial", "session"), 24
@@ -26,7 +27,9 @@ def dataset(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(dataset):
-    identify_fleet(dataset, dataset.with_name("m.parquet"), by=BY, jobs=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dehyst.fleet.run, "run_tasks", inline)
+        identify_fleet(dataset, dataset.with_name("m.parquet"), by=BY)
     return rows(dataset.with_name("m.parquet"))
 
 
@@ -45,10 +48,10 @@ def shards(output):
 
 @pytest.fixture
 def cluster(tmp_path):
-    """A function that starts a scheduler and two workers; it returns the processes and the address."""
+    """A function that starts a scheduler and workers; it returns the processes and the address."""
     begun = []
 
-    def begin(name):
+    def begin(name, workers=2):
         file, silent = tmp_path / f"{name}.json", {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         dask = [sys.executable, "-m", "dask"]
         words = ["--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
@@ -56,8 +59,8 @@ def cluster(tmp_path):
         assert until(lambda: file.exists() and file.read_text().endswith("}"), 120)
         address = json.loads(file.read_text())["address"]
         words = ["--nthreads", "1", "--no-dashboard", "--local-directory", str(tmp_path)]
-        begun.extend(subprocess.Popen([*dask, "worker", address, *words], **silent) for _ in range(2))
-        return begun[-3:], address
+        begun.extend(subprocess.Popen([*dask, "worker", address, *words], **silent) for _ in range(workers))
+        return begun[-1 - workers :], address
 
     yield begin
     for process in begun:
@@ -67,6 +70,15 @@ def cluster(tmp_path):
         process.wait()
 
 
+def test_a_scheduler_of_others_computes_the_rows(dataset, expected, tmp_path, cluster):
+    output, (_, address) = tmp_path / "m.parquet", cluster("only", workers=1)
+    process = client(dataset, output, "--dask", address)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert rows(output) == expected
+
+
+@pytest.mark.nightly
 def test_a_scheduler_that_is_killed_ends_with_its_reason_and_resume_goes_on(dataset, expected, tmp_path, cluster):
     output, (processes, address) = tmp_path / "m.parquet", cluster("first")
     process = client(dataset, output, "--dask", address)

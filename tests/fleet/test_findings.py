@@ -8,6 +8,7 @@ import numpy as np
 import places
 import pytest
 
+import dehyst.fleet.run
 from dehyst import FileFormatError, IdentifyError, Record
 from dehyst.fleet import FleetOptions, drifts_of, findings_of, identify_fleet, load
 from dehyst.fleet.drift import Ageing, chart_of, natural_order
@@ -17,7 +18,9 @@ from dehyst.fleet.prior import fitted, identified_with_prior, shape_of
 
 pytest.importorskip("pyarrow")
 from command_line import run_as_process as run
-from fleet_records import columns, write_parquet
+from fleet_records import columns, inline, write_parquet
+
+pytestmark = pytest.mark.usefixtures("in_this_process")
 
 COUNT, SESSIONS = 32, 4
 DEAD, NOISY, DRIFTING, AGEING, COPY = 5, 9, 14, 6, (17, 2)
@@ -39,7 +42,9 @@ def table(tmp_path_factory):
     path = write_parquet(folder / "d.parquet", COUNT, change, SESSIONS)
     copied = columns(COPY[1], **change(COPY[1]))
     _replace(path, COPY[0], copied)
-    identify_fleet(path, folder / "m.parquet", by=("serial", "session"), jobs=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dehyst.fleet.run, "run_tasks", inline)
+        identify_fleet(path, folder / "m.parquet", by=("serial", "session"))
     return folder / "m.parquet"
 
 

@@ -18,6 +18,8 @@ pytest.importorskip("pyarrow")
 from command_line import DEHYST
 from fleet_records import Fatal, alive, descendants, kill, noisy, until, workers_of, write_folder, write_parquet
 
+from examples import at_night
+
 BY = ("serial", "session")
 COUNT = 24
 
@@ -87,6 +89,7 @@ def test_models_load_and_rows_select_them(dataset, complete):
     assert load(path).rows == complete.rows
 
 
+@pytest.mark.nightly
 def test_killed_workers_lose_no_row(dataset, complete, tmp_path):
     output, killed = tmp_path / "m.parquet", []
 
@@ -128,7 +131,7 @@ def test_a_killed_client_leaves_shards_and_no_worker_and_resumes(dataset, comple
     assert first == second
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), at_night(signal.SIGTERM, 143)])
 def test_a_stopped_client_ends_cleanly_and_names_resume(dataset, complete, tmp_path, number, status):
     output = tmp_path / "m.parquet"
     process = client(dataset, output, "--jobs", "2")
@@ -147,6 +150,7 @@ def test_a_stopped_client_ends_cleanly_and_names_resume(dataset, complete, tmp_p
     assert done < COUNT and same_rows(load(output), complete)[0] == same_rows(load(output), complete)[1]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_finished_run_is_not_repeated(dataset, tmp_path):
     few = write_parquet(tmp_path / "few.parquet", 2)
     output = tmp_path / "m.parquet"
@@ -156,7 +160,7 @@ def test_a_finished_run_is_not_repeated(dataset, tmp_path):
     assert output.stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize("deaths", [2, 3])
+@pytest.mark.parametrize("deaths", [at_night(2), 3])
 def test_a_record_that_ends_its_workers_is_lost_at_the_third_time_and_the_others_are_not(
     dataset, complete, tmp_path, monkeypatch, deaths
 ):
@@ -182,6 +186,7 @@ def test_workers_that_never_begin_end_the_run(dataset, tmp_path, monkeypatch):
     assert not workers_of(os.getpid())
 
 
+@pytest.mark.nightly
 def test_a_worker_that_prints_leaves_the_output_to_the_client(dataset, tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(dehyst.fleet.engine, "run_one", noisy)
     identify_fleet(dataset, tmp_path / "m.parquet", by=BY, jobs=1)
@@ -199,6 +204,7 @@ def test_a_record_that_takes_too_long_is_lost_and_tried_again_on_resume(tmp_path
     assert [row["outcome"] for row in again.rows] == ["identified"] * 2
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_nothing_of_one_record_stops_the_others(tmp_path):
     folder = write_folder(tmp_path / "d", 4)
     (folder / "S000" / "0.csv").write_bytes(b"\0\1 no table")
@@ -228,6 +234,7 @@ def scaled(path, count, factors):
     return write_parquet(path, count, lambda k: {"gain": factors.get(k, 1.0)})
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_resumed_run_computes_changed_records_again(tmp_path):
     path, output, remarks = write_parquet(tmp_path / "d.parquet", 4), tmp_path / "m.parquet", []
     before = identify_fleet(path, output, by=BY, jobs=1)
@@ -242,6 +249,7 @@ def test_a_resumed_run_computes_changed_records_again(tmp_path):
     assert [one.as_dict() for one in after.actuators()[::2]] == models[::2]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_shards_of_changed_records_are_computed_again(tmp_path, monkeypatch):
     path, output, remarks = write_parquet(tmp_path / "d.parquet", 3), tmp_path / "m.parquet", []
     monkeypatch.setattr(dehyst.fleet.run.Shards, "remove", lambda shards: None)
@@ -252,6 +260,7 @@ def test_shards_of_changed_records_are_computed_again(tmp_path, monkeypatch):
     assert again.rows[2]["stroke_um"] > 14
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_touched_file_changes_nothing(tmp_path):
     path, output, remarks = write_parquet(tmp_path / "d.parquet", 2), tmp_path / "m.parquet", []
     before = identify_fleet(path, output, by=BY, jobs=1)
@@ -260,6 +269,7 @@ def test_a_touched_file_changes_nothing(tmp_path):
     assert not remarks
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_table_of_another_run_is_not_resumed(tmp_path):
     path, output = write_parquet(tmp_path / "d.parquet", 2), tmp_path / "m.parquet"
     identify_fleet(path, output, by=BY, jobs=1)

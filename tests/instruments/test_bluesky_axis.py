@@ -417,7 +417,7 @@ def test_without_ophyd(monkeypatch):
         import dehyst.instruments.bluesky_axis  # noqa: F401
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_example_as_it_is():
     """Loops recorded and identified through the IOC; then the scan, without hysteresis and with it."""
     with IocProcess(actuator={"noise": 2e-9}) as process:

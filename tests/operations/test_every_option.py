@@ -27,7 +27,6 @@ import dehyst.fleet.run
 from dehyst.cli import main
 from dehyst.cli.workbench import workbench
 from dehyst.control import Compensator
-from dehyst.fleet.task import TaskRunner
 from dehyst.operations.declaration import flag
 from dehyst.operations.files import RECORD
 from dehyst.operations.registry import ENTRIES, find
@@ -572,8 +571,7 @@ def bench(tmp_path_factory):
 def inline(head, tasks, *, jobs, scheduler):
     """Run tasks in this process."""
     click.echo(f"computed by {scheduler}, {jobs}, {head['time_limit']}")
-    runner = TaskRunner(head)
-    yield from map(runner.run, tasks)
+    yield from fleet_records.inline(head, tasks, jobs=jobs, scheduler=scheduler)
 
 
 def described(value):

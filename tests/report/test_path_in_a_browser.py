@@ -15,6 +15,7 @@ from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import write_report
 from dehyst.report.actuator_section import SAMPLES, path_trial
 from dehyst.report.report import render
+from examples import at_night
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -235,7 +236,9 @@ def test_a_dragged_point_is_computed_in_a_frame(page):
     assert seconds < 50
 
 
-@pytest.mark.parametrize("kind", compiled_exports.KINDS)
+@pytest.mark.parametrize(
+    "kind", [kind if kind in ("plain", "creep") else at_night(kind) for kind in compiled_exports.KINDS]
+)
 def test_every_class_of_model_is_served(browser, tmp_path, kind):
     actuator = compiled_exports.KINDS[kind]().actuator
     assert path_trial(Fit(replace(actuator, limits=None), Outcome.IDENTIFIED)) == ""

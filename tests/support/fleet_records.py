@@ -13,6 +13,7 @@ import numpy as np
 from dehyst import Record, write_record
 from dehyst.fleet.engine import run_one
 from dehyst.fleet.table import Shards
+from dehyst.fleet.task import TaskRunner
 from dehyst.virtual import PlayActuator
 
 
@@ -112,6 +113,11 @@ class Fatal:
             return run_one(head, task)
         with patch("dehyst.fleet.task.run_task", fail):
             return run_one(head, task)
+
+
+def inline(head, tasks, *, jobs, scheduler):
+    """Run tasks in this process."""
+    yield from map(TaskRunner(head).run, tasks)
 
 
 def noisy(head, task):

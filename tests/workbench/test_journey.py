@@ -128,6 +128,7 @@ def test_an_assessment_is_a_report_of_the_folder(visited):
     assert all(words in report for words in ("Where the records turned", "are known within", "homing"))
 
 
+@pytest.mark.nightly
 def test_the_script_makes_the_same_files_again(visited, tmp_path):
     folder, state, *_ = visited
     shutil.copytree(folder / "uploads", tmp_path / "again" / "uploads")

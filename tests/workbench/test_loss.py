@@ -9,7 +9,7 @@ from workbench_page import CHROMIUM
 pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")]
 # The others are repeated at night: what follows from them is tested beside, at the process that holds the rig.
-ALWAYS = ("page-closed", "network", "server-killed")
+ALWAYS = ("network", "server-killed")
 
 
 @pytest.mark.parametrize(

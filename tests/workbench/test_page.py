@@ -248,6 +248,7 @@ def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
     person.page.locator("#record-list > li").wait_for(state="detached")
 
 
+@pytest.mark.nightly
 def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     with emulator("--speed", "20", "--limits", "0", "100") as address:
         person.connect(address, LIMITS, SLEW)

@@ -7,8 +7,8 @@ from rig_ways import BATCH, BUSY, WAYS, rehearse
 pytestmark = pytest.mark.slow
 
 
-# What the device does wrong is tested at the driver too, and here in `make nightly`.
-AT_NIGHT = ("refuse", "garble", "unplug", "error")
+# What the device does wrong is tested at the driver too, and signals are handled alike: here for `make nightly`.
+AT_NIGHT = ("refuse", "garble", "unplug", "error", "besieged", "disarm", "interrupt", "hang-up", "server-terminate")
 
 
 @pytest.mark.parametrize(
