@@ -34,6 +34,7 @@ def test_a_step_takes_bounded_time(tmp_path, kind):
     assert 100 < np.median(usual) < usual.max() <= 2 * clamped.max() < 20_000
 
 
+@pytest.mark.nightly
 def test_bytes_are_those_of_the_program(tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     folder = written(tmp_path / "c", KINDS["all"](), "float")
