@@ -2,7 +2,8 @@
 
 Coupling of 2 to 6 % between all axes, noise, and a held-out record in which the axes move together; the same stages
 with coupling that has hysteresis of its own must be found out. The truths set aside are of other mechanisms and other
-seeds. Writes `coupled_axes.json`.
+seeds. `--set detection`: stages of two axes whose coupling of 3 % has hysteresis of its own on one side, or on none.
+Writes `coupled_axes.json`.
 """
 
 import argparse
@@ -12,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from strangers import truths
+from strangers import last_truths, more_truths, truths
 
 import dehyst
 from dehyst.records import Record
@@ -43,6 +44,14 @@ SETS = {
     "set aside": strange(truths.Domains, truths.StribeckSlip, truths.Relays),
     "with Bouc-Wen": [partial(own, kind) for kind in (PlayActuator, PreisachActuator, BoucWenActuator)],
 }
+# Detection: seeds, coupling, mechanisms of the axes, and of the hysteretic coupling with this reversible share.
+SEEDS, SIZE, REVERSIBLE = 20, 0.03, 0.1
+AXES = [
+    partial(own, PlayActuator),
+    partial(own, PreisachActuator),
+    *strange(truths.Relays, truths.StribeckSlip),
+]
+COUPLINGS = [truths.Domains, truths.Relays, more_truths.Moving, last_truths.ElasticLine, last_truths.Accommodating]
 SHIFTS = {"truths": 0, "set aside": 50, "with Bouc-Wen": 80}
 
 
@@ -137,6 +146,90 @@ def measure(kinds, seed, bent):
     }
 
 
+class TwoAxes:
+    """Two actuators; `hysteretic`: the second one moves the first axis through a mechanism of its own."""
+
+    def __init__(self, seed, hysteretic):
+        rng = np.random.default_rng([29, seed])
+        kinds = rng.choice(len(AXES), 2, replace=False)
+        self.actuators = [AXES[kind](STROKES[j], HIGHEST[j]) for j, kind in enumerate(kinds)]
+        self.coupling = np.eye(2) + SIZE * np.array([[0, 1], [1, 0]]) * rng.choice([-1, 1], (2, 2))
+        self.element = wide(COUPLINGS[seed % len(COUPLINGS)]) if hysteretic else None
+        self.names = [type(getattr(one, "mechanism", one)).__name__ for one in (*self.actuators, self.element) if one]
+        self.rng, self.apart = rng, 0.0
+
+    def play(self, seconds, voltage):
+        """Return the displacements (n, axes) [m] as measured."""
+        moved = np.column_stack(
+            [one.play(voltage[:, j], time=seconds, measured=False) for j, one in enumerate(self.actuators)]
+        )
+        y = moved @ self.coupling.T
+        if self.element is not None:
+            other = self.element.play(voltage[:, 1], time=seconds)
+            y[:, 0] += self.coupling[0, 1] * (other - moved[:, 1])
+            # What no number describes, by the best of all numbers.
+            h, g = moved[:, 1] - moved[:, 1].mean(), other - other.mean()
+            self.apart = SIZE * float(np.std(g - h * (h @ g) / (h @ h))) / STROKES[0]
+        return y + self.rng.normal(0.0, NOISE, y.shape)
+
+
+def wide(kind):
+    """Return a mechanism as an actuator of the second axis with hardly a reversible part: loops of twice the width."""
+
+    def made():
+        one = kind()
+        one.reversible = REVERSIBLE
+        return one
+
+    cycle = np.tile(0.5 - 0.5 * np.cos(np.linspace(0, 2 * np.pi, 101)[1:]), 3)
+    reached = made().play(cycle, np.full(cycle.size, 0.01))[100:]
+    return truths.VirtualStranger(made, STROKES[1] / float(np.ptp(reached)), HIGHEST[1], rate=RATE)
+
+
+def detect(seed, hysteretic):
+    """Identify a stage of two axes, and return what is said of its coupling."""
+    stage = TwoAxes(seed, hysteretic)
+    drive = Sampling(FREQUENCY, sample_rate=RATE)
+    t = np.arange(0, 2.0, 1 / RATE)
+    stage.play(t, 0.5 * (1 - np.cos(np.pi * t))[:, None] * np.array(HIGHEST[:2]))
+    training = stage_excitation(HIGHEST[:2], drive=drive, seed=seed)
+    began = time.process_time()
+    fit = dehyst.identify_stage(_record(stage, 2.0 + training.time, training.voltage, "training"), throw=False)
+    talk = fit.cross_talk
+    return {
+        "seed": seed,
+        "mechanisms": stage.names,
+        "hysteretic_coupling": hysteretic,
+        "no_number_percent": 100 * stage.apart,
+        "is_matrix": fit.is_matrix,
+        "beyond": talk.beyond.tolist(),
+        "residual_coupling_percent": (100 * talk.size).tolist(),
+        "certainty": talk.certainty.tolist(),
+        "seconds": time.process_time() - began,
+    }
+
+
+def detection(seeds):
+    """Return how often a hysteretic coupling is found, on the right side, and a linear one is accused."""
+    rows = []
+    for seed in range(seeds):
+        for hysteretic in (True, False):
+            rows.append(detect(seed, hysteretic))
+            row = rows[-1]
+            print(
+                f"detection {seed} {'/'.join(row['mechanisms'])}: {row['no_number_percent']:.3f} % no number; left "
+                f"{row['residual_coupling_percent'][0][1]:.3f} and {row['residual_coupling_percent'][1][0]:.3f} %, "
+                f"certainty {row['certainty'][0][1]:.1f} and {row['certainty'][1][0]:.1f}, "
+                f"{'a matrix' if row['is_matrix'] else 'no matrix'}, {row['seconds']:.0f} s",
+                flush=True,
+            )
+    found = [row["beyond"] == [[False, True], [False, False]] for row in rows if row["hysteretic_coupling"]]
+    accused = [not row["is_matrix"] for row in rows if not row["hysteretic_coupling"]]
+    counts = {"found": sum(found), "of_hysteretic": len(found), "accused": sum(accused), "of_linear": len(accused)}
+    print("detection", counts)
+    return {"summary": counts, "stages": rows}
+
+
 def summary(rows):
     plain, bent = ([row for row in rows if row["hysteretic_coupling"] is kind] for kind in (False, True))
     return {
@@ -155,12 +248,16 @@ def summary(rows):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--set", choices=list(SETS), action="append", help="default: all")
-    parser.add_argument("--seeds", type=int, default=len(PLAIN))
+    parser.add_argument("--set", choices=[*SETS, "detection"], action="append", help="default: all")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="at most so many of each set")
     options = parser.parse_args()
-    chosen = options.set or list(SETS)
+    chosen = options.set or [*SETS, "detection"]
     found = json.loads(OUTPUT.read_text()) if OUTPUT.exists() and options.set else {}
     for name in chosen:
+        if name == "detection":
+            found[name] = detection(options.seeds)
+            OUTPUT.write_text(json.dumps(found, indent=1) + "\n")
+            continue
         shift = SHIFTS[name]
         cases = [(k, False) for k in PLAIN[: options.seeds]] + [(k, True) for k in BENT[: options.seeds]]
         rows = []

@@ -40,6 +40,18 @@ def test_matrix_and_held_out_record(fit):
     assert fit.as_dict()["coupling"] == fit.stage.coupling.tolist()
 
 
+def test_an_axis_that_stands_at_first_is_judged_where_it_moves():
+    """Of y nothing is known before its first turns: it came to 50 V from below, where no loop of the record goes."""
+    fit = dehyst.identify_stage(coupled_stage.excited(base=(0.0, 50.0))[0])
+    of_y = fit.errors[1]
+    whole = fit.fits[1].errors[0]
+    assert whole.largest > 0.01 * whole.stroke
+    assert of_y.largest_percent < 0.2
+    assert of_y.left_out > 1000
+    assert all(one.expectation.readiness.name == "READY" for one in fit.fits)
+    assert fit.verdict.startswith("Ready for use")
+
+
 def test_an_axis_without_a_model_is_named(fit):
     none = replace(fit, stage=None, fits=(fit.fits[0], replace(fit.fits[1], actuator=None)), axes=("x", "second"))
     assert none.exchanged == () and not none.good

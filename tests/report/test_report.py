@@ -4,6 +4,7 @@ import html
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from dehyst._errors import FileFormatError
 from dehyst.identification import Check, Fit, Outcome, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.expectation import Expectation
-from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.model import Actuator, MaxwellSlip, Spring, Thermal
 from dehyst.report import fit_section, report
 from dehyst.report.charts import thinned
 from dehyst.report.html import length, number, spelled
@@ -209,6 +210,12 @@ def test_a_failed_fit_needs_no_drawing():
     page = Page(report.render(Fit(None, Outcome.FAILED, status="infeasible")))
     assert Outcome.FAILED.value in page.words and "infeasible" in page.words and "not known" in page.words
     assert not charts(page) and not {"script", "table"} & set(page.tags)
+
+
+def test_a_model_that_depends_on_temperature_is_tried_at_its_reference():
+    model = replace(actuator(), thermal=Thermal(3e-3, reference=21.5))
+    page = Page(report.render(Fit(model, Outcome.IDENTIFIED, traces=(trace(model, samples=600),))))
+    assert ("section", "id", "path-trial") in page.attributes and "21.5 degrees Celsius" in page.words
 
 
 def test_importing_it_does_not_load_matplotlib():

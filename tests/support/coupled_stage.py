@@ -29,6 +29,7 @@ def played(time, voltage, seed=0, coupling=COUPLING, bent=0.0, noise=3e-9):
     return Record(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
 
 
-def excited(seed=0, *, steps=8, cycles=8, **options):
-    found = stage_excitation(HIGHEST, drive=Sampling(0.5, sample_rate=50.0), steps=steps, cycles=cycles, seed=seed)
+def excited(seed=0, *, steps=8, cycles=8, base=(0.0, 0.0), **options):
+    drive = [Sampling(0.5, sample_rate=50.0, base=volts) for volts in base]
+    found = stage_excitation(HIGHEST, drive=drive, steps=steps, cycles=cycles, seed=seed)
     return played(found.time, found.voltage, seed, **options), found

@@ -12,13 +12,13 @@ FACES = {
             wave_table write_record
         """,
         "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot Drift Exchange StageUpdate Update update update_stage
+            AdaptiveCompensator AdaptiveSnapshot Update update update_stage
         """,
         "baselines": """
             BASELINES ModelComparison compare
         """,
         "calibration": """
-            Calibration PathRun Plan Repetition TrackedPath calibrate
+            Calibration PathRun Plan TrackedPath calibrate
         """,
         "cli": """
             main
@@ -32,8 +32,7 @@ FACES = {
             Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Dataset Drifts Findings Fleet drifts_of findings_of identify_fleet
-            load open_dataset
+            Dataset Fleet drifts_of findings_of identify_fleet load open_dataset
         """,
         "identification": """
             Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify
@@ -59,7 +58,7 @@ FACES = {
             Paper
         """,
         "trust": """
-            Change CheckHistory Insight Recheck StageInsight StageRecheck check
+            Change CheckHistory Insight Recheck check
             check_stage insight judge stage_insight
         """,
         "virtual": """

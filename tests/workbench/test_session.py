@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring
-from dehyst.workbench.data import RequestError, written_path
+from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring, Thermal
+from dehyst.workbench.data import RequestError, wasm, written_path
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Finished
 from dehyst.workbench.server import Events
@@ -21,6 +21,7 @@ SHOWN = {
     "displacement_um": [0, 10],
     "columns": {"voltage": "U", "displacement": "s"},
     "scales": {"voltage": "100 V/V"},
+    "others": {"temperature_C": [20.0, 25.0]},
     "usable": True,
     "problems": ["The record is short."],
 }
@@ -137,6 +138,7 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
     assert (entry.status, entry.samples, entry.voltage) == ("ready", 100, [0, 100])
     assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'"]
     assert (entry.problems, entry.usable) == (["The record is short."], True)
+    assert entry.others == {"temperature_C": [20.0, 25.0]}
     assert stage.session.state()["log"] == ["dehyst show uploads/loops.csv --output records/loops.npz --force"]
     assert stage.changes > 1
 
@@ -168,6 +170,13 @@ async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage)
     renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
     await stage.next(Finished({**SHOWN, **renamed}))
     assert (entry.status, entry.file_columns) == ("ready", columns)
+
+
+def test_a_model_that_depends_on_temperature_is_computed_with_on_the_page(tmp_path):
+    Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), limits=(0, 100), thermal=Thermal(3e-3)).save(
+        tmp_path / "m.json"
+    )
+    assert wasm(tmp_path / "m.json", None).startswith(b"\0asm")
 
 
 @played

@@ -1,16 +1,6 @@
 """Adaptation: models that stay true in use, by a new record or in the loop."""
 
 from dehyst.adaptation.adaptive_compensator import FEWEST, AdaptiveCompensator, AdaptiveSnapshot, Drift
-from dehyst.adaptation.estimator import Exchange
-from dehyst.adaptation.record_update import StageUpdate, Update, update, update_stage
+from dehyst.adaptation.record_update import Update, update, update_stage
 
-__all__ = [
-    "AdaptiveCompensator",
-    "AdaptiveSnapshot",
-    "Drift",
-    "Exchange",
-    "StageUpdate",
-    "Update",
-    "update",
-    "update_stage",
-]
+__all__ = ["AdaptiveCompensator", "AdaptiveSnapshot", "Update", "update", "update_stage"]

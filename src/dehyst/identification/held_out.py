@@ -24,7 +24,7 @@ from dehyst._types import Array, Mask, Progress
 from dehyst.identification.creep_search import CreepSearch
 from dehyst.identification.expectation import new_legs
 from dehyst.identification.preprocessing.preparation import Prepared
-from dehyst.identification.regression.fold_sums import FoldSums, equally_weighted, least_squares_of_sums
+from dehyst.identification.regression.fold_sums import least_squares_of_sums, weighted_alike
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import HeldOutHolds
 from dehyst.identification.rules import RULES
@@ -108,20 +108,18 @@ def _residuals(
     part = np.zeros(len(rows), dtype=np.intp)
     for q, item in enumerate(frame.training):
         part[rows.record == q] = _part_of(item, rows.time[rows.record == q])
-    weights = equally_weighted(regression).inverse_slopes
+    sums = weighted_alike(regression, _PARTS // 2, part % (_PARTS // 2))
     for k in folds:
-        group = k, k + _PARTS // 2
-        out = np.isin(part, group)
-        fitted = FoldSums(regression, weights, folds=2, given=out.astype(np.intp)).without(1)
+        fitted = sums.without(k)
         if fitted is None:
             continue
-        actuator, known = frame.actuator_of(regression, fitted), regression.axis[~out]
+        actuator, known = frame.actuator_of(regression, fitted), regression.axis[sums.fold != k]
         for q, item in enumerate(frame.training):
             datum, drifting = float(regression.datum[q]), q in regression.drifting
             compared = compare(actuator, item, frame.stroke, datum=datum, drifting=drifting)
             time, measured, simulated = _played(actuator, compared)
             inside = (measured >= known.min()) & (measured <= known.max())
-            yield q, time, measured - simulated, np.isin(_part_of(item, time), group) & inside
+            yield q, time, measured - simulated, (_part_of(item, time) % (_PARTS // 2) == k) & inside
 
 
 def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Array, Array]:

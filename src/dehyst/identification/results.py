@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from math import isnan, nan
 from pathlib import Path
@@ -151,6 +151,15 @@ class Trace:
     def residual(self) -> Array:
         """Measured minus simulated displacement (n,) [m]."""
         return self.measured - self.simulated
+
+    @property
+    def settled(self) -> Trace:
+        """The trace from the second turning point of its voltage on, its first sample aside; all of it without one."""
+        turns = turning_points(self.voltage, 0.02 * float(np.ptp(self.voltage)))
+        later = turns[turns > 0]
+        at = int(later[1]) if len(later) > 2 else 0
+        kept = {name: getattr(self, name)[at:] for name in ("time", "voltage", "measured", "simulated")}
+        return replace(self, **kept)
 
     def to_dataframe(self) -> DataFrame:
         """Return the columns time_s, voltage_V, measured_um and simulated_um as a pandas DataFrame.

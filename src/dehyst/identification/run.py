@@ -30,7 +30,7 @@ from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.structure_selection import StructureTrial, select
-from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_hold
+from dehyst.identification.training_data import FEW_ROWS, Lagging, TrainingData, longest_standstill
 from dehyst.identification.validation import MOST_ROWS, compare, errors_of
 from dehyst.model import Actuator, DisplacementCreep, Identification, Outcome
 from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
@@ -204,7 +204,7 @@ class IdentificationRun:
         """Return the structure that the records support, and the trials; fields in `without` do not change."""
         if not frame.supports_creep() and not without:
             without = ("creep",)
-            longest, needed = max(map(longest_hold, frame.training), key=lambda one: one[0] - one[1])
+            longest, needed = max(map(longest_standstill, frame.training), key=lambda one: one[0] - one[1])
             drive = messages.drive_like(frame.voltages, frame.training)
             remark = messages.of_creep_not_tried(longest, needed, drive)
             self.remarks += [] if remark in self.remarks else [remark]

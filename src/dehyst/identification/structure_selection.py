@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
-from dehyst.identification.regression.fold_sums import FoldSums, Nearby, equally_weighted
+from dehyst.identification.regression.fold_sums import FoldSums, Nearby, weighted_alike
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
@@ -183,7 +183,7 @@ def try_structure(build: Build, structure: Structure, progress: Progress, before
     begin = time.perf_counter()
     regression = build(structure)
     if before is None or before.weights is None:
-        sums = FoldSums(regression, equally_weighted(regression).inverse_slopes, folds=_FOLDS)
+        sums = weighted_alike(regression, _FOLDS)
     else:
         sums = FoldSums(regression, before.weights, before.nearby, _FOLDS)
     held_out, training = rms(sums.held_out_errors()), sums.training_error

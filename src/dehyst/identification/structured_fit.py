@@ -53,10 +53,8 @@ class StructuredFit:
         """Solve the program of all rows."""
         regression = frame.regression(structure)
         if regression.whole:
-            weights = fold_sums.FoldSums(
-                regression, fold_sums.equally_weighted(regression).inverse_slopes
-            ).inverse_slopes
-            found = regression.fit(norm, weights, like=fold_sums.nearly_least_absolute(regression, weights))
+            weighted = fold_sums.FoldSums(regression, fold_sums.weighted_alike(regression).inverse_slopes)
+            found = regression.fit(norm, weighted.weights, like=fold_sums.nearly_least_absolute(weighted))
         else:
             found = regression.fit_weighted(norm)
         return cls(frame, structure, norm, regression, found)

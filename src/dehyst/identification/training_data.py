@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.preprocessing.cleaning import cycle_time
-from dehyst.identification.preprocessing.denoising import left_of, remove_dynamics, remove_jitter, significant_delay
+from dehyst.identification.preprocessing.denoising import left_of, significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import RowSource
 from dehyst.identification.regression.coefficients import Coefficients
@@ -162,13 +162,11 @@ class TrainingData:
     def _paths(self) -> list[tuple[int, Record]]:
         """Record number and path that drives the elements of each piece of all records."""
         at = self.lagging
-        paths = [(q, path) for q, item in enumerate(self.training) for path in item.acting(at.delay, at.lag)]
-        if not self.denoised:
-            return paths
-        return [
-            (q, remove_jitter(remove_dynamics(path, at.dynamics), self.training[q].noise, self.stroke))
-            for q, path in paths
-        ]
+        every = (
+            item.driving(at.delay, at.lag, at.dynamics, self.stroke) if self.denoised else item.acting(at.delay, at.lag)
+            for item in self.training
+        )
+        return [(q, path) for q, paths in enumerate(every) for path in paths]
 
     def without_creep(self, part: DisplacementCreep) -> TrainingData:
         """Return the records before creep in displacement: they creep no more."""
@@ -249,7 +247,7 @@ class TrainingData:
         if self.creepless:
             return False
         return _has_two_speeds(self.training) or any(
-            longest > needed for longest, needed in map(longest_hold, self.training)
+            longest > needed for longest, needed in map(longest_standstill, self.training)
         )
 
     @property
@@ -306,7 +304,7 @@ def _fastest(piece: Record) -> float:
     return float(change.max(initial=0.0)) / (FEW_STEPS * piece.sample_time)
 
 
-def longest_hold(item: Prepared) -> tuple[float, float]:
+def longest_standstill(item: Prepared) -> tuple[float, float]:
     """Return how long the voltage stands still at most, and the least hold that shows creep [s].
 
     That is as long as a leg lasts, or a tenth of the record.

@@ -264,7 +264,10 @@ def compare(
         record, actuator = record.without_creep(creep), actuator.before_creep
     few, whole = record.reduced, record.delayed(0, actuator.delay, actuator.lag)
     measured = whole if record.block == 1 else few.delayed(0, actuator.delay, actuator.lag)
-    pieces = [one._replace(path=driving_path(actuator, one.path, few.noise, stroke)) for one in measured]
+    pieces = measured
+    if _denoised(actuator, few.noise, stroke):
+        paths = few.driving(actuator.delay, actuator.lag, actuator.dynamics, stroke)
+        pieces = [one._replace(path=path) for one, path in zip(measured, paths, strict=True)]
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
     source = RowSource.of(pieces, grid, [left_of(few.noise, stroke)] * len(pieces), leads=[few.lead])
     spring, model = actuator.spring, Coefficients.from_actuator(actuator)
@@ -283,13 +286,17 @@ def compare(
     return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]), creep)
 
 
-def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """Return a measured piece as it drives the elements of an actuator: before the resonance, and without jitter.
+def _denoised(actuator: Actuator, noise: float, stroke: float) -> bool:
+    """Whether noise is taken out of the path: Maxwell-slip elements take a displacement of little noise as it is."""
+    return actuator.wide or disturbs(noise, stroke)
 
-    Maxwell-slip elements and a spring take a displacement of little noise as it is. `noise`, `stroke`: standard
-    deviation of the sensor, and range of the widest loop [m].
+
+def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
+    """Return a measured piece as it drives the elements of an actuator, see `Prepared.driving`.
+
+    `noise`, `stroke`: standard deviation of the sensor, and range of the widest loop [m].
     """
-    if actuator.wide or disturbs(noise, stroke):
+    if _denoised(actuator, noise, stroke):
         return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
     return piece
 
@@ -412,7 +419,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
                 squares[k] += float(np.sum(error**2))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
-    settled = np.abs(trace.residual[_settled(voltage) :])
+    settled = np.abs(trace.settled.residual)
     whole, with_drift = (float(np.sqrt(one / samples)) for one in squares)
     return RecordErrors(
         record=record.name,
@@ -433,13 +440,6 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
         settled_rms=rms(settled),
     ), trace
-
-
-def _settled(voltage: Array) -> int:
-    """Return the sample of the second turning point of a voltage, its first sample aside; 0 if there is none."""
-    turns = turning_points(voltage, 0.02 * float(np.ptp(voltage)))
-    later = turns[turns > 0]
-    return int(later[1]) if len(later) > 2 else 0
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:

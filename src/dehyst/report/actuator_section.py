@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -218,7 +219,8 @@ def path_trial(fit: Fit) -> Applet | str:
     actuator = fit.actuator
     if not isinstance(actuator, Actuator) or actuator.limits is None:
         return ""
-    made = _compensator(actuator, _duration(fit))
+    # The module has no input for a temperature: at the reference.
+    made = _compensator(replace(actuator, thermal=None), _duration(fit))
     if made is None:
         return ""
     compensator, seconds = made
@@ -229,6 +231,8 @@ def path_trial(fit: Fit) -> Applet | str:
         f"actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; the band is the "
         "error of the model to expect. The path is drawn among the turning points of the records, too."
     )
+    if actuator.thermal is not None:
+        caption += f" All of this is at {actuator.thermal.reference:.3g} degrees Celsius."
     data = {
         "module": base64.b64encode(wasm_module(compensator)).decode("ascii"),
         "samples": SAMPLES,

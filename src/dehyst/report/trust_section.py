@@ -196,7 +196,7 @@ def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
     notes = [("tested, paler: one branch of the loop only", "tested")]
-    about = {"fastest": plane.speeds[1], "held": plane.longest_hold}
+    about = {"fastest": plane.speeds[1], "held": plane.longest_hold_at_turn}
     return Chart("Turning points", x, y, series, notes=notes, about=about)
 
 

@@ -9,7 +9,7 @@ from dehyst.trust.judgement import Judgement, judge
 from dehyst.trust.precision import NOISE_BIAS
 from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
 from dehyst.trust.recheck import Recheck, check
-from dehyst.trust.stage_assessment import StageInsight, StageRecheck, check_stage, stage_insight
+from dehyst.trust.stage_assessment import StageInsight, check_stage, stage_insight
 from dehyst.trust.start import start_of
 from dehyst.trust.turn_plane import Turn, TurnPlane, turn_plane
 
@@ -18,8 +18,6 @@ __all__ = [
     "CheckHistory",
     "Insight",
     "Recheck",
-    "StageInsight",
-    "StageRecheck",
     "check",
     "check_stage",
     "insight",

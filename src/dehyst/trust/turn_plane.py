@@ -82,7 +82,7 @@ class TurnPlane:
         return min(speeds), max(speeds)
 
     @property
-    def longest_hold(self) -> float:
+    def longest_hold_at_turn(self) -> float:
         """Longest hold at a turning point [s]."""
         return max(turn.held for turn in self.turns)
 
@@ -112,7 +112,7 @@ class TurnPlane:
             "upper_V": [max(turn.begin, turn.end) for turn in self.turns],
             "names": [turn.words for turn in self.turns],
             "speeds_V_per_s": list(self.speeds),
-            "longest_hold_s": self.longest_hold,
+            "longest_hold_at_turn_s": self.longest_hold_at_turn,
         }
 
 

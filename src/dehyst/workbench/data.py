@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -105,8 +106,11 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
 
 
 def wasm(file: Path, period: float | None) -> bytes:
-    """Return a model as a WebAssembly module with a `period` [s], for a model that depends on time."""
-    actuator = Actuator.load(file)
+    """Return a model as a WebAssembly module with a `period` [s], for a model that depends on time.
+
+    A model that depends on temperature is at its reference.
+    """
+    actuator = replace(Actuator.load(file), thermal=None)
     return wasm_module(Compensator(actuator, period=period if actuator.needs_time else None))
 
 

@@ -67,6 +67,7 @@ class RecordEntry:
     voltage: list[float] = field(default_factory=list)
     displacement_um: list[float] = field(default_factory=list)
     noise_nm: float = 0.0
+    others: dict[str, list[float]] = field(default_factory=dict)
     words: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     usable: bool = True
@@ -86,6 +87,7 @@ class RecordEntry:
         self.usable = all(one["usable"] for one in parts)
         self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
         self.rate_hz, self.noise_nm = float(first["sample_rate_Hz"]), max(float(one["noise_nm"]) for one in parts)
+        self.others = dict(first["others"])
         for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
             setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
         for axis, one in zip(self.axes or [""], parts, strict=True):

@@ -24,7 +24,7 @@ _DOUBTFUL = 1.0
 _LEAST_POWER, _STILL = 1e-3, 1e-2
 # Of the energy of the columns.
 _RIDGE = 1e-4
-# Columns of a block that count.
+# Columns of a block that count: those that move most.
 _DIRECTIONS = 12
 # Rows of the residual of a single axis, and its least share (RMS) of the stroke for a warning of another voltage.
 _MOST_ROWS, _LEAST_NEIGHBOUR = 12_000, 0.002
@@ -72,21 +72,23 @@ class CrossTalk:
 def cross_talk(columns: PlayColumns, traces: Sequence[AxisTraces], coupling: Array, strokes: Array) -> CrossTalk:
     """Return how well the voltage of each axis predicts the residuals of the others on held-out time.
 
-    The rule: the plays of the voltage of axis j, bent by ramps, are fitted to the residual of axis i in five sixths of
-    the spans of the records, together with those of axis i itself. Coupling of j into i is more than a number if they
-    improve the prediction of the other spans by more than three standard errors of the improvement, and by more than
-    0.04 % of the stroke (RMS).
+    The rule: the plays of the voltage of axis j, bent by ramps, are fitted to axis i in five sixths of the spans of the
+    records, together with those of axis i itself and the outputs of all models, so that models and matrix can give way.
+    Coupling of j into i is more than a number if the plays of j improve the prediction of the other spans by more than
+    three standard errors of the improvement, and by more than 0.04 % of the stroke (RMS).
     """
     residual = np.concatenate([block_means(one.residual(coupling), columns.every) for one in traces])
-    spans = columns.groups(_SPANS)
+    rows = np.isfinite(residual).all(axis=1)
+    outputs = np.concatenate([block_means(one.outputs, columns.every) for one in traces])[rows]
+    spans = columns.groups(_SPANS)[rows]
+    moving = [block[rows, :_DIRECTIONS] for block in columns.whitened]
     count = residual.shape[1]
     size, certainty = np.zeros((count, count)), np.zeros((count, count))
-    rows = np.isfinite(residual).all(axis=1)
     for i in range(count):
+        base, target = np.hstack([moving[i], outputs]), residual[rows, i] / strokes[i]
         for j in range(count):
             if i != j:
-                base, more = columns.whitened[i][rows], columns.whitened[j][rows]
-                size[i, j], certainty[i, j] = held_out_gain(base, more, residual[rows, i] / strokes[i], spans[rows])
+                size[i, j], certainty[i, j] = held_out_gain(base, moving[j], target, spans)
     floor = np.where(np.eye(count, dtype=bool), 0.0, _LEAST)
     beyond = (size > floor) & (certainty > _CERTAIN)
     return CrossTalk(size, floor, certainty, beyond)
@@ -97,11 +99,10 @@ def held_out_gain(base: Array, more: Array, target: Array, spans: NDArray[np.int
 
     The certainty is the mean over the spans of the relative improvement, in its standard errors.
 
-    Of both, the first columns count, which move most. The level of each span is free: it is not a motion due to a
-    voltage. Spans in which the further columns do not move are left out; the others are weighted by their residual with
-    all columns.
+    The level of each span is free: it is not a motion due to a voltage. Spans in which the further columns do not move
+    are left out; the others are weighted by their residual with all columns.
     """
-    base, more = _without_levels(base[:, :_DIRECTIONS], spans), _without_levels(more[:, :_DIRECTIONS], spans)
+    base, more = _without_levels(base, spans), _without_levels(more, spans)
     target = _without_levels(target[:, None], spans)[:, 0]
     both = np.hstack([base, more])
     missed = (target - both @ _fitted(both, target, np.ones(len(target)))) ** 2
@@ -184,12 +185,13 @@ def followed(trace: Trace, time: Array, others: Mapping[str, Array], stroke: flo
     stroke : float
         [m].
     """
-    found = []
+    found, trace = [], trace.settled
     rows = np.minimum(np.searchsorted(time, trace.time - 1e-9), len(time) - 1)
     every = max(1, len(rows) // _MOST_ROWS)
     residual = block_means(trace.residual, every) / stroke
     place = np.arange(len(residual)) * _SPANS // max(len(residual), 1)
-    base = _moving(block_means(_motion(trace.voltage), every))
+    own = _moving(block_means(_motion(trace.voltage), every))
+    base = np.column_stack([own, block_means(trace.simulated, every)])
     for name, voltage in others.items():
         if np.ptp(voltage) > 0 and np.isfinite(voltage).all():
             motion = _moving(block_means(_motion(voltage)[rows], every))
@@ -205,5 +207,5 @@ def _motion(voltage: Array) -> Array:
 
 
 def _moving(block: Array) -> Array:
-    """Return the directions of a block that move most first."""
-    return np.asarray(np.linalg.svd(block - block.mean(axis=0), full_matrices=False)[0])
+    """Return the directions of a block that move most."""
+    return np.asarray(np.linalg.svd(block - block.mean(axis=0), full_matrices=False)[0][:, :_DIRECTIONS])

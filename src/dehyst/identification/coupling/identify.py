@@ -20,7 +20,7 @@ from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.identify import identify
 from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
-from dehyst.records import Record
+from dehyst.records import Record, largest, rms
 
 # Matrix and axes are identified in turn until the matrix moves no axis by more than this share of its stroke.
 _MOST_PASSES, _SETTLED = 3, 2e-4
@@ -45,7 +45,8 @@ class AxisError:
     stroke : float
         Range of the axis in the training records [m], the reference of percentages.
     samples, left_out : int
-        Number of samples that are compared, and of others.
+        Number of samples that are compared, and of others: those before the axis moves, and before the second turning
+        point of each voltage that moves.
     """
 
     record: str
@@ -341,24 +342,16 @@ def _axis_fits(
 
 
 def _errors(traces: matrix.AxisTraces, role: str, coupling: Array, strokes: Array) -> list[AxisError]:
+    """Return the error of each axis; before it first moved, no model of it says anything."""
     residual = traces.residual(coupling)
-    rows = np.isfinite(residual).all(axis=1)
-    left = residual[rows]
-    if not len(left):
-        return []
-    return [
-        AxisError(
-            traces.record.name,
-            role,
-            axis,
-            float(np.sqrt(np.mean(left[:, i] ** 2))),
-            float(np.abs(left[:, i]).max()),
-            float(strokes[i]),
-            len(left),
-            len(residual) - len(left),
-        )
-        for i, axis in enumerate(traces.record.axes)
-    ]
+    known = np.isfinite(residual).all(axis=1)
+    errors = []
+    for i, axis in enumerate(traces.record.axes):
+        left = residual[known & ~traces.standing[:, i], i]
+        if left.size:
+            numbers = rms(left), largest(left), float(strokes[i]), left.size, len(residual) - left.size
+            errors.append(AxisError(traces.record.name, role, axis, *numbers))
+    return errors
 
 
 def _listed(records: Record | Sequence[Record]) -> list[Record]:

@@ -345,8 +345,8 @@ class AxisTraces:
     ----------
     record : Record
     outputs : (n, axes) array
-        Displacement of each actuator by its model [m]; NaN where it is not compared. While the voltage of an actuator
-        has not moved yet, its output is its mean.
+        Displacement of each actuator by its model [m]; NaN where it is not compared, as before the second turning point
+        of its voltage. While the voltage has not moved yet, the output is its mean.
     standing : (n, axes) bool array
         Where a voltage has not moved yet.
     """
@@ -361,7 +361,7 @@ class AxisTraces:
         moved = apply(inverse(coupling), record.displacement)
         outputs, standing = np.full(moved.shape, np.nan), np.zeros(moved.shape, dtype=bool)
         for j, fit in enumerate(fits):
-            trace, v = fit.traces[number], record.voltage[:, j]
+            trace, v = fit.traces[number].settled, record.voltage[:, j]
             where = np.minimum(np.searchsorted(record.time, trace.time - 1e-9), len(record) - 1)
             # What a sensor's zero or a drift has moved is moved back: the residual is what counts.
             outputs[where, j] = moved[where, j] - trace.residual

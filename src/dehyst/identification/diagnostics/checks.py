@@ -318,11 +318,12 @@ def _residual_drift(training: Sequence[Trace], stroke: float) -> Check:
     from scipy.special import stdtrit
 
     drifts = []
-    for trace in training:
+    for whole in training:
+        trace = whole.settled
         legs = _legs(trace)
         if len(legs) <= _FEWEST:
             continue
-        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - trace.time[0] for a, b in legs])
+        middle = np.array([0.5 * (trace.time[a] + trace.time[b - 1]) - whole.time[0] for a, b in legs])
         mean = np.array([float(trace.residual[a:b].mean()) for a, b in legs]) * 100 / stroke
         decades = np.log10(np.maximum(middle, middle[middle > 0].min()))
         off = decades - decades.mean()
@@ -350,7 +351,7 @@ def _patterns(traces: Sequence[Trace], stroke: float) -> tuple[Check, Check]:
     # Mean residuals [% of the stroke] of rising and of falling legs at each place.
     means: dict[tuple[int, bool], list[float]] = {}
     squares, count = 0.0, 0
-    for trace in traces:
+    for trace in (one.settled for one in traces):
         percent = 100 * trace.residual / stroke
         at = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
         for start, stop in _legs(trace):

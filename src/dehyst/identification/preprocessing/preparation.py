@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,10 +12,10 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_jitter
+from dehyst.identification.preprocessing.denoising import disturbs, local_polynomial, remove_dynamics, remove_jitter
 from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
-from dehyst.model import Creep, DisplacementCreep
+from dehyst.model import Creep, DisplacementCreep, Dynamics
 from dehyst.records import Record, bandwidth
 
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
@@ -115,6 +115,10 @@ class Prepared:
     sentences: tuple[str, ...]
     steady: bool = False
     block: int = 1
+    # The last answer of `driving`, by what it was asked for.
+    _driving: dict[tuple[float, float, Dynamics | None, float], list[Record]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @cached_property
     def reduced(self) -> Prepared:
@@ -200,6 +204,15 @@ class Prepared:
                 strain = Creep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
                 late = replace(late, voltage=late.voltage - strain)
             yield late
+
+    def driving(self, delay: float, lag: float, dynamics: Dynamics | None, stroke: float) -> list[Record]:
+        """Return the acting pieces as they drive elements: before the resonance, and without jitter."""
+        asked = delay, lag, dynamics, stroke
+        if asked not in self._driving:
+            self._driving.clear()
+            paths = (remove_dynamics(piece, dynamics) for piece in self.acting(delay, lag))
+            self._driving[asked] = [remove_jitter(path, self.noise, stroke) for path in paths]
+        return self._driving[asked]
 
     def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[Piece]:
         """Return each piece with acting voltages and its drift curve, as one of the record of this number."""

@@ -63,14 +63,8 @@ class FoldSums:
         return blocks(rows.voltage, rows.epoch) % self.folds if self.given is None else self.given
 
     @cached_property
-    def _columns(self) -> tuple[Array, int]:
-        """All columns (n, q), the free ones first, and how many are free."""
-        free, bounded, _ = self.regression.table()
-        return np.hstack([free, bounded]), free.shape[1]
-
-    @cached_property
     def _sums(self) -> list[NormalEquations]:
-        (columns, free), target, weights = self._columns, self.regression.target, self.weights
+        (columns, free), target, weights = self.regression.columns, self.regression.target, self.weights
         parts = [slice(None)] if self.folds == 1 else [np.flatnonzero(self.fold == k) for k in range(self.folds)]
         return [
             NormalEquations.of_rows(columns[part] * weights[part, None], target[part] * weights[part], free)
@@ -104,7 +98,7 @@ class FoldSums:
     def handed_on(self) -> Nearby:
         """Return the unknowns that are not zero in the fit of all rows."""
         active_set = self.whole.solved.active_set
-        moving = np.zeros(0, dtype=bool) if active_set is None else active_set.moving[self._columns[1] :]
+        moving = np.zeros(0, dtype=bool) if active_set is None else active_set.moving[self.regression.columns[1] :]
         return Nearby(self._places, moving)
 
     @property
@@ -133,24 +127,24 @@ class FoldSums:
         left, epochs = self._left(out, coefficients), rows.epoch[out]
         for epoch in np.setdiff1d(epochs, rows.epoch[~out]):
             left[epochs == epoch] -= np.median(left[epochs == epoch])
-        return np.asarray(left / self.regression.chosen(out).slope(coefficients))
+        return np.asarray(left / self.regression.slope(coefficients, out))
 
     def _left(self, some: Mask | slice, found: Coefficients) -> Array:
         """Return what a fit leaves of some rows [V]."""
         unknowns = np.concatenate([found.solved.free, found.solved.nonnegative])
-        return np.asarray(self._columns[0][some] @ unknowns - self.regression.target[some])
+        return np.asarray(self.regression.columns[0][some] @ unknowns - self.regression.target[some])
 
     @cached_property
     def _regularization(self) -> Array:
         """Gram matrix of the regularisation beside one row."""
-        free = self._columns[1]
+        free = self.regression.columns[1]
         none, rows, _, weights = self.regression.regularization("l2", 1, free, 1 / self.regression.mean_slope)
         rows = np.hstack([none, rows]) * weights[:, None]
         return np.asarray(rows.T @ rows)
 
     def _fit(self, count: int, sums: NormalEquations, like: Coefficients | None) -> Coefficients:
         """Fit some rows by their sums, from the active set and inequalities of another fit."""
-        columns, free = self._columns
+        columns, free = self.regression.columns
         program = replace(sums, gram=sums.gram + count * self._regularization)
         start = None
         if like is not None:
@@ -174,20 +168,28 @@ def equally_weighted(regression: Regression, nearby: Nearby | None = None) -> Fo
     return FoldSums(regression, np.full(len(regression.rows), 1 / regression.mean_slope), nearby)
 
 
+def weighted_alike(regression: Regression, folds: int = 1, given: NDArray[np.intp] | None = None) -> FoldSums:
+    """Return a fit of rows that are weighted by the inverse slopes of a first one."""
+    return FoldSums(regression, equally_weighted(regression).inverse_slopes, None, folds, given)
+
+
 def least_squares_of_sums(regression: Regression) -> Coefficients:
     """Fit the rows of a regression, weighted by the inverse slope of a first fit, by their sums alone: quickly."""
-    found = FoldSums(regression, equally_weighted(regression).inverse_slopes).whole
+    found = weighted_alike(regression).whole
     return replace(found, solution=replace(found.solved, status="optimal (normal equations)"))
 
 
-def nearly_least_absolute(regression: Regression, weights: Array) -> Coefficients:
-    """Fit by reweighted least squares, with less weight for larger errors: a fast approximation of the L1 fit."""
-    found = FoldSums(regression, weights)
+def nearly_least_absolute(before: FoldSums) -> Coefficients:
+    """Fit by reweighted least squares, with less weight for larger errors: a fast approximation of the L1 fit.
+
+    `before`: a fit of the same rows with the weights of the L1 fit.
+    """
+    weights, found = before.weights, before
     for _ in range(_REWEIGHTED):
         missed = np.abs(found.residual * weights)
         least = _LEAST_MISSED * float(np.median(missed))
         milder = weights * np.sqrt(np.median(missed) / np.maximum(missed, least))
-        found = FoldSums(regression, milder, found.handed_on())
+        found = FoldSums(before.regression, milder, found.handed_on())
     return found.whole
 
 

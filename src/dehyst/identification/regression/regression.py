@@ -98,10 +98,6 @@ class Regression:
         """Return the regression on about `most` evenly spaced rows."""
         return replace(self, rows=self.rows.thinned(most), source=None)
 
-    def chosen(self, which: Mask) -> Regression:
-        """Return the regression on a selection of its rows."""
-        return replace(self, rows=self.rows.chosen(which), source=None)
-
     @property
     def mean_slope(self) -> float:
         """Mean slope of voltage over displacement [V/m]."""
@@ -122,7 +118,7 @@ class Regression:
         """Positions of the movable carts (n, m) [m]."""
         return np.asarray(self.axis[:, None] - self.rows.elongation[:, self.grid.movable])
 
-    @property
+    @cached_property
     def spring_parts(self) -> Array:
         """Part of each displacement in each segment of the spring, R_j(y) (n, K - 1)."""
         return parts_in_segments(self.grid.knots, self.axis)
@@ -173,6 +169,12 @@ class Regression:
             return np.asarray(v - spring)
         last = (1 - TRANSFORMER_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._tau_parts[:, -1]
         return np.asarray(knots[0] + TRANSFORMER_FLOOR * (v - knots[0]) + last - spring)
+
+    @cached_property
+    def columns(self) -> tuple[Array, int]:
+        """All columns (n, E + D + q), the free ones first, and how many are free."""
+        free = self.nuisances()
+        return np.hstack([free, self.bounded]), free.shape[1]
 
     def table(self) -> tuple[Array, Array, Array]:
         """Return free columns, columns that are not negative, and target."""
@@ -295,22 +297,29 @@ class Regression:
         slack = _SLACK * float(np.ptp(self.rows.voltage)) if len(self.rows) else 0.0
         return np.vstack([whole, *rows]), np.append(lower, np.full(len(rows), -slack))
 
-    def slope(self, found: Coefficients) -> Array:
-        """Return d tau(v)/dy of the model at each row (n,) [V/m], at the floor at least; weights are its inverse."""
-        grid, y, branches = self.grid, self.axis, self.grid.time_constants.size
+    @cached_property
+    def _segments(self) -> tuple[NDArray[np.intp], ...]:
+        """Segments of the spring (n,), and of the grades, that displacements (n,) and movable carts (n, m) are in."""
+        y, grades = self.axis, self.grid.grades
+        return segment_of(self.grid.knots, y), segment_of(grades, y), segment_of(grades, self.carts)
+
+    def slope(self, found: Coefficients, some: Mask | slice = slice(None)) -> Array:
+        """Return d tau(v)/dy of the model at some rows [V/m], at the floor at least; weights are its inverse."""
+        grid, branches = self.grid, self.grid.time_constants.size
         if grid.segments == 1 and not (grid.drive.size or grid.moved):
             # One product, for regressions of many rows.
-            elements = self.rows.stuck @ found.stiffness[:, 0]
+            elements, spring = self.rows.stuck[some] @ found.stiffness[:, 0], segment_of(grid.knots, self.axis[some])
         else:
+            spring, own, carts = (one[some] for one in self._segments)
             kappa = found.stiffness[grid.movable]
-            sliding = ~self.rows.stuck[:, grid.movable]
-            at = np.take_along_axis(kappa.T, segment_of(grid.grades, self.carts), axis=0)
-            elements = kappa.sum(axis=0)[segment_of(grid.grades, y)] - np.where(sliding, at, 0.0).sum(axis=1)
-        slope = elements + found.slopes[segment_of(grid.knots, y)] + found.internal[:branches].sum()
+            sliding = ~self.rows.stuck[some][:, grid.movable]
+            at = np.take_along_axis(kappa.T, carts, axis=0)
+            elements = kappa.sum(axis=0)[own] - np.where(sliding, at, 0.0).sum(axis=1)
+        slope = elements + found.slopes[spring] + found.internal[:branches].sum()
         # Part of each smooth element that has not yielded, dq/dy. The first slip element yields soonest: it shows where
         # the row is bound for.
-        q = self.rows.moved[:, branches : grid.moved]
-        forward = np.sign(q * self.rows.elongation[:, :1])
+        q = self.rows.moved[some, branches : grid.moved]
+        forward = np.sign(q * self.rows.elongation[some, :1])
         shares = 1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings)
         return np.asarray(np.maximum(slope + shares @ found.internal[branches:], self.floor))
 

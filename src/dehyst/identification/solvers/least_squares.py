@@ -423,7 +423,8 @@ def _face_of_sums(program: Problem, moving: Mask, active: Mask) -> tuple[Array, 
     x, multipliers = np.zeros(moving.size), np.zeros(active.size)
     if not columns.size:
         return None if limits.size else (x, multipliers)
-    part = np.asfortranarray(program.rows[np.ix_(columns, columns)])
+    # Of the symmetric G the transpose is the same, and in LAPACK's order without another copy.
+    part = program.rows[np.ix_(columns, columns)].T
     part[np.diag_indices(columns.size)] += _RIDGE
     factor, failure = dpotrf(part, lower=1, overwrite_a=1, clean=0)
     if failure:

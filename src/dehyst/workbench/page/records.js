@@ -183,7 +183,7 @@ function refusedCard(record, first) {
 
 function readyCard(record) {
   const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement } = record;
-  const { words, problems } = record;
+  const { words, problems, others } = record;
   const understood = words?.length > 0 || record.file_columns?.length > 0;
   const box = (label, checked, change) => {
     const onchange = (event) => {
@@ -198,6 +198,7 @@ function readyCard(record) {
       ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
       ["Voltage", range(voltage, "V")],
       ["Displacement", range(displacement, "\u00b5m")],
+      ...Object.entries(others).map(([column, ends]) => [column, range(ends, "")]),
       ...(record.axes?.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
     remarks(problems.map(inPage)),
