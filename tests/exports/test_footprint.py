@@ -46,6 +46,7 @@ def test_following_a_sensor_takes_a_few_instructions(tmp_path):
     assert not np.array_equal(sent[:400], sent[-400:])
 
 
+@pytest.mark.nightly
 def test_bytes_are_those_of_the_program(tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     folder = written(tmp_path / "c", KINDS["all"](), "float")
