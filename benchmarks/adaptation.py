@@ -225,8 +225,8 @@ def compared(case: tuple[str, str, int]) -> dict:
     }
 
 
-def lives(seeds: range, samples: int = 400) -> dict:
-    """Count voltages outside limits or slew rate in random lives with sensors that lie."""
+def lives(seeds: range, samples: int = 1500) -> dict:
+    """Count voltages outside limits or slew rate in random lives with sensors that lie after a third of them."""
     warnings.simplefilter("ignore")
     model = identified_play()
     outside = steep = steps = used = 0
@@ -256,7 +256,9 @@ def lives(seeds: range, samples: int = 400) -> dict:
             measured = y
             if y is not None:
                 seen.append(y)
-                if kind == 1:
+                if 3 * i < samples:
+                    pass
+                elif kind == 1:
                     measured = None if rng.random() < 0.5 else float("nan")
                 elif kind == 2:
                     measured = stuck = stuck if i % 100 else y

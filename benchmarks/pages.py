@@ -522,6 +522,45 @@ def rules() -> list[str]:
 
 
 # Page, name of its markers, and the function that returns the lines between them.
+# docs/how_to/keep_true.md
+
+
+def lives() -> list[str]:
+    """Errors of five truths over 200 cycles, with a model that adapts and with one that stays as it is."""
+    found: dict[str, list[dict]] = {}
+    for row in data("adaptation")["life"]:
+        found.setdefault(row["scenario"], []).append(row)
+
+    def errors(rows: list[dict], key: str) -> str:
+        values = [row[key][0] for row in rows]
+        return f"{median(values):.2f}, {max(values):.2f}"
+
+    def ratios(rows: list[dict], key: str) -> str:
+        values = [row[key] for row in rows]
+        return f"{median(values):.2f}, {max(values):.2f}"
+
+    head = ("", "adapting", "frozen", "their ratio", "over the life", "in the worst cycle")
+    return table(
+        head,
+        (
+            (
+                scenario,
+                *(errors(rows, f"{kind}_end") for kind in ("adaptive", "frozen")),
+                *(ratios(rows, key) for key in ("end_ratio", "life_ratio", "worst_cycle_ratio")),
+            )
+            for scenario, rows in found.items()
+        ),
+    )
+
+
+def updates() -> list[str]:
+    """Errors of aged models on a new path: as they were, updated, and identified from new records."""
+    head = ("truth", "old model", "updated by one loop", "and a minor loop", "identified anew")
+    keys = ("old", "one loop", "loop and minor loop", "anew")
+    rows = data("adaptation")["update"]
+    return table(head, ((row["truth"], *(f"{row[key][0]:.2f}, {row[key][1]:.2f}" for key in keys)) for row in rows))
+
+
 BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "README.md": {"benchmarks": readme},
     "docs/benchmarks.md": {
@@ -533,6 +572,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/explanation/safety.md": {"faults": faults},
     "docs/explanation/trust.md": {"promise": promise},
     "docs/how_to/identify.md": {"temperature": temperature},
+    "docs/how_to/keep_true.md": {"lives": lives, "updates": updates},
     "docs/reference/decision_rules.md": {"rules": rules},
 }
 

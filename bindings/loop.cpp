@@ -12,6 +12,7 @@ struct Loop {
     std::vector<double> decay, gain, tap, memory, start;
     dehyst_model model{};
     dehyst_loop loop{};
+    dehyst_follow following{};
     nb::object on_clamp;
     bool reported[2] = {false, false};
     bool busy = false;
@@ -235,6 +236,16 @@ struct Loop {
         demand_free();
         demand(dehyst_loop_scale(&loop, gain, offset));
     }
+    // Gain and offset by a reading of the sensor; other numbers begin anew.
+    bool follow(double reading, double rate, double most_gain, double most_offset) {
+        demand_free();
+        if (rate != following.rate || most_gain != following.gain || most_offset != following.offset) {
+            dehyst_follow begun{};
+            demand(dehyst_follow_begin(&model, &loop, memory.data(), rate, most_gain, most_offset, &begun));
+            following = begun;
+        }
+        return dehyst_loop_follow(&model, &loop, memory.data(), &following, reading);
+    }
     std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
         return {loop.limited, loop.slewed, loop.refused};
     }
@@ -358,6 +369,9 @@ void bind_loop(nb::module_ &m) {
         .def("sent", &Loop::sent)
         .def("displacement", &Loop::displacement)
         .def("scale", &Loop::scale)
+        .def("follow", [](Loop &loop, double reading, double rate, double gain, double offset) {
+            return loop.follow(reading, rate, gain, offset);
+        })
         .def("counts", &Loop::counts)
         .def("state", &Loop::state)
         .def("rest", &Loop::rest)

@@ -120,6 +120,33 @@ dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loo
  * @param offset [m]
  * @return DEHYST_ERR_SIGN or DEHYST_ERR_FINITE if the gain is not positive, or a number not finite: nothing changes then */
 dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset);
+/* Gain and offset that follow a sensor: weighted means of displacement and reading, and their squares about them. */
+typedef struct dehyst_follow {
+    dehyst_real rate;                       /* weight of a sample that counts, above 0 and at most 0.5 */
+    dehyst_real gain, offset;               /* most by which the gain may differ from 1, and the offset from 0 [m] */
+    dehyst_real least;                      /* motion from one sample that counts to the next [m] */
+    dehyst_real place, reading;             /* displacement of the model and reading at the last one [m] */
+    dehyst_real mean, read;                 /* means of displacements and readings [m] */
+    dehyst_real moved, common, seen;        /* mean squares and product about them [m^2] */
+    unsigned long clamped;                  /* clamped and refused voltages of the loop so far */
+    unsigned long learnt, refused;          /* numbers of samples that counted, and of readings that were not believed */
+} dehyst_follow;
+/* Begin to follow a sensor, with the present gain of the loop.
+ * @param rate weight of a sample: after 1 / rate samples the weight of one has fallen to a third
+ * @param gain, offset bounds: the gain stays within 1 - gain and 1 + gain, the offset within -offset and offset [m]; with
+ *                     offset 0 only the gain is learnt, and the zero of the sensor may drift
+ * @return DEHYST_ERR_SIGN or DEHYST_ERR_FINITE if a number is impossible */
+dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                  dehyst_real rate, dehyst_real gain, dehyst_real offset, dehyst_follow *follow);
+/* Learn gain and offset of the displacement from a reading [m] of the sensor, between two periods: the displacement that
+ * all voltages sent so far have caused. The next voltages follow as fast as the slew rate allows.
+ *
+ * A sample counts if the actuator has moved by two breakaway elongations and by a fiftieth of its range since the last one.
+ * Nothing is learnt from a sample whose voltage was clamped, from a reading that is not a number or has not changed, and as
+ * long as readings do not follow the displacement. For models without delay.
+ * @return 1 if gain and offset are new, else 0 */
+int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
+                       dehyst_real reading);
 /* Go on with another model of the same shape, for instance with adapted weights, between two periods. What the loop
  * remembers stays, and what is on offer is withdrawn. The next voltages follow the new model as fast as its slew rate
  * allows.

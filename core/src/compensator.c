@@ -167,12 +167,18 @@ static int has_output(const dehyst_model *model, const dehyst_loop *loop)
     return model->output.branches > 0 || loop->gain != 1 || loop->offset != 0;
 }
 
+/* Return the displacement of the model, without gain and offset. */
+static dehyst_real unscaled(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
+{
+    const dehyst_real m = before_creep(model, loop);
+    if (model->output.branches == 0) return m;
+    return crept(&model->output, memory + dehyst_memory_size(model) - model->taps - model->output.branches, m);
+}
+
 dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
-    const dehyst_real *inputs = memory + dehyst_memory_size(model) - model->taps;
-    const dehyst_real m = before_creep(model, loop);
-    if (!has_output(model, loop)) return m;
-    return loop->offset + loop->gain * crept(&model->output, inputs - model->output.branches, m);
+    const dehyst_real m = unscaled(model, loop, memory);
+    return has_output(model, loop) ? loop->offset + loop->gain * m : m;
 }
 
 dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset)
@@ -183,6 +189,83 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
     loop->offset = offset;
     loop->offer = DEHYST_NOTHING;
     return DEHYST_OK;
+}
+
+/* Of the range: motion between two samples that count, and standard deviation of displacements at the beginning. */
+#define LEAST_MOTION ((dehyst_real)0.02)
+#define FIRST_SPREAD ((dehyst_real)0.25)
+/* Least square of the correlation of readings with displacements. */
+#define CORRELATED ((dehyst_real)0.95)
+
+static unsigned long stopped(const dehyst_loop *loop) { return loop->limited + loop->slewed + loop->refused; }
+
+dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                  dehyst_real rate, dehyst_real gain, dehyst_real offset, dehyst_follow *follow)
+{
+    const dehyst_plain *plain = &model->actuator.plain;
+    const dehyst_real range = plain->spring.knot[plain->spring.size - 1] - plain->spring.knot[0];
+    const dehyst_real slides = plain->slip.size > 0 ? 2 * plain->slip.rho[0] : 0;
+    if (!is_finite(rate) || !is_finite(gain) || !within_reach(offset)) return DEHYST_ERR_FINITE;
+    if (!(rate > 0) || rate > (dehyst_real)0.5 || !(gain > 0) || !(gain < 1) || offset < 0) return DEHYST_ERR_SIGN;
+    follow->rate = rate;
+    follow->gain = gain;
+    follow->offset = offset;
+    follow->least = slides > LEAST_MOTION * range ? slides : LEAST_MOTION * range;
+    follow->place = follow->mean = unscaled(model, loop, memory);
+    follow->reading = follow->read = 0;
+    follow->moved = FIRST_SPREAD * range * (FIRST_SPREAD * range);
+    follow->common = loop->gain * follow->moved;
+    follow->seen = loop->gain * follow->common;
+    follow->clamped = stopped(loop);
+    follow->learnt = follow->refused = 0;
+    return DEHYST_OK;
+}
+
+/* Take a sample into the means: displacement m and reading. */
+static void weigh(dehyst_follow *f, dehyst_real m, dehyst_real reading)
+{
+    const dehyst_real dm = m - f->mean, dy = reading - f->read, keep = 1 - f->rate, step = f->rate * dm;
+    f->mean += step;
+    f->read += f->rate * dy;
+    f->moved = keep * (f->moved + step * dm);
+    f->common = keep * (f->common + step * dy);
+    f->seen = keep * (f->seen + f->rate * dy * dy);
+    f->place = m;
+    f->reading = reading;
+}
+
+int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
+                       dehyst_real reading)
+{
+    dehyst_follow *f = follow;
+    const dehyst_real m = unscaled(model, loop, memory);
+    const unsigned long clamped = stopped(loop);
+    dehyst_real gain, offset;
+    if (clamped != f->clamped) {
+        f->clamped = clamped;
+        return 0;
+    }
+    if (magnitude(m - f->place) < f->least) return 0;
+    if (!within_reach(reading) || reading == f->reading) {
+        f->refused++;
+        return 0;
+    }
+    if (f->learnt == 0) {
+        /* The zero of the sensor. */
+        f->read = reading;
+        f->mean = m;
+    }
+    f->learnt++;
+    weigh(f, m, reading);
+    if (!(f->common > 0) || !(f->common * f->common >= CORRELATED * f->moved * f->seen)) {
+        f->refused++;
+        return 0;
+    }
+    gain = f->common / f->moved;
+    gain = gain > 1 + f->gain ? 1 + f->gain : gain < 1 - f->gain ? 1 - f->gain : gain;
+    offset = f->read - gain * f->mean;
+    offset = offset > f->offset ? f->offset : offset < -f->offset ? -f->offset : offset;
+    return dehyst_loop_scale(loop, gain, offset) == DEHYST_OK;
 }
 
 /* Return the displacement of the elements or the mass that makes u: without creep behind them, gain and offset. */

@@ -337,6 +337,38 @@ static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long
     free(tables);
 }
 
+/* Whatever a sensor says, gain and offset stay within their bounds and voltages within limits and slew rate. */
+static void follow_a_sensor(bench *b)
+{
+    static const dehyst_real wild[] = {(dehyst_real)NAN, (dehyst_real)INFINITY, (dehyst_real)1e30, (dehyst_real)-1e30, 0};
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], last;
+    const dehyst_real gain = (dehyst_real)between(0.01, 0.9), offset = (dehyst_real)(bits() & 1 ? 0 : 0.1);
+    const dehyst_model *m = &b->model;
+    dehyst_follow follow;
+    dehyst_loop loop;
+    int k;
+    dehyst_loop_begin(m, &loop, memory);
+    demand(dehyst_follow_begin(m, &loop, memory, 0, gain, 0, &follow) == DEHYST_ERR_SIGN, "a rate of 0", 0);
+    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)0.1, 1, 0, &follow) == DEHYST_ERR_SIGN, "a gain of 1", 0);
+    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)0.1, gain, (dehyst_real)NAN, &follow) == DEHYST_ERR_FINITE,
+           "a bound that is not a number", 0);
+    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)between(0.01, 0.5), gain, offset, &follow) == DEHYST_OK,
+           "to follow", 0);
+    last = loop.sent;
+    for (k = 0; k < 10 * STEPS; k++) {
+        const dehyst_real place = dehyst_loop_displacement(m, &loop, memory), before = loop.gain;
+        const dehyst_real said = bits() & 3 ? (dehyst_real)between(-1, 2) * place + (dehyst_real)0.01 : wild[below(5)];
+        const int learnt = dehyst_loop_follow(m, &loop, memory, &follow, said);
+        demand(learnt || loop.gain == before, "another gain without a word", k);
+        demand(fabs((double)(loop.gain - 1)) <= (double)gain * (1 + 1e-6), "a gain beyond its bound", k);
+        demand(fabs((double)loop.offset) <= (double)offset, "an offset beyond its bound", k);
+        last = loop.sent;
+        dehyst_loop_step(m, &loop, memory, (dehyst_real)between(-0.2, 1.2));
+        demand(loop.sent >= m->low && loop.sent <= m->high, "a voltage beyond the limits", k);
+        demand(fabs((double)(loop.sent - last)) <= (double)m->change * (1 + 1e-6), "faster than the slew rate", k);
+    }
+}
+
 int main(int count, char **word)
 {
     const long cases = count > 1 ? atol(word[1]) : 300;
@@ -354,6 +386,7 @@ int main(int count, char **word)
         for (k = 0; k < 20; k++) refuse_what_was_broken(bytes, size, broken);
         go_on_from_snapshots(b);
         exchange_while_running(b, bytes, size);
+        follow_a_sensor(b);
         free(broken);
         free(bytes);
     }

@@ -165,6 +165,7 @@ def test_fits_are_seeded():
 
 
 @pytest.mark.parametrize(("fit", "own", "other"), [(BoucWen.fit, 0.5, 4.0), (Duhem.fit, 2.0, 5.0)])
+@pytest.mark.nightly
 def test_as_good_as_their_literature(fit, own, other):
     """Largest error in % of the stroke on held-out loops; the ratio of the ends alone misses by 10 % and more."""
     drive = Sampling(sample_rate=4.0)

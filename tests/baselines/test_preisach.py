@@ -159,6 +159,7 @@ def plays():
 
 
 @pytest.mark.parametrize(("fit", "most"), [(Preisach.fit, 0.3), (Preisach.from_reversal_curves, 0.6)])
+@pytest.mark.nightly
 def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
     for truth in (plays[2], PreisachActuator()):
         tops = plays[0].voltage
@@ -170,6 +171,7 @@ def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
         assert 100 * rms(miss) / truth.stroke < most / 3
 
 
+@pytest.mark.nightly
 def test_smoothing_fills_what_tops_leave_open(plays):
     voltage = plays[1].voltage
     plays[2].relax()

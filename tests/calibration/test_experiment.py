@@ -244,6 +244,7 @@ def test_steps_send_nothing_and_fit_the_limits():
     assert rig.instrument.axis.log.highest == 0
 
 
+@pytest.mark.nightly
 def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):
     rig = SimulatedRig(PlayActuator(), limits=(0, 120), slew_rate=200)
     found = calibrate(rig, tmp_path)

@@ -13,6 +13,7 @@ from virtual_loops import record_loops
 import dehyst
 from dehyst import Actuator
 from dehyst.records import read_table, write_columns, write_record
+from examples import at_night
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +291,7 @@ def scaled(folder, factor):
     return name
 
 
-@pytest.mark.parametrize("factor", [10, 0.1, 1.1])
+@pytest.mark.parametrize("factor", [at_night(10), at_night(0.1), 1.1])
 def test_insight_of_another_actuators_record_says_so_first(folder, factor):
     status, out, _ = run("insight", "model.json", scaled(folder, factor), *rare(repeats=0), cwd=folder)
     assert status == 1

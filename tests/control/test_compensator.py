@@ -583,3 +583,51 @@ def test_a_period_too_long_for_the_resonance_is_refused():
     uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=Dynamics(omega, 0.0, 1e8))
     with pytest.raises(ModelError, match="for a resonance"):
         Compensator(uneven, (0, 100), period=4.5 / omega * np.sqrt(1 + 1e8 / 1e7)).step(0.0)
+
+
+STROKE, WIDE = plain_records.STROKE, (-20.0, 220.0)
+
+
+def followed(sensor, *, gain=0.93, cycles=30, **options):
+    """Follow a path on a plant with another gain and a sensor; return the largest errors by cycle, and the loop."""
+    start = PLANT.turned(0.3 * STROKE, rising=False)
+    loop = Compensator(PLANT, WIDE, state=start, warns=False)
+    path = STROKE * (0.45 - 0.4 * np.cos(2 * np.pi * np.arange(120) / 120))
+    state, errors = start, []
+    for k in range(cycles):
+        reached = []
+        for n, wanted in enumerate(path.tolist()):
+            motion = PLANT.simulate([loop.step(wanted)], state=state)
+            state = motion.state
+            reached.append(gain * float(motion.displacement[0]))
+            loop.follow_sensor(sensor(reached[-1], k, n), **options)
+        errors.append(float(np.abs(np.array(reached) - path).max()) / STROKE)
+    return errors, loop
+
+
+def test_gain_and_offset_follow_a_sensor():
+    errors, loop = followed(lambda y, k, n: y)
+    assert errors[-1] < 0.05 * errors[0]
+    assert loop.scaling == (pytest.approx(0.93, abs=2e-3), 0)
+    _, loop = followed(lambda y, k, n: y + 0.05 * STROKE * k / 30)
+    assert loop.scaling == (pytest.approx(0.93, abs=1e-2), 0)
+    _, loop = followed(lambda y, k, n: y + 0.1 * STROKE, offset=0.05 * STROKE)
+    assert loop.scaling[1] == 0.05 * STROKE
+
+
+def test_a_bad_sensor_is_not_followed():
+    rng = np.random.default_rng(0)
+    bad = {
+        "absent": lambda y, k, n: np.nan,
+        "infinite": lambda y, k, n: np.inf,
+        "stuck": lambda y, k, n: 3e-6,
+        "inverted": lambda y, k, n: STROKE - y,
+        "noise alone": lambda y, k, n: 3e-6 + 1e-7 * rng.normal(),
+    }
+    for sensor in bad.values():
+        _, loop = followed(sensor, gain=1.0)
+        assert loop.scaling[0] == pytest.approx(1, abs=0.06)
+    loop = Compensator(PLANT, WIDE)
+    for options in ({"rate": 0.0}, {"rate": 0.6}, {"gain": 1.0}, {"offset": -1.0}):
+        with pytest.raises(ModelError):
+            loop.follow_sensor(1e-6, **options)

@@ -131,3 +131,32 @@ def test_models_exchanged_in_a_running_loop_give_pythons_bits(tmp_path, kind):
         sent.append(loop.run(part))
         loop.exchange(following)
     assert lines == compiled_exports.told(np.concatenate(sent), loop.clamps, every=every)
+
+
+@pytest.mark.parametrize("kind", ["plain", "behind"])
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_sensor_that_is_followed_gives_pythons_bits(tmp_path, kind):
+    compiled_exports.need("gcc")
+    samples, every, loop = 20_000, 500, compiled_exports.KINDS[kind]()
+    program = compiled_exports.DRIVER.replace('#include "piezo.h"', '#include "dehyst_model.h"\n#include "piezo.h"', 1)
+    program = program.replace(
+        "if (piezo_begin(&p) != DEHYST_OK) return 1;",
+        """dehyst_follow follow;
+    if (piezo_begin(&p) != DEHYST_OK) return 1;
+    if (dehyst_follow_begin(piezo_exported(), &p.loop, p.memory, 0.01, 0.2, 0.0, &follow) != DEHYST_OK) return 2;""",
+    )
+    reading = "0.93 * piezo_displacement(&p) / p.loop.gain + 1e-8 * (t % 7)"
+    program = program.replace(
+        "if (t % EVERY == 0) put(bits);",
+        f"""dehyst_loop_follow(piezo_exported(), &p.loop, p.memory, &follow, {reading});
+        if (t % EVERY == 0) put(bits);""",
+    )
+    folder = compiled_exports.written(tmp_path / "export", loop)
+    lines = compiled_exports.driven(folder, loop, samples, every=every, program=program)
+    inner, sent = loop._loop, np.empty(samples)
+    loop.follow_sensor(np.nan)
+    for t, wish in enumerate(compiled_exports.wishes(loop, samples).tolist()):
+        sent[t] = loop.step(wish)
+        loop.follow_sensor(0.93 * inner.displacement() / loop.scaling[0] + 1e-8 * (t % 7))
+    assert lines == compiled_exports.told(sent, loop.clamps, every=every)
+    assert loop.scaling[0] == pytest.approx(0.93, abs=0.01)

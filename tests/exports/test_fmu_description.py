@@ -97,6 +97,7 @@ def test_no_memory_is_lost_or_overrun(fmus, version, tmp_path):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.nightly
 def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
     path, _ = fmus("creep", version, "compensator")
     again = compensators()["creep"]

@@ -79,6 +79,7 @@ def test_a_run_beside_another_is_refused_and_the_table_is_that_of_the_first(data
     assert not Path(f"{output}.parts").exists()
 
 
+@pytest.mark.nightly
 def test_a_killed_run_leaves_no_lock_and_no_draft(dataset, tmp_path, monkeypatch):
     # A limit of time ends the process that computes: not this one.
     monkeypatch.undo()

@@ -89,7 +89,6 @@ def test_models_load_and_rows_select_them(dataset, complete):
     assert load(path).rows == complete.rows
 
 
-@pytest.mark.nightly
 def test_killed_workers_lose_no_row(dataset, complete, tmp_path):
     output, killed = tmp_path / "m.parquet", []
 
@@ -160,7 +159,8 @@ def test_a_finished_run_is_not_repeated(dataset, tmp_path):
     assert output.stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize("deaths", [at_night(2), 3])
+@pytest.mark.parametrize("deaths", [2, 3])
+@pytest.mark.nightly
 def test_a_record_that_ends_its_workers_is_lost_at_the_third_time_and_the_others_are_not(
     dataset, complete, tmp_path, monkeypatch, deaths
 ):

@@ -5,11 +5,11 @@
 A mutant differs from the package in one place: a comparison, an arithmetic operator, a constant, a statement that is
 removed, two arguments that are swapped. The work is done in a copy of the repository, in the folder given. At first
 the tests of `TESTS` run there once, and each function notes the tests that enter it (`entered.json`, made when it is
-missing). Then the tests that enter a mutated function run, the fastest first, until one fails or the time limit is
-reached. Of the C core nothing is noted: the tests of `CORE_TESTS` run, in this order.
+missing). Then the tests that enter a mutated function run, the fastest first, then the others of their files, until
+one fails or the time limit is reached. Of the C core nothing is noted: the tests of `CORE_TESTS` run, in this order.
 
-`mutants.jsonl` has a line for each mutant; its outcome is "caught" or "survived". A mutant may change nothing that
-matters: those that survive are to be read.
+`mutants.jsonl` has a line for each mutant; its outcome is "caught", "survived", or "not tried" where no test enters the
+function. A mutant may change nothing that matters: those that survive are to be read.
 """
 
 import argparse
@@ -223,7 +223,7 @@ def pytest_of(copy, arguments, limit=None):
 
 
 def noted(folder, copy):
-    """Return {function: tests that enter it, the fastest first}."""
+    """Return the tests of each function, as `chosen_tests` does."""
     report = folder / "entered.jsonl"
     if not report.exists():
         sources = {path: path.read_text() for room in ROOMS[1:] for path in (copy / "src/dehyst" / room).rglob("*.py")}
@@ -237,11 +237,26 @@ def noted(folder, copy):
         for path, source in sources.items():
             path.write_text(source)
         draft.rename(report)
-    tests = defaultdict(list)
-    for line in map(json.loads, report.read_text().splitlines()):
+    return chosen_tests(map(json.loads, report.read_text().splitlines()))
+
+
+def chosen_tests(lines):
+    """Return {function: (seconds, test)}: those that enter it, the fastest first, then the others of their files.
+
+    A module's fixture is noted at the first test that uses it, and others of the file look at what it made.
+    """
+    tests, files = defaultdict(list), defaultdict(list)
+    for line in lines:
+        timed = line["seconds"], line["test"]
+        files[line["test"].partition("::")[0]].append(timed)
         for function in line["functions"]:
-            tests[function].append((line["seconds"], line["test"]))
-    return {function: sorted(each) for function, each in tests.items()}
+            tests[function].append(timed)
+    chosen = {}
+    for function, entering in tests.items():
+        names = {test.partition("::")[0] for _, test in entering}
+        beside = {timed for name in names for timed in files[name]} - {*entering}
+        chosen[function] = sorted(entering) + sorted(beside)
+    return chosen
 
 
 def within(tests, limit):
@@ -297,7 +312,7 @@ class Mutants:
             listed = self.folder / "tests.txt"
             listed.write_text("\n".join(tests))
             patience = 1200 if room == "core" else 10 * self.limit + 60
-            status = pytest_of(self.copy, ["-x", f"@{listed}"], patience) if built and tests else 0
+            status = pytest_of(self.copy, ["-x", f"@{listed}"], patience) if built and tests else 5
         finally:
             path.write_text(source)
         return {

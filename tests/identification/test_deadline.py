@@ -186,6 +186,7 @@ def test_the_model_at_a_deadline_is_usable(record, words, cut):
     assert np.isfinite(fit.actuator.simulate(voltage, time=np.arange(50) / 10).displacement).all()
 
 
+@pytest.mark.nightly
 def test_a_limit_that_is_not_reached_changes_nothing(record):
     free, limited = (dehyst.identify(record, norm="l2", time_limit=limit) for limit in (None, 1e6))
     assert free.remarks == limited.remarks

@@ -28,6 +28,7 @@ def kinds(cell):
     return [sorted(output.get("data", {output.output_type: None})) for output in cell.get("outputs", [])]
 
 
+@pytest.mark.nightly
 def test_the_notebook_runs_and_its_stored_output_is_of_these_cells(executed):
     stored = nbformat.read(NOTEBOOK, as_version=4)
     nbformat.validate(stored)

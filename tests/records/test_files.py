@@ -365,6 +365,7 @@ def test_text_needs_no_library(tmp_path, monkeypatch):
     assert_same(read(tmp_path / "a.csv"))
 
 
+@pytest.mark.nightly
 def test_a_million_rows(tmp_path):
     path = tmp_path / "big.csv"
     t = np.arange(1_000_000) * 1e-4

@@ -284,6 +284,7 @@ def test_samples_cut_off_at_a_gap_do_not_widen_the_limits():
 
 
 @pytest.mark.parametrize("name", ["major", "ramps"])
+@pytest.mark.nightly
 def test_measured_records_lose_nothing_but_a_glitch_that_was_put_in(name):
     record = dehyst.read(DATA / f"{name}.csv")
     assert prepare(record).samples == len(record)

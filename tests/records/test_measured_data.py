@@ -44,6 +44,7 @@ def test_both_records_are_met_nearly_to_the_sensors_noise(norm):
         assert error.samples > 0.95 * len(read(error.record))
 
 
+@pytest.mark.nightly
 def test_what_the_records_leave_open_is_said():
     # The decaying loops of ramps.csv tell every direction; the sine of major.csv, whatever its noise and drift, half.
     both, major = fitted(), dehyst.identify(read("major"))
@@ -92,6 +93,7 @@ def test_what_was_held_out_is_predicted():
     assert held_out.rms < 1.3 * max(error.rms for error in fit.errors[:2])
 
 
+@pytest.mark.nightly
 def test_the_papers_methods_run():
     paper = fitted(method="breakpoints")
     assert paper.outcome is Outcome.IDENTIFIED

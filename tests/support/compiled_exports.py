@@ -92,7 +92,7 @@ SECTIONS {
 """
 QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
 
-# Prints the instructions of each step and its voltage. The board's timer counts at 25 MHz,
+# Prints the instructions of each step and its voltage [uV]. The board's timer counts at 25 MHz,
 # and an instruction takes 2**6 ns of QEMU's clock: 1.6 counts.
 STOPWATCH = r"""
 #include <stdio.h>
@@ -117,7 +117,7 @@ int main(void)
         begin = COUNT;
         sent = piezo_step(&p, wish);
         end = COUNT;
-        printf("%lu %a\n", (unsigned long)((begin - end) & 0xFFFFFFu), (double)sent);
+        printf("%lu %ld\n", (unsigned long)((begin - end) & 0xFFFFFFu), (long)(1e6 * (double)sent));
     }
     return 0;
 }
@@ -231,14 +231,34 @@ def _built_for_board(folder, source, text, *flags):
     return f"{source}.elf"
 
 
-def instructions(folder, given):
-    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages."""
+# In place of a step alone: one that learns gain and offset from a sensor.
+FOLLOWED = """dehyst_loop_follow(piezo_exported(), &p.loop, p.memory, &follow, reading);
+        sent = piezo_step(&p, wish);"""
+
+
+def instructions(folder, given, *, follows=False):
+    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages.
+
+    With `follows`, each step follows a sensor too.
+    """
     values = ",".join(float(x).hex() for x in given)
-    text = STOPWATCH.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
+    text = STOPWATCH
+    if follows:
+        text = text.replace("sent = piezo_step(&p, wish);", FOLLOWED)
+        text = text.replace('#include "piezo.h"', '#include "piezo.h"\n#include "dehyst_model.h"')
+        begun = "dehyst_follow_begin(piezo_exported(), &p.loop, p.memory, 0.01f, 0.2f, 0, &follow)"
+        text = text.replace("!= DEHYST_OK) return 1;", f"!= DEHYST_OK || {begun} != DEHYST_OK) return 1;", 1)
+        text = text.replace("static piezo p;", "static piezo p;\n    static dehyst_follow follow;", 1)
+        text = text.replace(
+            "COUNT = 0;\n        begin",
+            "dehyst_real reading = 0.93f * p.loop.w + 1e-8f * (t % 7);\n        COUNT = 0;\n        begin",
+            1,
+        )
+    text = text.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
     program = _built_for_board(folder, "stopwatch", text)
     rows = must_run([*QEMU[:-1], "-icount", "shift=6", "-kernel", program], folder).splitlines()
     counts, volts = zip(*(row.split() for row in rows), strict=True)
-    return np.array(counts, dtype=float) / COUNTS_AN_INSTRUCTION, np.array([float.fromhex(v) for v in volts])
+    return np.array(counts, dtype=float) / COUNTS_AN_INSTRUCTION, 1e-6 * np.array(volts, dtype=float)
 
 
 PAINT = r"""

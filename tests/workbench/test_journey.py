@@ -210,6 +210,7 @@ def test_a_file_without_units_is_refused_with_options_that_read_it(bench, tmp_pa
         assert entry(state, "records", record["id"])["status"] == "ready"
 
 
+@pytest.mark.nightly
 def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
     with bench.client() as client:
         record = upload(client, loops)

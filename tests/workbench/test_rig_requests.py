@@ -96,6 +96,7 @@ def test_while_one_plays_nothing_else_is_begun(bench, page, controller):
     assert sum("played on" in line for line in state["log"]) == 1
 
 
+@pytest.mark.nightly
 def test_a_stop_is_answered_as_the_process_confirms(bench, page, controller):
     armed(page, controller)
     playing(bench, page)

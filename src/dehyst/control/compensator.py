@@ -413,6 +413,40 @@ class Compensator(ReadOnly):
         except CoreError as error:
             raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
 
+    def follow_sensor(self, measured: float, *, rate: float = 0.01, gain: float = 0.2, offset: float = 0.0) -> bool:
+        """Learn gain and offset of the displacement from a sensor, between two steps; return whether they are new.
+
+        This is what `dehyst_loop_follow` does on a microcontroller, bit for bit; `AdaptiveCompensator` learns more. A
+        sample counts if the actuator has moved by two breakaway elongations and a fiftieth of its range since the last
+        one. Nothing is learnt from a sample with a clamped voltage, a value that is NaN or has not changed, or as long
+        as the sensor does not follow the displacement. The result is in `scaling`. For actuators without delay.
+
+        Parameters
+        ----------
+        measured : float
+            Displacement [m, or `units`] due to all voltages sent so far.
+        rate : float, optional
+            Weight of a sample that counts, up to 0.5.
+        gain : float, optional
+            Most by which the gain may differ from 1.
+        offset : float, optional
+            Most by which the offset may differ from 0 [m, or `units`]; 0: the zero of the sensor may drift.
+
+        Raises
+        ------
+        ModelError
+            If rate or a bound is impossible.
+        """
+        reading, most = float(measured) / self._per_metre, number(offset, "offset", self.units) / self._per_metre
+        try:
+            return self._loop.follow(reading, number(rate, "rate"), number(gain, "gain"), most)
+        except CoreError as error:
+            raise ModelError(
+                f"got rate {rate}, gain {gain} and offset {offset}",
+                argument="rate",
+                hint="need a rate up to 0.5, a gain between 0 and 1, and an offset of 0 or more",
+            ) from error
+
     def set_temperature(self, temperature: float) -> None:
         """Set gain and offset for a `temperature` [degrees Celsius], for all further steps and offers.
 

@@ -7,6 +7,7 @@ import pytest
 import dehyst
 from dehyst import Record
 from dehyst.identification.preprocessing import cleaning
+from examples import at_night
 
 PLANT = plain_records.plant(10)
 TOPS = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="tops")
@@ -127,7 +128,7 @@ def test_many_gaps_are_summed_up():
     assert sum(len(piece) for piece in pieces) == len(slow)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 0.5, 1.37, 2.75])
+@pytest.mark.parametrize("samples", [1, at_night(2), at_night(3), at_night(0.5), 1.37, at_night(2.75)])
 def test_a_delay_is_found_to_a_hundredth_of_a_sample(samples):
     record = lagging(samples)
     fit = dehyst.identify(record, elements=10)

@@ -151,6 +151,7 @@ def wide_record(actuator, volts):
 
 @pytest.mark.parametrize("parts", WIDE.values(), ids=WIDE)
 @pytest.mark.parametrize("size", [1, 113])
+@pytest.mark.nightly
 def test_a_wider_actuator_played_in_stretches_carries_its_state_on(parts, size):
     plain = plain_records.plant(12)
     actuator = dehyst.Actuator(plain.slip, plain.spring, **parts)
