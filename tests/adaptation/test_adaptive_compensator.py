@@ -128,6 +128,20 @@ def test_a_sensor_that_is_late_is_not_believed():
     assert any("late" in one.reason for one in loop.log)
 
 
+def test_a_sensor_that_gets_late_costs_what_was_learnt_and_no_more():
+    frozen, loop, seen = loop_of(Compensator), loop_of(), []
+
+    def late(y, k, n):
+        seen.append(y)
+        return seen[-4] if k >= 20 else y
+
+    before = lived(frozen, 32, age=lambda part: 1.0)
+    errors = lived(loop, 32, age=lambda part: 1.0, sensor=late)
+    assert errors[16:20].max() < 0.6 * before[16:20].max()
+    assert np.all(errors[20:] <= 1.2 * before[20:])
+    assert any("initial weights" in one.reason for one in loop.log[20:])
+
+
 def test_a_path_below_a_breakaway_is_not_learnt():
     loop = loop_of()
     lived(loop, 8, age=lambda part: 1.0, path=lambda k: cycle(k, scale=0.02))

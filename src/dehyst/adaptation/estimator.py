@@ -177,7 +177,15 @@ class Estimator:
         centred = (sums - count * np.outer(mean, mean))[:-1, :-1] / count
         late = self._lateness(centred)
         if late:
-            self._note(cycle, f"the sensor is late by {late:.2g} samples, or the given period is wrong")
+            reason = f"the sensor is late by {late:.2g} samples, or the given period is wrong"
+            used = self.factors is not self.weights.initial
+            if late >= 1:
+                # What was learnt is of cycles in which that did not show.
+                self._forget()
+                reason += ": the initial weights are used again" if used else ""
+            self._note(cycle, reason)
+            if late >= 1 and used:
+                yield self.weights.model(self.factors, self.constant)
             return
         kept = np.delete(np.arange(len(sums)), -3)
         centred, mean = centred[np.ix_(kept[:-1], kept[:-1])], mean[kept]
@@ -230,6 +238,15 @@ class Estimator:
             if self._program.step():
                 break
             yield None
+
+    def _forget(self) -> None:
+        """Return to the initial weights, with nothing learnt; the datum of the sensor stays."""
+        self.factors, self.constant = self.weights.initial, float(self.weights.actuator.spring.voltage[0])
+        for sums in (self._gram, self._image, self._sizes):
+            sums[...] = 0.0
+        self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
+        self._odd = self._learnt = 0
+        self._usual.clear()
 
     def _lateness(self, centred: Array) -> float:
         """Return the sensor's delay in samples, if it explains a cycle far better than gain and width do."""
