@@ -218,7 +218,7 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
 _coupled = Only(lambda given: given.get("axes", 1) > 1, "with one axis")
 
 
-@operation(name="rig serve", returns=False, rare=("hysteretic", "noise", "wave_points", "host"))
+@operation(name="rig serve", returns=False, rare=("hysteretic", "noise", "wave_points", "host", "ageing"))
 def serve(
     run: Run,
     *,

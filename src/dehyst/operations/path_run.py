@@ -27,7 +27,7 @@ _RATES = 0.01
 _adapting = beside("adapt")
 
 
-@operation(AdaptiveCompensator, name="run", details=True)
+@operation(AdaptiveCompensator, name="run", rare=("memory", "zero_drifts"), details=True)
 def run_path(
     run: Run,
     rig: str,
