@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from dehyst._errors import DehystError, RigError
 from dehyst._process import Outlet
-from dehyst.instruments import AbstractRig, VoltageNote, open_rig
+from dehyst.instruments import BY_HAND, AbstractRig, VoltageNote, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.workbench.rig.messages import Request, number, pair, text
 from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
@@ -23,8 +23,6 @@ _PERIOD, _TICK = 0.1, 0.02
 _LOST_AFTER = 3
 # Fields of the state that belong to one rig.
 OF_RIG = ("name", "identity", "axis", "limits", "slew", "safe", "plan")
-# What a device does that no command reaches.
-_ADVICE = "The device holds, or plays to its end, what it has; see to it by hand."
 
 
 class RigDriver:
@@ -248,7 +246,7 @@ class RigDriver:
             voltage = rig.retreat()
         # Whatever a driver raises, also to end the program: the outcome is a sentence.
         except BaseException as error:
-            self._lose(f"The voltage could not be brought to {rig.safe:.6g} V ({reason_of(error)}).", words)
+            self._lose(f"The voltage could not be brought to {rig.safe:.6g} V ({reason_of(error)}): {BY_HAND}.", words)
             return
         self._watchdog.disarm()
         self._stopped = [*words, f"The voltage was brought to {voltage:.6g} V."]
@@ -266,14 +264,13 @@ class RigDriver:
         elif not self._watchdog.armed or self._status == "armed":
             self._show(self._status, words=notes)
         elif any(isinstance(note, VoltageNote) and not note.safe for note in notes):
-            # The note gives the advice too.
-            self._lose(" ".join(notes), stopped, advice=[])
+            self._lose(" ".join(notes), stopped)
             self._watchdog.settle()
         else:
             self._retreat([sentence, *stopped])
             self._watchdog.settle()
 
-    def _lose(self, outcome: str, words: list[str], advice: Sequence[str] = (_ADVICE,)) -> None:
+    def _lose(self, outcome: str, words: list[str]) -> None:
         """Give up a rig whose voltage cannot be brought anywhere; send where it was last."""
         last, now = self._feed.last, time.monotonic()
         known = "Its voltage was never read."
@@ -281,7 +278,7 @@ class RigDriver:
             known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
         self._watchdog.lose()
         self._close()
-        self._show("lost", words=[*words, outcome, known, *advice])
+        self._show("lost", words=[*words, outcome, known])
 
     def _look(self) -> None:
         """Read a rig at rest, ten times a second."""
@@ -307,7 +304,7 @@ class RigDriver:
             self._watchdog.trip(f"the rig cannot be read: {reason}")
         elif self._failures >= _LOST_AFTER:
             self._outlet.state(error=reason)
-            self._lose("It cannot be read any more.", [])
+            self._lose(f"It cannot be read any more: {BY_HAND}.", [])
 
     def _look_now(self) -> None:
         if self.rig is not None:
