@@ -50,7 +50,7 @@ class Factors:
 
     `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
     falls with the square of the held-out error where that is below `full`, to a twentieth at least. A floor without
-    `full` does not fall: where no record turned, a small held-out error tells nothing.
+    `full` does not fall: a small held-out error is no evidence where no record turned.
     """
 
     held_out: float
