@@ -204,6 +204,7 @@ class Estimator:
             self._note(cycle, "its error is not like that of the cycles before: not learnt", error)
             return
         self._usual.append(error)
+        followed = self.datum
         left = float(mean[-2] - mean[:-2] @ self.factors) - self.constant
         self.datum -= left / self._slope
         if self._zero_drifts and self.factors is self.weights.initial:
@@ -214,7 +215,7 @@ class Estimator:
             return
         offered = self._error(centred, self._program.x)
         reason, factors = self._trusted(centred, self._program.x)
-        constant, datum = self._constant(factors, mean)
+        constant, datum = self._constant(factors, mean, followed)
         # Better without regard to an offset, and not worse with it.
         worse = np.hypot(self._error(centred, factors), datum - self._zero) > np.hypot(error, self.datum - self._zero)
         if not offered < _BETTER * error or worse:
@@ -280,19 +281,19 @@ class Estimator:
                 return f"the {name} would be {value:.3g} of the model's: this may be another actuator", factors
         return "", factors
 
-    def _constant(self, factors: Array, mean: Array) -> tuple[float, float]:
+    def _constant(self, factors: Array, mean: Array, followed: float) -> tuple[float, float]:
         """Return the constant c [V] for given factors, and the resulting datum of the sensor [m].
 
         The constant keeps the sensor's zero where it was. If the zero may drift, the constant changes only as far as an
         anchor of the model stays in place within the usual error; the rest is the datum.
         """
         fitted = float(mean[-2] - mean[:-2] @ factors)
-        constant = fitted - self._slope * (self.datum - self._zero)
+        constant = fitted - self._slope * (followed - self._zero)
         if self._zero_drifts:
             slack = self._slope * float(np.median(self._usual))
             low, high = self.weights.constants(factors)
             constant = min(max(constant, low - slack), high + slack)
-        return constant, self.datum - (fitted - constant) / self._slope
+        return constant, followed - (fitted - constant) / self._slope
 
     def _note(self, cycle: PathCycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
         ratios = self.weights.ratios(self.factors)
