@@ -345,6 +345,48 @@ def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):
     assert np.abs(record.voltage).max() <= 100 + 1e-6
 
 
+@pytest.mark.slow
+def test_a_path_is_followed_while_the_rig_ages_and_the_model_adapts(owner, bench_with_model, tmp_path):
+    owner.step("Path")
+    owner.page.get_by_label("Draw points").check()
+    owner.sees("The path can be followed", within="#path")
+    owner.write_voltage()
+    model = str(bench_with_model.folder / "models" / "loops.json")
+    ageing = '{"ageing": "gain=-7,width=25,seconds=30"}'
+    with emulator("--actuator", model, "--limits", "0", "100", "--speed", "5", "--options", ageing) as address:
+        owner.connect(address, LIMITS, 5000)
+        owner.arm(LIMITS, 5000)
+        newest = owner.page.locator("#rig-play option").last.get_attribute("value")
+        owner.page.locator("#rig-play select").select_option(newest)
+        owner.fill("Repetitions", 8, within="#rig-play")
+        owner.click("button", "Follow the path", within="#rig-play")
+        owner.sees("repetition 2", within="#rig-bar")
+        owner.sees("Drift of the weights", within="#rig-run")
+        owner.sees("of the last repetition", within="#rig-result")
+        assert colours(owner.page.locator("#rig-run .figure").last) > 3
+        owner.click("button", "Disconnect")
+        owner.page.locator("#rig-bar").wait_for(state="hidden")
+    owner.step("Model")
+    owner.sees("Adapted in 8 repetitions", within="#model")
+    assert "dehyst run pi://" in (bench_with_model.folder / "commands.sh").read_text()
+    # The rig is another than at the beginning: the first model is no longer true, and is updated.
+    owner.page.locator("#model .model-choice").select_option(label="loops")
+    owner.step("Trust")
+    owner.page.locator("#check select").select_option(label=f"{newest_of(bench_with_model.folder, 'followed')}")
+    owner.click("button", "Check the model")
+    owner.sees("The gain has fallen", within="#check-result")
+    owner.click("button", "Update the model")
+    owner.page.locator("#trust .model-choice option", has_text="loops-updated").wait_for(state="attached")
+    owner.step("Model")
+    owner.sees("Updated from", within="#model")
+
+
+def newest_of(folder, words):
+    """Name of the newest record whose name has these words."""
+    records = [one for one in (folder / "records").glob("*.csv") if words in one.name]
+    return max(records, key=lambda one: one.stat().st_mtime).stem
+
+
 def test_the_tutorial_shows_all_its_pictures():
     text = (places.DOCS / "tutorials" / "workbench.md").read_text()
     assert re.findall(r"\(workbench/(\w+)\.png\)", text) == list(PICTURES)

@@ -10,6 +10,12 @@ export class Form {
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
   }
 
+  // Let the person choose among others; without one of them, the first is chosen.
+  offer(name, choices) {
+    this.fields[name].choices = choices;
+    if (!choices.some(([value]) => value === this.values[name])) this.values[name] = choices[0]?.[0] ?? "";
+  }
+
   // A labelled control.
   field(name, { class: style } = {}) {
     const { label, unit, hint, choices, placeholder } = this.fields[name];

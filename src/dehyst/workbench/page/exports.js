@@ -1,6 +1,6 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
 import { announce, button, problem } from "./acts.js";
-import { exportModel } from "./api.js";
+import { workOn } from "./api.js";
 import { h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
@@ -53,7 +53,7 @@ async function exportAs(kind) {
     }
     Object.assign(body, request);
   }
-  await exportModel(chosenModel().id, body);
+  await workOn(chosenModel().id, "export", body);
   announce("The export has begun.");
 }
 

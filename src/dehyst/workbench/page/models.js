@@ -3,12 +3,12 @@ import { cancelJob, endIdentification } from "./api.js";
 import { h, table } from "./dom.js";
 import { announce, button, problem, removeButton } from "./acts.js";
 import { duration, percent, range } from "./numbers.js";
-import { chooseModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
+import { chooseModel, openJobs, readyModels, recordOf, redraw, session, watch } from "./state.js";
 import { goTo, isOpen, needsModel } from "./steps.js";
 import { VERDICT_HEADS, axesBlock, fileLink, modelChoice, mounted, verdictBlock, verdictCells } from "./verdict.js";
 
 const began = new Map(); // when the server said how long an identification has run
-const lately = new Map(); // status of each model as last seen
+let known = null; // models that were ready when the page last looked
 
 const MEANWHILE =
   "A first model exists within seconds; the search for a better structure takes minutes with long records. You can " +
@@ -19,8 +19,21 @@ setInterval(() => {
   if (isOpen("model") && session.state.models.some((one) => one.status === "identifying")) redraw();
 }, 500);
 
+// A model that has become ready is announced, and all steps speak of it.
+watch("state", ({ revision, models }) => {
+  if (revision === undefined) return;
+  for (const { id, seconds } of models) {
+    if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
+  }
+  const ready = readyModels();
+  const fresh = known && ready.find(({ id }) => !known.has(id));
+  known = new Set(ready.map(({ id }) => id));
+  if (!fresh) return;
+  announce(`${fresh.name} is ready: largest error ${percent(fresh.verdict.largest_percent)} of the stroke.`);
+  chooseModel(fresh.id);
+});
+
 export function modelView({ models }, model) {
-  models.forEach(noticed);
   return [
     models.length === 0 && needsModel("There is no model yet."),
     h(
@@ -34,7 +47,7 @@ export function modelView({ models }, model) {
 
 function body(model) {
   const look = { class: "button", download: null, target: "_blank" };
-  const origin = model.rig ? `Calibrated on ${model.rig}.` : `Identified in ${duration(model.seconds)}.`;
+  const origin = model.origin || `Identified in ${duration(model.seconds)}.`;
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
@@ -52,16 +65,6 @@ function body(model) {
     problem(model.report),
     mounted(model.report)?.element,
   ];
-}
-
-// Say the end of an identification to those who do not see it.
-function noticed({ id, name, status, verdict, seconds }) {
-  if (lately.get(id) === "identifying" && status === "ready") {
-    announce(`${name} is ready: largest error ${percent(verdict.largest_percent)} of the stroke.`);
-    chooseModel(id);
-  }
-  lately.set(id, status);
-  if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
 }
 
 function runningCard(model) {

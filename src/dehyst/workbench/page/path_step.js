@@ -1,6 +1,6 @@
 // The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
 import { announce, button, complain, problem } from "./acts.js";
-import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
+import { remembered, scanColumns, wasmAddress, workOn } from "./api.js";
 import { AxesFigures, resting } from "./axes_figures.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
@@ -149,8 +149,7 @@ function adopt(model) {
   if (view.model === model.id) return;
   view.model = model.id;
   view.file = null;
-  form.fields.axis.choices = namesOf(model).map((name) => [name, name]);
-  [form.values.axis] = namesOf(model);
+  form.offer("axis", namesOf(model).map((name) => [name, name]));
   if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
@@ -281,7 +280,7 @@ export function currentPlan() {
 export const lastPlan = () => view.took;
 
 async function write() {
-  await writeVoltage(chosenModel().id, currentRequest());
+  await workOn(chosenModel().id, "path", currentRequest());
   announce("The voltage is being computed.");
 }
 

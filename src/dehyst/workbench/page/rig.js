@@ -3,11 +3,11 @@ import { button, problem } from "./acts.js";
 import { rig as request } from "./api.js";
 import { h, table } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { Form, card, facts, fold, list } from "./forms.js";
-import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
+import { Form, card, facts, fold, list, tick } from "./forms.js";
+import { duration, length, limitsFrom, percent, range, short, whole } from "./numbers.js";
 import { journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";
-import { watch } from "./state.js";
+import { modelOf, redraw, watch } from "./state.js";
 import { isOpen } from "./steps.js";
 
 const LIMITS = {
@@ -30,7 +30,12 @@ const planning = new Form("plan", {
   goal: { label: "Goal", unit: "%", value: "1", above: 0 },
 });
 const arming = new Form("arm", LIMITS);
-const playing = new Form("play", { voltage: { label: "Voltage", choices: [] } });
+const playing = new Form(
+  "play",
+  { voltage: { label: "Voltage", choices: [] }, cycles: { label: "Repetitions", value: "20", least: 1 } },
+  redraw,
+);
+let adapts = true;
 
 const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.number("slew") });
 const calibration = () =>
@@ -75,8 +80,9 @@ export function rigView({ rig, voltages }) {
         "div",
         { class: "stage rig-stage", "data-moving": String(moving) },
         !here && journey("rig-steps", STEPS),
-        h("div", { id: "rig-result" }, rig.result && resultBlock(rig.result)),
+        h("div", { id: "rig-result" }, rig.result && resultBlock(rig.result, rig.known?.cycles)),
         h("div", { id: "rig-live", hidden: live.count === 0 }, live.view()),
+        h("div", { id: "rig-run", class: "figures" }, rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
         h("div", { id: "rig-plan" }, rig.plan && planTable(rig.plan)),
         h("ul", { id: "rig-words", class: "remarks" }, (rig.words ?? []).map((one) => h("li", {}, one))),
       ),
@@ -149,13 +155,31 @@ function armCard({ identity, limits: ends, slew, safe }) {
   );
 }
 
+// A voltage is played once, or its path is followed again and again by its model, which may adapt.
 function playCard(voltages) {
-  const { values, fields } = playing;
   const words = ({ name, samples, seconds }) => `${name}: ${whole(samples)} samples, ${duration(seconds)}`;
-  fields.voltage.choices = voltages.map((one) => [one.id, words(one)]);
-  if (!voltages.some((one) => one.id === values.voltage)) values.voltage = voltages[0].id;
-  const play = () => request("play", { voltage: values.voltage });
-  return card("4. Play a voltage", { id: "rig-play", key: "play" }, playing.field("voltage"), act("Play", play));
+  playing.offer("voltage", voltages.map((one) => [one.id, words(one)]));
+  const { voltage } = playing.values;
+  const { path, model } = voltages.find((one) => one.id === voltage);
+  const follow = () => request("run", { voltage, cycles: playing.number("cycles"), adapt: adapts });
+  const onchange = (event) => {
+    adapts = event.target.checked;
+  };
+  const leader = modelOf(model);
+  return card(
+    "4. Play a voltage, or follow its path",
+    { id: "rig-play", key: "play" },
+    playing.field("voltage"),
+    act("Play", () => request("play", { voltage })),
+    path &&
+      leader &&
+      !leader.coupling && [
+        h("p", { class: "muted" }, `Or follow its path again and again with ${leader.name}, and measure the error:`),
+        playing.field("cycles"),
+        tick("Adapt the model after each repetition", { type: "checkbox", id: "adapt", checked: adapts, onchange }),
+        h("p", {}, act("Follow the path", follow)),
+      ],
+  );
 }
 
 // What a calibration would play, which is shown before anything is armed; and what came of it.
@@ -176,21 +200,60 @@ function planTable({ steps, seconds: all }) {
   ];
 }
 
-function resultBlock({ kind, good, samples, compensated_percent: error, nominal_percent: nominal, warnings, command }) {
-  if (kind !== "calibration") {
-    const recorded = h("p", { class: "first" }, `Recorded ${whole(samples ?? 0)} samples.`);
-    return h("div", { class: "outcome green", role: "status" }, recorded);
-  }
-  const rest = `of the stroke is the largest error on the measured path; ${percent(nominal)} by a straight gain`;
+function resultBlock({ kind, good, samples, compensated, nominal, warnings, command }, cycles = []) {
+  const [first, last] = [cycles[0], cycles.at(-1)].map((one) => percent(one?.largest_percent));
+  const gain = percent(nominal?.largest_percent);
+  const { done, error, rest } = {
+    calibrate: {
+      done: "Calibrated",
+      error: percent(compensated?.largest_percent),
+      rest: `of the stroke is the largest error on the measured path; ${gain} by a straight gain`,
+    },
+    run: {
+      done: "Followed",
+      error: last,
+      rest: `of the stroke is the largest error of the last repetition; ${first} in the first`,
+    },
+    record: { done: `Recorded ${whole(samples ?? 0)} samples` },
+  }[kind];
   return h(
     "div",
-    { class: `outcome ${good ? "green" : "amber"}`, role: "status" },
-    h("strong", {}, good ? "Calibrated" : "Calibrated, with care"),
-    h("b", {}, percent(error), " ", h("small", {}, rest)),
+    { class: `outcome ${good === false ? "amber" : "green"}`, role: "status" },
+    h("strong", {}, good === false ? `${done}, with care` : done),
+    error && h("b", {}, error, " ", h("small", {}, rest)),
     list(warnings),
     command && fold("The same in a terminal", h("pre", {}, command)),
   );
 }
+
+// Errors of the repetitions of a path, and what the weights of the model have learnt.
+class RunFigures {
+  constructor() {
+    this.error = new Figure({ title: "Error of each repetition", help: false });
+    this.drift = new Figure({ title: "Drift of the weights", help: false });
+  }
+
+  view(cycles) {
+    if (this.drawn !== cycles) this.draw(cycles);
+    this.drawn = cycles;
+    return [this.error.element, this.drift.element];
+  }
+
+  draw(cycles) {
+    const x = cycles.map((_, k) => k + 1);
+    const curve = ([name, colour, key]) => ({ name, colour, x, y: cycles.map((one) => one[key]), rising: true });
+    const axes = (label) => ({ x: { label: "Repetition" }, y: { label, unit: "%" } });
+    const errors = [["largest", "simulated", "largest_percent"], ["RMS", "measured", "rms_percent"]];
+    this.error.set({ ...axes("Error (% of the stroke)"), series: errors.map(curve) });
+    const { offset_um: offset } = cycles.at(-1);
+    this.drift.element.hidden = offset === undefined;
+    if (offset === undefined) return;
+    const changes = [["gain", "simulated", "gain_percent"], ["width of the loop", "measured", "width_percent"]];
+    const notes = [[null, `offset of the sensor ${length(offset)}`]];
+    this.drift.set({ ...axes("Change (%)"), series: changes.map(curve), notes });
+  }
+}
+const run = new RunFigures();
 
 const ROOM = 30_000; // samples that are kept
 const STRIP = 20; // seconds of the strips

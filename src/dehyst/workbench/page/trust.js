@@ -1,15 +1,15 @@
 // The third step: how far to trust a model. Where its records turned, with the path of the next step and what is
 // promised along it; and the assessment.
 import { announce, button, problem } from "./acts.js";
-import { assess } from "./api.js";
+import { workOn } from "./api.js";
 import { fill, h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS } from "./figure.js";
-import { card, fold } from "./forms.js";
+import { Form, card, list } from "./forms.js";
 import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { isPlane } from "./report.js";
-import { openJobs } from "./state.js";
+import { openJobs, readyRecords } from "./state.js";
 import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
@@ -34,11 +34,7 @@ export function trustView(_, model) {
     h("div", { id: "trust-insight" }, assessment ? assessment.element : !report && invitation(model, running)),
     report && problem(report),
     problem("trust"),
-    fold(
-      "Does it still hold later?",
-      h("p", {}, "Measure one loop again now and then, and check the model by it in a terminal, in the page's folder:"),
-      h("pre", {}, `dehyst check ${model.file} new-record.csv`),
-    ),
+    checkCard(model),
   ];
 }
 
@@ -82,8 +78,45 @@ const invitation = ({ id }, running) =>
   );
 
 async function start(id) {
-  await assess(id);
+  await workOn(id, "insight");
   announce("The assessment has begun.");
+}
+
+const checking = new Form("check", { record: { label: "New record" } });
+
+// Whether a model still holds, by a record that it was not identified from; and its update by that record.
+function checkCard(model) {
+  const { check } = model;
+  const records = readyRecords().filter((one) => !model.train.includes(one.id));
+  checking.offer("record", records.map((one) => [one.id, one.name]));
+  const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
+  const act = (text, what, record, begun, look) => {
+    const work = async () => {
+      await workOn(model.id, what, { record });
+      announce(begun);
+    };
+    return button(text, "check", work, { ...look, hidden: jobs.some((one) => one.status === "running") });
+  };
+  const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
+  return card(
+    "Is it still true?",
+    { id: "check", key: "check" },
+    records.length === 0 && h("p", {}, measure),
+    records.length > 0 && checking.field("record"),
+    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),
+    h("ul", { class: "cards" }, jobCards(jobs)),
+    problem("check"),
+    check &&
+      h(
+        "div",
+        { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
+        check.sentences.map((one) => h("p", { class: "first" }, one)),
+        list(check.why),
+        !check.good &&
+          !check.foreign &&
+          act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
+      ),
+  );
 }
 
 // Draw the path with its band, and where its voltage turns.
