@@ -36,12 +36,10 @@ watch("state", ({ revision, models }) => {
 export function modelView({ models }, model) {
   return [
     models.length === 0 && needsModel("There is no model yet."),
-    h(
-      "ul",
-      { id: "running", class: "cards", "aria-label": "Identifications" },
+    h("ul#running.cards", { "aria-label": "Identifications" },
       models.filter((one) => one.status !== "ready").map(runningCard),
     ),
-    h("div", { id: "model-body", hidden: !model }, model && body(model)),
+    h("div#model-body", { hidden: !model }, model && body(model)),
   ];
 }
 
@@ -51,15 +49,13 @@ function body(model) {
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
-    h("div", { id: "verdict" }, verdictBlock(model), axesBlock(model)),
-    h(
-      "div",
-      { class: "row next" },
+    h("div#verdict", verdictBlock(model), axesBlock(model)),
+    h("div.row.next",
       goTo("path", "Make a voltage"),
       goTo("trust", "How far to trust it"),
       fileLink(model.report, "Read the report", look),
     ),
-    h("p", { class: "muted" }, `${ranges} ${origin} `, removeButton("models", model)),
+    h("p.muted", `${ranges} ${origin} `, removeButton("models", model)),
     problem(`models ${model.id}`),
     comparison(readyModels(), model),
     problem(model.report),
@@ -70,13 +66,13 @@ function body(model) {
 function runningCard(model) {
   const { id, name, status, error, progress, provisional, train } = model;
   const running = status === "identifying";
-  const title = h("div", { class: "card-head" }, h("h3", {}, name), !running && removeButton("models", model));
+  const title = h("div.card-head", h("h3", name), !running && removeButton("models", model));
   const place = `models ${id}`;
   if (!running) {
     const failed = `No model: ${error ?? "the identification failed."}`;
     const words = status === "failed" ? failed : `Cancelled${error ? `: ${error}` : "."}`;
-    const alert = h("p", { class: "error", role: "alert" }, words);
-    return h("li", { class: "card refused", key: id }, title, alert, problem(place));
+    const alert = h("p.error", { role: "alert" }, words);
+    return h("li.card.refused", { key: id }, title, alert, problem(place));
   }
   const { seconds, at } = began.get(id);
   const elapsed = duration(Math.round(seconds + (performance.now() - at) / 1000));
@@ -84,18 +80,14 @@ function runningCard(model) {
     const [job] = openJobs("identify", id);
     return job ? cancelJob(job.id) : endIdentification(id);
   };
-  return h(
-    "li",
-    { class: "card running", key: id },
+  return h("li.card.running", { key: id },
     title,
-    h("p", { class: "muted" }, `Identifying from ${train.map((one) => recordOf(one)?.name ?? one).join(", ")}`),
+    h("p.muted", `Identifying from ${train.map((one) => recordOf(one)?.name ?? one).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
-    h("p", { class: "progress-words", role: "status" }, progress || "starting"),
-    h("p", { class: "elapsed" }, `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
-    h("p", { class: "muted" }, MEANWHILE),
-    h(
-      "div",
-      { class: "row" },
+    h("p.progress-words", { role: "status" }, progress || "starting"),
+    h("p.elapsed", `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
+    h("p.muted", MEANWHILE),
+    h("div.row",
       button("Finish with the best so far", place, () => endIdentification(id), { class: "quiet" }),
       button("Cancel", place, cancel, { class: "quiet" }),
     ),
@@ -114,7 +106,7 @@ function comparison(all, chosen) {
   const same = new Set(records).size === 1;
   const cell = (verdict) => (name) => {
     const best = same && models.every((one) => verdict[name] <= one.verdict[name]);
-    const mark = best && h("span", { class: "unseen" }, " (best)");
+    const mark = best && h("span.unseen", " (best)");
     return h("td", { class: best && "best" }, percent(verdict[name]), mark);
   };
   const heads = ["Model", ...VERDICT_HEADS, "Structure", "Time taken", "From"];
@@ -125,10 +117,8 @@ function comparison(all, chosen) {
     duration(one.seconds),
     one.verdict.basis ?? "",
   ]);
-  return h(
-    "section",
-    { class: "comparison", "aria-labelledby": "comparison", key: "comparison" },
-    h("h2", { id: "comparison" }, "Models side by side"),
+  return h("section.comparison", { "aria-labelledby": "comparison", key: "comparison" },
+    h("h2#comparison", "Models side by side"),
     table("Error, verdict and time of each model", heads, rows),
   );
 }

@@ -62,29 +62,23 @@ export function rigView({ rig, voltages }) {
   const connected = here && rig.status !== "connecting";
   const moving = ["playing", "calibrating", "stopping"].includes(rig.status);
   return [
-    h("p", { class: "error", role: "alert" }, rig.error),
+    h("p.error", { role: "alert" }, rig.error),
     problem("rig"),
-    h(
-      "div",
-      { class: "split" },
-      h(
-        "div",
-        { class: "side" },
+    h("div.split",
+      h("div.side",
         !here && connectCard(),
         connected && connectedCard(rig),
         connected && planCard(rig),
         rig.status === "connected" && armCard(rig),
         rig.status === "armed" && voltages.length > 0 && playCard(voltages),
       ),
-      h(
-        "div",
-        { class: "stage rig-stage", "data-moving": String(moving) },
+      h("div.stage.rig-stage", { "data-moving": String(moving) },
         !here && journey("rig-steps", STEPS),
-        h("div", { id: "rig-result" }, rig.result && resultBlock(rig.result, rig.known?.cycles)),
-        h("div", { id: "rig-live", hidden: live.count === 0 }, live.view()),
-        h("div", { id: "rig-run", class: "figures" }, rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
-        h("div", { id: "rig-plan" }, rig.plan && planTable(rig.plan)),
-        h("ul", { id: "rig-words", class: "remarks" }, (rig.words ?? []).map((one) => h("li", {}, one))),
+        h("div#rig-result", rig.result && resultBlock(rig.result, rig.known?.cycles)),
+        h("div#rig-live", { hidden: live.count === 0 }, live.view()),
+        h("div#rig-run.figures", rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
+        h("div#rig-plan", rig.plan && planTable(rig.plan)),
+        h("ul#rig-words.remarks", (rig.words ?? []).map((one) => h("li", one))),
       ),
     ),
   ];
@@ -98,7 +92,7 @@ function connectCard() {
     { id: "rig-connect", key: "connect" },
     connecting.field("address"),
     connecting.row(Object.keys(LIMITS), "fields three"),
-    h("p", { class: "muted" }, "Nothing moves before you arm. No voltage leaves these limits."),
+    h("p.muted", "Nothing moves before you arm. No voltage leaves these limits."),
     act("Connect", connect),
   );
 }
@@ -115,9 +109,7 @@ function connectedCard(rig) {
     "Connected",
     { id: "rig-connected", key: "connected" },
     facts(about),
-    h(
-      "p",
-      { class: "row" },
+    h("p.row",
       canMove(rig) && act("Disarm", () => request("disarm"), { class: "" }),
       act("Disconnect", () => request("disconnect"), { class: "" }),
     ),
@@ -134,8 +126,8 @@ function planCard(rig) {
     "2. Plan a calibration",
     { id: "rig-calibration", key: "calibration" },
     planning.row(Object.keys(planning.fields), "fields three"),
-    h("p", { class: "row" }, act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
-    h("p", { class: "muted" }, missing),
+    h("p.row", act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
+    h("p.muted", missing),
   );
 }
 
@@ -149,7 +141,7 @@ function armCard({ identity, limits: ends, slew, safe }) {
   return card(
     "3. Arm",
     { class: "danger", id: "rig-arm", key: "arm" },
-    h("p", {}, `Rig: ${identity}. ${confirm} ${check}`),
+    h("p", `Rig: ${identity}. ${confirm} ${check}`),
     arming.row(Object.keys(LIMITS), "fields three"),
     act("Arm with these limits", arm, { class: "main armed" }),
   );
@@ -174,10 +166,10 @@ function playCard(voltages) {
     path &&
       leader &&
       !leader.coupling && [
-        h("p", { class: "muted" }, `Or follow its path again and again with ${leader.name}, and measure the error:`),
+        h("p.muted", `Or follow its path again and again with ${leader.name}, and measure the error:`),
         playing.field("cycles"),
         tick("Adapt the model after each repetition", { type: "checkbox", id: "adapt", checked: adapts, onchange }),
-        h("p", {}, act("Follow the path", follow)),
+        h("p", act("Follow the path", follow)),
       ],
   );
 }
@@ -188,15 +180,15 @@ function planTable({ steps, seconds: all }) {
   const heads = ["Step", text, "Samples", "Time", "Lowest (V)", "Highest (V)", "Steepest (V/s)"];
   const rows = steps.map(({ step, what, samples, seconds, lowest_V, highest_V, steepest_V_per_s }) => [
     String(step),
-    h("td", { class: "text" }, what ?? ""),
+    h("td.text", what ?? ""),
     samples === undefined ? "" : whole(samples),
     duration(seconds),
     ...[lowest_V, highest_V, steepest_V_per_s].map((one) => short(one)),
   ]);
   return [
-    h("h3", {}, "What a calibration plays"),
+    h("h3", "What a calibration plays"),
     table("Plan of the calibration", heads, rows),
-    h("p", { class: "muted" }, `It takes about ${duration(all)} in all.`),
+    h("p.muted", `It takes about ${duration(all)} in all.`),
   ];
 }
 
@@ -216,13 +208,11 @@ function resultBlock({ kind, good, samples, compensated, nominal, warnings, comm
     },
     record: { done: `Recorded ${whole(samples ?? 0)} samples` },
   }[kind];
-  return h(
-    "div",
-    { class: `outcome ${good === false ? "amber" : "green"}`, role: "status" },
-    h("strong", {}, good === false ? `${done}, with care` : done),
-    error && h("b", {}, error, " ", h("small", {}, rest)),
+  return h("div", { class: `outcome ${good === false ? "amber" : "green"}`, role: "status" },
+    h("strong", good === false ? `${done}, with care` : done),
+    error && h("b", error, " ", h("small", rest)),
     list(warnings),
-    command && fold("The same in a terminal", h("pre", {}, command)),
+    command && fold("The same in a terminal", h("pre", command)),
   );
 }
 
@@ -270,9 +260,9 @@ class LiveFigures {
   }
 
   view() {
-    const strips = h("div", {}, this.voltage.element, this.displacement.element);
+    const strips = h("div", this.voltage.element, this.displacement.element);
     if (this.count > 0) this.draw();
-    return h("div", { class: "live" }, this.loop.element, strips);
+    return h("div.live", this.loop.element, strips);
   }
 
   add(message) {

@@ -14,7 +14,7 @@ import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
-const turns = make(h("div", { class: "report", id: "trust-turns" }));
+const turns = make(h("div#trust-turns.report"));
 let drawn = {}; // the plan in the pictures, and the figure with its turning points
 
 export function trustView(_, model) {
@@ -30,8 +30,8 @@ export function trustView(_, model) {
     modelChoice(),
     !assessment && verdictBlock(model),
     !assessment && turns,
-    h("ul", { id: "trust-jobs", class: "cards" }, jobCards(jobs)),
-    h("div", { id: "trust-insight" }, assessment ? assessment.element : !report && invitation(model, running)),
+    h("ul#trust-jobs.cards", jobCards(jobs)),
+    h("div#trust-insight", assessment ? assessment.element : !report && invitation(model, running)),
     report && problem(report),
     problem("trust"),
     checkCard(model),
@@ -49,7 +49,7 @@ function turned(model) {
   if (beside.nextSibling !== promise.element) beside.after(promise.element);
   if (plan && (drawn.plan !== plan || drawn.figure !== figure)) drawPath(plan, figure);
   const none = ["There is no path yet. ", goTo("path", "To the path")];
-  const words = h("p", {}, plan ? plan.turned?.sentence : none);
+  const words = h("p", plan ? plan.turned?.sentence : none);
   return [section.previousElementSibling, section, words];
 }
 
@@ -68,9 +68,7 @@ const invitation = ({ id }, running) =>
   card(
     "What do the records leave open?",
     { key: "invitation" },
-    h(
-      "p",
-      {},
+    h("p",
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
         "model the records determine. It takes seconds to minutes.",
     ),
@@ -101,16 +99,14 @@ function checkCard(model) {
   return card(
     "Is it still true?",
     { id: "check", key: "check" },
-    records.length === 0 && h("p", {}, measure),
+    records.length === 0 && h("p", measure),
     records.length > 0 && checking.field("record"),
     records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),
-    h("ul", { class: "cards" }, jobCards(jobs)),
+    h("ul.cards", jobCards(jobs)),
     problem("check"),
     check &&
-      h(
-        "div",
-        { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
-        check.sentences.map((one) => h("p", { class: "first" }, one)),
+      h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
+        check.sentences.map((one) => h("p.first", one)),
         list(check.why),
         !check.good &&
           !check.foreign &&
