@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -14,7 +14,7 @@ from dehyst._process import Outlet
 from dehyst.instruments import BY_HAND, AbstractRig, VoltageNote, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.workbench.rig.messages import Request, number, pair, text
-from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
+from dehyst.workbench.rig.tasks import LiveFeed, RigRun, performed, playing
 from dehyst.workbench.rig.watchdog import Stopped, Watchdog
 
 # Seconds between two readings of a rig at rest, and longest wait for a command.
@@ -58,7 +58,8 @@ class RigDriver:
             "arm": self._arm,
             "plan": self._plan,
             "play": self._play,
-            "calibrate": self._calibrate,
+            "calibrate": self._operate,
+            "run": self._operate,
             "disarm": self._disarm,
             "disconnect": self._disconnect,
         }
@@ -181,15 +182,23 @@ class RigDriver:
         self._show("armed", error=None, words=[])
 
     def _plan(self, request: Request) -> None:
-        self._outlet.state(plan=planned(self._connected(), request), error=None)
+        """Show what a calibration would send."""
+        run = RigRun(self._connected(), self._working("connected"), self._outlet.state)
+        steps = performed(run, {**request, "do": "calibrate"}, dry_run=True)["steps"]
+        self._outlet.state(plan={"steps": steps, "seconds": sum(one.get("seconds", 0.0) for one in steps)}, error=None)
 
     def _play(self, request: Request) -> None:
         rig = self._armed()
-        self._work("playing", playing(rig, request, self._feed, first=self._fresh))
+        task = playing(rig, request, self._feed, first=self._fresh)
+        with self._working("playing"):
+            result = task()
+        self._show("armed", result=result, words=[])
 
-    def _calibrate(self, request: Request) -> None:
-        rig = self._armed()
-        self._work("calibrating", calibrating(rig, str(self.address), request, self._feed))
+    def _operate(self, request: Request) -> None:
+        """Calibrate, or follow a path."""
+        working = self._working("calibrating" if request["do"] == "calibrate" else "playing")
+        result = performed(RigRun(self._armed(), working, self._outlet.state), request)
+        self._show("armed", result=result, words=[])
 
     def _armed(self) -> AbstractRig:
         rig = self._connected()
@@ -197,16 +206,16 @@ class RigDriver:
             raise RigError("the rig is not armed, nothing was sent; confirm limits and slew rate first")
         return rig
 
-    def _work(self, status: str, task: Task) -> None:
-        """Do what sends voltages; `Stopped` leaves it after the base class has retreated."""
+    @contextmanager
+    def _working(self, status: str) -> Iterator[LiveFeed]:
+        """Send voltages; `Stopped` leaves it after the base class has retreated."""
         self._show(status, error=None, words=[], result=None)
         self._watchdog.active, self._fresh = True, False
         try:
-            result = task()
+            yield self._feed
         finally:
             self._watchdog.active = False
             self._feed.end()
-        self._show("armed", result=result, words=[])
 
     def _disarm(self, _: Request) -> None:
         self._connected()
