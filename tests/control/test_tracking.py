@@ -76,7 +76,7 @@ def test_parts_that_records_do_not_need_do_not_hurt(name):
 def test_what_the_truth_has_is_found():
     creep, bouc_wen = fitted("creep").actuator, fitted("Bouc-Wen").actuator
     truth = BoucWenActuator()
-    assert creep.creep is not None
+    assert creep.displacement_creep is not None
     assert creep.dynamics is None
     assert bouc_wen.smooth is not None
     assert bouc_wen.dynamics.frequency == pytest.approx(6.283185307 * truth.resonance, rel=0.05)
