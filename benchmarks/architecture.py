@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "dehyst"
 PICTURE = ROOT / "docs" / "explanation" / "architecture.svg"
 FOUNDATION = "foundation"
-WIDTH, BOX, HEIGHT, STEP, MARGIN = 860, 244, 46, 96, 24
+WIDTH, BOX, HEIGHT, STEP, MARGIN = 1140, 260, 46, 96, 24
 HEAD = """\
 <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-labelledby="title">
   <title id="title">The rooms of dehyst; an arrow leads from a room to a room that it imports</title>

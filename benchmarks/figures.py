@@ -65,7 +65,7 @@ def draw_reliability(axes: Axes) -> None:
     parts = json.loads((DOCS.parent / "benchmarks" / "promise.json").read_text())
     for part, label, colour in (
         ("calibrate", "ten mechanisms", BEFORE),
-        ("unseen", "three others", AFTER),
+        ("unseen", "six others", AFTER),
         ("last", "three made last", COLOURS["feedback"]),
     ):
         factor, kept = np.array(parts[part]["reliability"]).T

@@ -482,7 +482,7 @@ def promise() -> list[str]:
         "ready, missed by twice",
     )
     rows = []
-    for part, name in (("calibrate", "ten mechanisms"), ("unseen", "three others"), ("last", "three made last")):
+    for part, name in (("calibrate", "ten mechanisms"), ("unseen", "six others"), ("last", "three made last")):
         tables = found[part]["tables"]
         for by, values in tables.items():
             if by in ("truth", "path") and part == "calibrate":

@@ -7,7 +7,7 @@ if it is not much larger than the error that was reached.
     python benchmarks/promise.py [calibrate] [unseen] [last] [--jobs N]
 
 calibrate  ten mechanisms; prints the factors that they ask for
-unseen     three mechanisms that had no part in finding the factors
+unseen     six mechanisms that had no part in finding the factors
 last       three more, made and run once when all was finished
 
 The factors in `dehyst.model.promise` are the medians over fits that leave one mechanism out each; the table beside
@@ -36,6 +36,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.disturbances import QUIET, Raw, Scale, filtered
 from strangers.last_truths import LAST
 from strangers.more_truths import MORE, UNSEEN
+from strangers.newest_truths import NEWEST
 from strangers.protocols import PROTOCOLS, Part, Protocol, leg_samples, random_turns, through
 from strangers.truths import TRUTHS, Bench
 
@@ -44,7 +45,7 @@ CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "u
 KINDS = ("tops", "curves", "growing", "random", "tops and random", "staircase", "speeds", "decaying")
 PATHS = ("random", "inner", "loops", "raster", "stairs")
 SHARE = 0.9
-PARTS = {"calibrate": {**TRUTHS, **MORE}, "unseen": UNSEEN, "last": LAST}
+PARTS = {"calibrate": {**TRUTHS, **MORE}, "unseen": {**UNSEEN, **LAST}, "last": NEWEST}
 
 
 def _tops_and_random(rng, fast):
@@ -134,7 +135,7 @@ def recorded(stage, protocol, condition, rng):
 def case(job):
     """Identify one truth from one protocol under one condition, and follow all paths: a row for each."""
     name, kind, condition, seed = job
-    truth, protocol = {**TRUTHS, **MORE, **UNSEEN, **LAST}[name], ALL_PROTOCOLS[kind]
+    truth, protocol = {**TRUTHS, **MORE, **UNSEEN, **LAST, **NEWEST}[name], ALL_PROTOCOLS[kind]
     about = {"truth": name, "protocol": kind, "condition": condition, "seed": seed}
 
     def rng(what):
@@ -294,7 +295,7 @@ def asked_for(rows):
 
 def main():
     parser = argparse.ArgumentParser(description="Measure the promise; see the top of this file.")
-    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; default: both")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; default: all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", type=Path, help="folder for all rows")

@@ -62,7 +62,7 @@ def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):
 
 def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):
     words = ("run", "sim://play", "--model", "model.json", "--path", "path.csv")
-    assert run(*words, "--memory", "3", cwd=folder)[0] == 2
+    assert run(*words, "--options", '{"memory": 3}', cwd=folder)[0] == 2
     assert run(*words, "--cycles", "0", cwd=folder)[0] == 2
     write_columns(folder / "untimed.csv", {"displacement_um": np.arange(5.0)})
     status, _, err = run("run", "sim://play", "--model", "model.json", "--path", "untimed.csv", cwd=folder)

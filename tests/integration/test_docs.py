@@ -2,6 +2,7 @@
 
 import re
 import sys
+import time
 
 import numpy as np
 import places
@@ -44,7 +45,16 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
         lab = sys.modules["my_lab"]
         drive = Sampling(frequency=2, sample_rate=rig.nearest_rate(400), limits=(0, 100), slew_rate=rig.slew_rate)
         excitation = raised_cosine([100.0, 50.0], drive=drive)
+        put, times = rig._put, []
+
+        def timed(volts):
+            put(volts)
+            times.append(time.monotonic())
+
+        rig._put = timed
         record = rig.play(excitation)
+        played = lab.sent[-len(times) :]
+        rig._put = put
         rig.retreat()
     sent = lab.sent[:-1]
     assert lab.sent[-1] is None
@@ -52,7 +62,8 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
     assert (min(sent), max(sent), sent[-1]) == (0, 100, 0)
     alone = PlayActuator(noise=0.0)
     np.testing.assert_allclose(record.displacement, alone.play(excitation.voltage), atol=20e-9)
-    assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 400 * 1.05
+    # By the times at which they were sent: a reading may come late, and the next one not.
+    assert np.abs(np.diff(played) / np.diff(times)).max() <= 400
 
 
 def test_the_first_lines_run():

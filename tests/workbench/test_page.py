@@ -13,6 +13,7 @@ from workbench_page import CHROMIUM, chromium, emulator, visit
 from workbench_tour import PICTURES, played
 
 from dehyst.records import read_table, write_record
+from examples import at_night
 
 Error = pytest.importorskip("playwright.sync_api", reason="needs playwright").Error
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
@@ -114,6 +115,7 @@ def test_an_identification_shows_its_progress_and_can_be_cancelled(person, loops
     assert person.page.locator("#model-body").is_hidden()
 
 
+@pytest.mark.nightly
 def test_an_identification_can_be_finished_with_the_best_so_far(person, loops):
     person.drop(loops)
     person.sees("3.000 in", within="#records")
@@ -153,7 +155,7 @@ def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
     assert float(on_path.min()) == pytest.approx(low, abs=2)
 
 
-@pytest.mark.parametrize("kind", ["raster", "spiral", "lissajous", "steps", "triangle"])
+@pytest.mark.parametrize("kind", ["raster", *map(at_night, ["spiral", "lissajous", "steps", "triangle"])])
 def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
     owner.step("Path")
     owner.page.get_by_label("A scan").check()
@@ -233,6 +235,7 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     assert person.page.locator("#export .kinds h3").all_inner_texts() == ["C99", "Model and report"]
 
 
+@pytest.mark.nightly
 def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
     second = person.tab()
     second.goto(bench.base)
@@ -281,6 +284,7 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     assert "dehyst calibrate" in (bench.folder / "commands.sh").read_text()
 
 
+@pytest.mark.nightly
 def test_the_plan_of_a_calibration_scrolls_in_a_small_window(person):
     person.connect("sim://play", LIMITS, SLEW)
     person.click("button", "Show the plan")
@@ -343,6 +347,50 @@ def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):
     assert record.meta["complete"] is False
     assert len(record) > 10
     assert np.abs(record.voltage).max() <= 100 + 1e-6
+
+
+@pytest.mark.slow
+def test_a_path_is_followed_while_the_rig_ages_and_the_model_adapts(person, bench, loops):
+    person.drop(loops)
+    person.identify(structure="maxwell_slip")
+    person.step("Path")
+    person.page.get_by_label("Draw points").check()
+    person.sees("The path can be followed", within="#path")
+    person.write_voltage()
+    model = str(bench.folder / "models" / "loops.json")
+    ageing = '{"ageing": "gain=-7,width=25,seconds=30"}'
+    with emulator("--actuator", model, "--limits", "0", "100", "--speed", "5", "--options", ageing) as address:
+        person.connect(address, LIMITS, 5000)
+        person.arm(LIMITS, 5000)
+        newest = person.page.locator("#rig-play option").last.get_attribute("value")
+        person.page.locator("#rig-play select").select_option(newest)
+        person.fill("Repetitions", 8, within="#rig-play")
+        person.click("button", "Follow the path", within="#rig-play")
+        person.sees("repetition 2", within="#rig-bar")
+        person.sees("Drift of the weights", within="#rig-run")
+        person.sees("of the last repetition", within="#rig-result")
+        assert colours(person.page.locator("#rig-run .figure").last) > 3
+        person.click("button", "Disconnect")
+        person.page.locator("#rig-bar").wait_for(state="hidden")
+    person.step("Model")
+    person.sees("Adapted in 8 repetitions", within="#model")
+    assert "dehyst run pi://" in (bench.folder / "commands.sh").read_text()
+    # The rig is another than at the beginning: the first model is no longer true, and is updated.
+    person.page.locator("#model .model-choice").select_option(label="loops")
+    person.step("Trust")
+    person.page.locator("#check select").select_option(label=newest_of(bench.folder, "followed"))
+    person.click("button", "Check the model")
+    person.sees("The gain has fallen", within="#check-result")
+    person.click("button", "Update the model")
+    person.page.locator("#trust .model-choice option", has_text="loops-updated").wait_for(state="attached")
+    person.step("Model")
+    person.sees("Updated from", within="#model")
+
+
+def newest_of(folder, words):
+    """Name of the newest record whose name has these words."""
+    records = [one for one in (folder / "records").glob("*.csv") if words in one.name]
+    return max(records, key=lambda one: one.stat().st_mtime).stem
 
 
 def test_the_tutorial_shows_all_its_pictures():

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from observed_rig import LIMITS, SLEW, ObservedController, held, on_disk, triangle
 
-from dehyst import read
+from dehyst import Actuator, MaxwellSlip, Spring, read
 from dehyst.calibration.plan import Plan, entries
 from dehyst.instruments import open_rig
+from dehyst.records import write_columns
 
 
 @pytest.fixture
@@ -37,6 +38,14 @@ def refused(holder, **command):
     before = len(holder.errors_sent())
     holder.send(**command)
     return answered(holder, before + 1)[-1]
+
+
+RIG = {"rig": "sim://play"}
+
+
+def calibration(folder, **more):
+    """Parameters of a calibration into a folder."""
+    return {**RIG, "output": str(folder / "out"), "frequency": 5, **more}
 
 
 def play(holder, file, name="wave"):
@@ -112,7 +121,7 @@ def test_arming_needs_the_identity_of_the_connected_rig(simulated):
 
 def test_a_plan_with_impossible_numbers_is_refused(simulated):
     for plan in ({"frequency": 0}, {"goal": 0}, {"frequency": -1}, {"goal": 1e-300}):
-        assert next(iter(plan)) in refused(simulated, do="plan", **plan)
+        assert next(iter(plan)) in refused(simulated, do="plan", given={**RIG, **plan})
         assert simulated.state["plan"] is None
 
 
@@ -124,7 +133,7 @@ def test_a_request_with_an_id_is_answered_once(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.send(do="stop", id=1)
         holder.connect(controller.address)
-        holder.send(do="plan", frequency=0, id=2)
+        holder.send(do="plan", given={**RIG, "frequency": 0}, id=2)
         holder.until(lambda: 2 in outcomes(holder))
         holder.arm()
         holder.play()
@@ -165,7 +174,7 @@ def test_a_later_stop_keeps_the_reason_of_the_first(simulated):
         assert simulated.state["words"][:2] == first and len(simulated.state["words"]) == 4
 
 
-@pytest.mark.parametrize("command", [{"do": "play"}, {"do": "calibrate", "folder": "out"}])
+@pytest.mark.parametrize("command", [{"do": "play"}, {"do": "calibrate", "given": {"output": "out"}}])
 def test_nothing_moves_a_voltage_unless_armed(command, tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address)
@@ -175,7 +184,7 @@ def test_nothing_moves_a_voltage_unless_armed(command, tmp_path):
             holder.state["words"] = []
             holder.send(do=do)
             holder.until(lambda: holder.state["words"][1:] == ["Nothing was armed, and the voltage was not moved."])
-        holder.send(do="plan")
+        holder.send(do="plan", given=RIG)
         holder.until(lambda: holder.state["plan"] is not None)
         assert not controller.put_out()[1].any()
         assert not list(tmp_path.glob("*.h5*"))
@@ -204,14 +213,14 @@ def test_a_voltage_outside_the_limits_is_refused_before_it_moves(tmp_path):
 
 
 def test_the_plan_is_that_of_the_command(simulated):
-    simulated.send(do="plan", frequency=5, rounds=1, goal=0.5)
+    simulated.send(do="plan", given={**RIG, "frequency": 5, "rounds": 1, "goal": 0.5})
     simulated.until(lambda: simulated.state["plan"])
     with open_rig("sim://play", limits=LIMITS, slew_rate=2000.0) as rig:
         expected = entries(rig, Plan(frequency=5.0, rounds=1, goal=0.5))
     assert simulated.state["plan"]["steps"] == json.loads(json.dumps(expected))
     assert simulated.state["plan"]["seconds"] == sum(entry.get("seconds", 0) for entry in expected)
-    assert "rounds" in refused(simulated, do="plan", rounds=1.5)
-    assert "frequency" in refused(simulated, do="plan", frequency=-1)
+    for wrong in ({"rounds": 1.5}, {"frequency": -1}):
+        assert next(iter(wrong)) in refused(simulated, do="plan", given={**RIG, **wrong})
 
 
 def test_a_wave_is_played_and_recorded_and_the_rig_stays_armed(simulated, tmp_path):
@@ -287,6 +296,7 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
         assert on_disk(tmp_path, "second") == controller.told - 3001
 
 
+@pytest.mark.nightly
 def test_a_reader_that_closes_the_pipe_does_not_hold_up_the_wave(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address)
@@ -304,7 +314,7 @@ def test_a_calibration_without_signs_of_life_stops_and_keeps_its_samples(tmp_pat
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address, slew=2000.0)
         holder.arm()
-        holder.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5)
+        holder.send(do="calibrate", given=calibration(tmp_path))
         holder.until(lambda: holder.state.get("step") == "look" and controller.told > 300)
         assert holder.state["status"] == "calibrating"
         lost = time.monotonic()
@@ -319,7 +329,7 @@ def test_a_calibration_without_signs_of_life_stops_and_keeps_its_samples(tmp_pat
 
 def test_a_stop_while_a_calibration_computes_ends_it(simulated, tmp_path):
     simulated.arm()
-    simulated.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5)
+    simulated.send(do="calibrate", given=calibration(tmp_path))
     simulated.until(lambda: simulated.state.get("step") == "identify")
     pressed = time.monotonic()
     assert simulated.press() == 200
@@ -332,12 +342,13 @@ def test_a_stop_while_a_calibration_computes_ends_it(simulated, tmp_path):
 @pytest.mark.slow
 def test_a_calibration_writes_what_the_command_writes(simulated, tmp_path):
     simulated.arm()
-    simulated.send(do="calibrate", folder=str(tmp_path / "out"), frequency=5, rounds=1)
+    bounds = {"limits": [list(LIMITS)], "slew_rate": [2000.0]}
+    simulated.send(do="calibrate", given=calibration(tmp_path, rounds=1, **bounds))
     simulated.until(lambda: simulated.state.get("result"), 300.0)
     result = simulated.state["result"]
-    assert result["kind"] == "calibration"
+    assert result["kind"] == "calibrate"
     assert result["good"] is True
-    assert result["compensated_percent"] < result["nominal_percent"]
+    assert result["compensated"]["largest_percent"] < result["nominal"]["largest_percent"]
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"records", "campaign.json", "model.json", "model.npz", "calibration.json", "report.html"}
     assert "calibrate sim://play" in (tmp_path / "out" / "report.html").read_text()
@@ -349,7 +360,7 @@ def test_a_calibration_writes_what_the_command_writes(simulated, tmp_path):
 def test_a_folder_with_results_of_others_is_refused(simulated, tmp_path):
     simulated.arm()
     (tmp_path / "model.json").write_text("{}")
-    assert "holds model.json" in refused(simulated, do="calibrate", folder=str(tmp_path))
+    assert "model.json: is there already" in refused(simulated, do="calibrate", given={**RIG, "output": str(tmp_path)})
     assert simulated.state["status"] == "armed"
 
 
@@ -423,3 +434,29 @@ def test_a_record_is_that_of_the_voltage(simulated, tmp_path):
     simulated.until(lambda: simulated.state.get("result"))
     wanted = np.loadtxt(file, delimiter=",", skiprows=1)[:, 1]
     assert np.abs(read(tmp_path / "wave.h5").voltage - wanted).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_a_path_is_followed_again_and_again_and_the_model_adapts(simulated, tmp_path):
+    model = Actuator(MaxwellSlip(np.linspace(0.2e-6, 8e-6, 8), np.full(8, 1e6)), Spring([0, 8e-6], [0, 100]))
+    model.save(tmp_path / "model.json")
+    low, high = model.reach
+    wanted = 1e6 * (low + (high - low) * (0.5 - 0.4 * np.cos(2 * np.pi * np.arange(200) / 200)))
+    write_columns(tmp_path / "path.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": wanted})
+    files = {name: str(tmp_path / f"{name}.{kind}") for name, kind in (("output", "csv"), ("updated", "json"))}
+    given = {**RIG, "model": str(tmp_path / "model.json"), "path": str(tmp_path / "path.csv"), "cycles": 4, **files}
+    assert "not armed" in refused(simulated, do="run", given=given)
+    simulated.arm()
+    assert "has no effect" in refused(simulated, do="run", given=given)
+    assert simulated.state["status"] == "armed"
+    simulated.send(do="run", given={**given, "adapt": True})
+    simulated.until(lambda: simulated.state.get("result"))
+    assert simulated.state["result"]["kind"] == "run"
+    assert "--adapt" in simulated.state["result"]["command"]
+    cycles = simulated.state["known"]["cycles"]
+    assert [set(one) >= {"gain_percent", "width_percent", "largest_percent"} for one in cycles] == [True] * 4
+    steps = {one["step"] for one in simulated.messages if one["kind"] == "live"}
+    assert {"homing", "repetition 1", "repetition 4"} <= steps
+    assert Actuator.load(files["updated"]) != model
+    assert len(read(files["output"])) == 800
+    assert simulated.state["status"] == "armed"

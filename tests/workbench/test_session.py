@@ -361,6 +361,39 @@ async def test_a_calibration_brings_its_model(stage):
     assert (stage.step.operation, stage.step.parameters) == ("insight", files)
 
 
+CHECK = {"sentence": "Recalibrate: ...", "good": False, "mismatch": "", "change_sentences": ["Less."], "remarks": []}
+
+
+@played
+async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage):
+    model = await stage.model(Finished(FIT))
+    record = await stage.record("later.csv")
+    with pytest.raises(SessionError, match="no such record"):
+        stage.session.check(model.id, {})
+    stage.session.check(model.id, {"record": record.id})
+    await stage.next(Finished(CHECK))
+    assert stage.step.parameters == {"model": model.file, "record": record.file}
+    assert (model.check["record"], model.check["good"], model.check["why"]) == (record.id, False, ["Less."])
+    numbers = {"held_out_percent": [0.4, 0.1], "stroke_m": 1e-5, "sentences": ["Less."]}
+    stage.session.update(model.id, {"record": record.id})
+    await stage.next(Finished({"used": False, "sentence": "Not updated: ...", **numbers}))
+    assert list(stage.session.jobs.entries.values())[-1].error == "Not updated: ..."
+    stage.session.update(model.id, {"record": record.id})
+    await asyncio.sleep(0.01)
+    Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100)).save(
+        stage.session.folder.path / stage.step.parameters["output"]
+    )
+    await stage.next(Finished({"used": True, "sentence": "Updated: ...", **numbers}))
+    made = list(stage.session.models.values())[-1]
+    assert (made.status, made.verdict["readiness"], made.verdict["largest_um"]) == (
+        "ready",
+        "READY",
+        pytest.approx(0.04),
+    )
+    assert (made.check, made.range_v, made.report) == (None, [0.0, 100.0], model.report)
+    assert model.name in made.origin
+
+
 def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
     async def first():
         stage = Stage(tmp_path / "bench")

@@ -114,6 +114,7 @@ class Update:
         pairs = {"before": self.before, "after": self.after, "held_out": self.held_out}
         return {
             **json_values(self, "used good sentence promise"),
+            "sentences": list(self.sentences()),
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             "shape_percent": percent(self.shape, self.stroke),
             "shape_error_percent": percent(self.shape_error, self.stroke),

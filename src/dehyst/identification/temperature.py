@@ -178,18 +178,18 @@ class _TemperatureRows:
         self.datums = (self.own[:, None] == np.arange(len(records))).astype(np.float64)
         edges = np.quantile(self.kelvins, np.arange(1, _FOLDS) / _FOLDS)
         self.folds = np.searchsorted(edges, self.kelvins, side="right")
-        self.expands, self.weights = True, np.zeros(self.columns.shape[1])
+        self.expands = True
 
     def jackknifed(self) -> tuple[float, float, tuple[float, float], Array, float]:
         """Return gain, offset, their standard errors, the datum of each record, and the RMS error [m]."""
-        gain, offset, datums = self.solved(np.ones(self.y.size, dtype=bool))
-        missed = rms(self.errors(gain, offset, self.datums @ datums))
+        gain, offset, datums, weights = self.solved(np.ones(self.y.size, dtype=bool))
+        missed = rms(self.errors(gain, offset, weights) - self.datums @ datums)
         found = np.array([self.solved(self.folds != k)[:2] for k in np.unique(self.folds)])
         errors = np.sqrt((len(found) - 1) * found.var(axis=0))
         return gain, offset, (float(errors[0]), float(errors[1])), datums, missed
 
-    def solved(self, kept: Array, *, fixed: bool = False) -> tuple[float, float, Array]:
-        """Return gain, offset and the datums by the samples `kept` (n,); with `fixed` both numbers are 0."""
+    def solved(self, kept: Array, *, fixed: bool = False) -> tuple[float, float, Array, Array]:
+        """Return gain, offset, datums and weights by the samples `kept` (n,); with `fixed` gain and offset are 0."""
         columns, kelvins, own, y = self.columns[kept], self.kelvins[kept], self.datums[kept], self.y[kept]
         size, gain = columns.shape[1], 0.0
         m = np.zeros(y.size)
@@ -202,23 +202,21 @@ class _TemperatureRows:
             gram, image = rows.T @ rows / np.outer(scale, scale), rows.T @ y / scale
             ridge = np.where(np.arange(len(gram)) < size, _RIDGE * len(y), 0.0)
             found = np.linalg.lstsq(gram + np.diag(ridge), image, rcond=None)[0] / scale
-            self.weights, datums = found[:size], found[size : size + own.shape[1]]
+            weights, datums = found[:size], found[size : size + own.shape[1]]
             change, offset = (0.0, 0.0) if fixed else found[-2:]
-            gain, m = gain + float(change), columns @ self.weights
-        return gain, float(self.expands * offset), datums
+            gain, m = gain + float(change), columns @ weights
+        return gain, float(self.expands * offset), datums, weights
 
-    def errors(self, gain: float, offset: float, datums: Array | float = 0.0) -> Array:
-        """Return the errors (n,) [m] by the weights found last."""
-        return np.asarray(
-            self.y - datums - (1 + gain * self.kelvins) * (self.columns @ self.weights) - offset * self.kelvins
-        )
+    def errors(self, gain: float, offset: float, weights: Array) -> Array:
+        """Return the errors (n,) [m], the datums aside."""
+        return np.asarray(self.y - (1 + gain * self.kelvins) * (self.columns @ weights) - offset * self.kelvins)
 
     def held_out(self, *, fixed: bool = False) -> Array:
         """Return the errors (n,) [m] of each fold by the others, the datums of its records aside."""
         errors = np.zeros(self.y.size)
         for k in np.unique(self.folds):
             own = self.folds == k
-            gain, offset, _ = self.solved(~own, fixed=fixed)
-            used, error = self.datums[own], self.errors(gain, offset)[own]
+            gain, offset, _, weights = self.solved(~own, fixed=fixed)
+            used, error = self.datums[own], self.errors(gain, offset, weights)[own]
             errors[own] = error - used @ np.linalg.lstsq(used, error, rcond=None)[0]
         return errors

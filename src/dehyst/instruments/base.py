@@ -56,6 +56,10 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 _SLACK = 1e-6
 
 
+# What a device does that no command reaches.
+BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
+
+
 class VoltageNote(str):
     """A note on an error that says where the voltage was left; `safe`: whether this is the safe voltage."""
 
@@ -433,9 +437,7 @@ class AbstractRig(ABC):
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(error) == str(cause) else f" ({error})"
             failure = f"The voltage{of} could not be brought to {safe} V{why}"
-            return VoltageNote(
-                f"{failure}: the device holds, or plays to its end, what it has; see to it by hand.", safe=False
-            )
+            return VoltageNote(f"{failure}: {BY_HAND}.", safe=False)
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:

@@ -36,6 +36,8 @@ _ALIKE, _BEYOND = 1.5, 0.02
 _LAG_KNOWN = 1.15
 # Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
 _CLOSING, _OPEN = 0.2, 1.5
+# The floor of a promise is at least this part of the one where held-out errors are large.
+_LEAST = 0.05
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Turning points of a path of which nothing is known but its range.
@@ -47,7 +49,8 @@ class Factors:
     """Factors of a promise, which is the root of a sum of squares of measured errors.
 
     `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
-    falls in proportion if the held-out error is below `full`.
+    falls with the square of the held-out error where that is below `full`, to a twentieth at least. A floor without
+    `full` does not fall: a small held-out error is no evidence where no record turned.
     """
 
     held_out: float
@@ -57,8 +60,9 @@ class Factors:
 
     def bound(self, validity: Validity, new: Array) -> Array:
         """Return the bound (k,) [m] of legs whose newness `new` (k,) is 0 to 1."""
-        full = self.full * validity.stroke
-        floor = self.floor * validity.stroke * (min(1.0, validity.rms / full) if full else 1.0)
+        floor = self.floor * validity.stroke
+        if self.full:
+            floor *= np.clip((validity.rms / (self.full * validity.stroke)) ** 2, _LEAST, 1.0)
         squares = (self.held_out * validity.rms) ** 2 + floor**2
         return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
 

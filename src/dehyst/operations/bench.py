@@ -100,7 +100,7 @@ def calibrate(
         for name in (*(STAGE_RESULTS if names else RESULTS), REPORT):
             demand_alike(output / name)
     bounds = {"limits": allowed, "slew_rate": steepest} if names else {"limits": allowed[0], "slew_rate": steepest[0]}
-    with _left(output, again=names is None), open_rig(rig, names, **bounds) as instrument:
+    with _left(output, again=names is None), run.held or open_rig(rig, names, **bounds) as instrument:
         for one, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
             _note_narrower(run, one, wanted, rate, f"axis {one.axis} of the device" if names else "the device")
         if dry_run:
@@ -218,7 +218,7 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
 _coupled = Only(lambda given: given.get("axes", 1) > 1, "with one axis")
 
 
-@operation(name="rig serve", returns=False, rare=("hysteretic", "noise", "wave_points", "host"))
+@operation(name="rig serve", returns=False, rare=("hysteretic", "noise", "wave_points", "host", "ageing"))
 def serve(
     run: Run,
     *,

@@ -27,7 +27,7 @@ _RATES = 0.01
 _adapting = beside("adapt")
 
 
-@operation(AdaptiveCompensator, name="run", details=True)
+@operation(AdaptiveCompensator, name="run", rare=("memory", "zero_drifts"), details=True)
 def run_path(
     run: Run,
     rig: str,
@@ -84,7 +84,7 @@ def run_path(
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
     rate = even_rate(path, clock["time_s"])
     done: list[Repetition] = []
-    with open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
+    with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
         wanted = wanted + zero_of_path(actuator, allowed, zero)
         follower = PathRun(instrument, actuator, wanted, rate, adapt=adapt, memory=memory, zero_drifts=zero_drifts)

@@ -203,6 +203,8 @@ class Recheck:
             "stroke_m": self.stroke,
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             "changed": [change.name for change in self.changed],
+            "change_sentences": list(self.change_sentences()),
+            "mismatch": self.mismatch,
             "remarks": list(self.remarks),
         }
 

@@ -2,7 +2,7 @@
 import { make, h } from "./dom.js";
 import { bindGestures } from "./gestures.js";
 import { digits, extent, short, ticks, written } from "./numbers.js";
-import { nearest, paintLines, thinPath, thinTime } from "./thinning.js";
+import { nearest, paintCurve, pixels } from "./thinning.js";
 
 const MARGIN = { left: 48, right: 16, top: 10, bottom: 40 };
 const TITLE = 32; // pixels for the title of an upright axis, and the gap beside its numbers
@@ -255,7 +255,7 @@ export class Chart {
     let best = null;
     for (const one of this.spec.series) {
       if (one.hidden || one.silent || one.kind === "cells") continue;
-      const hit = nearest(one.x, one.y, frame, spot, REACH, one.rising);
+      const hit = nearest(one, frame, spot, REACH);
       if (hit && (best === null || hit.away < best.away)) best = { ...hit, one };
     }
     this.nearest = best && { x: best.one.x[best.index], y: best.one.y[best.index] };
@@ -277,47 +277,44 @@ export class Chart {
 // How a series of each kind is drawn; the pen's origin is the corner of the area.
 const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawCells };
 
-const thin = (chart, { x, y, rising }) => (rising ? thinTime : thinPath)(x, y, chart.frame());
-
 function drawLine(chart, pen, one) {
-  const vertices = thin(chart, one);
-  const { px, py, pen: down, count } = vertices;
-  if (one.around > 0) drawAround(chart, pen, one, vertices);
+  const curve = pixels(one, chart.frame());
+  const { px, py } = curve;
+  if (one.around > 0) drawAround(chart, pen, one, curve);
   pen.strokeStyle = chart.colour(one.colour);
-  pen.fillStyle = pen.strokeStyle;
   pen.lineWidth = one.width ?? 1.4;
   pen.globalAlpha = one.opacity ?? 1;
-  if (count > MANY && !one.dash) {
-    paintLines(pen, vertices, chart.area, chart.scale, pen.lineWidth, pen.strokeStyle);
+  if (px.length > MANY && !one.dash) {
+    paintCurve(pen, curve, chart.area, chart.scale);
   } else {
     pen.lineJoin = "round";
     pen.setLineDash(one.dash ?? []);
     pen.beginPath();
-    for (let i = 0; i < count; i += 1) {
-      if (down[i]) pen.lineTo(px[i], py[i]);
-      else pen.moveTo(px[i], py[i]);
+    let down = false;
+    for (let i = 0; i < px.length; i += 1) {
+      const there = Number.isFinite(px[i] + py[i]);
+      if (there && down) pen.lineTo(px[i], py[i]);
+      else if (there) pen.moveTo(px[i], py[i]);
+      down = there;
     }
     pen.stroke();
     pen.setLineDash([]);
-    if (count === 1) pen.fillRect(px[0] - 1, py[0] - 1, 2, 2);
   }
   pen.globalAlpha = 1;
 }
 
 // The band about a curve: parallelograms of one sense of rotation, so that none cuts a hole.
-function drawAround(chart, pen, one, { px, py, pen: down, count }) {
+function drawAround(chart, pen, one, { px, py }) {
   const half = Math.abs(one.around * chart.frame().ky);
   if (half < 0.5) return;
   pen.fillStyle = chart.colour("band");
   pen.beginPath();
-  for (let i = 1; i < count; i += 1) {
-    if (!down[i]) continue;
-    const [a, b] = px[i - 1] <= px[i] ? [i - 1, i] : [i, i - 1];
-    const wide = Math.max(px[b] - px[a], 0.7);
-    pen.moveTo(px[a], py[a] - half);
-    pen.lineTo(px[a] + wide, py[b] - half);
-    pen.lineTo(px[a] + wide, py[b] + half);
-    pen.lineTo(px[a], py[a] + half);
+  for (let i = 1; i < px.length; i += 1) {
+    const wide = Math.max(px[i] - px[i - 1], 0.7);
+    pen.moveTo(px[i - 1], py[i - 1] - half);
+    pen.lineTo(px[i - 1] + wide, py[i] - half);
+    pen.lineTo(px[i - 1] + wide, py[i] + half);
+    pen.lineTo(px[i - 1], py[i - 1] + half);
     pen.closePath();
   }
   pen.fill("nonzero");
@@ -329,14 +326,15 @@ function drawPoints(chart, pen, one) {
   pen.strokeStyle = chart.colour(one.colour);
   pen.lineWidth = 1.2;
   pen.globalAlpha = one.opacity ?? 1;
-  const { px, py, count } = thin(chart, { ...one, rising: false });
-  for (let i = 0; i < count; i += 1) {
-    if (size <= 4 && !one.hollow) {
-      pen.fillRect(px[i] - size / 2, py[i] - size / 2, size, size);
-      continue;
-    }
+  const { px, py } = pixels({ x: one.x, y: one.y }, chart.frame());
+  const drawn = new Set(); // pixels
+  for (let i = 0; i < px.length; i += 1) {
+    const place = Math.round(py[i]) * 1e5 + Math.round(px[i]);
+    if (drawn.has(place) || !Number.isFinite(place)) continue;
+    drawn.add(place);
     pen.beginPath();
-    pen.arc(px[i], py[i], size / 2, 0, 2 * Math.PI);
+    if (size <= 4 && !one.hollow) pen.rect(px[i] - size / 2, py[i] - size / 2, size, size);
+    else pen.arc(px[i], py[i], size / 2, 0, 2 * Math.PI);
     pen.fill();
     if (one.hollow) pen.stroke();
   }

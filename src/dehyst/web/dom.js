@@ -3,10 +3,15 @@
 
 export const byId = (id) => document.getElementById(id);
 
-// h("button", { class: "main", onclick: f, disabled: true }, "Identify"): a child may be a description, text or an
-// element that is there already. In place of a child that is null or false there is nothing. Children of which there
-// may be more or fewer have a `key`.
-export const h = (tag, properties, ...children) => ({ tag, properties: properties ?? {}, children: children.flat(9) });
+// h("button#go.main", { onclick: f }, "Identify") describes <button id="go" class="main">; properties may be left out.
+// A child may be a description, text or an element that is there already. In place of a child that is null or false
+// there is nothing. Children of which there may be more or fewer have a `key`.
+export function h(name, ...children) {
+  const [, tag, id, classes] = /^(\w+)(?:#([\w-]+))?(?:\.([\w.-]+))?$/.exec(name);
+  const given = children[0]?.constructor === Object && !children[0].tag ? children.shift() : {};
+  const style = [classes?.replaceAll(".", " "), given.class].filter(Boolean).join(" ");
+  return { tag, properties: { id, ...given, class: style || undefined }, children: children.flat(9) };
+}
 
 // Return the element or text that is described.
 export function make(one) {
@@ -86,20 +91,16 @@ function assign(element, name, value) {
 }
 
 export function table(caption, heads, rows) {
-  return h(
-    "div",
-    { class: "wide", tabindex: "0", role: "region", "aria-label": caption },
-    h(
-      "table",
-      {},
-      h("caption", { class: "unseen" }, caption),
-      h("thead", {}, h("tr", {}, heads.map((head) => h("th", { scope: "col", class: head.class }, head.text ?? head)))),
-      h("tbody", {}, rows.map((row) => h("tr", {}, row.map(cell)))),
+  return h("div.wide", { tabindex: "0", role: "region", "aria-label": caption },
+    h("table",
+      h("caption.unseen", caption),
+      h("thead", h("tr", heads.map((head) => h("th", { scope: "col", class: head.class }, head.text ?? head)))),
+      h("tbody", rows.map((row) => h("tr", row.map(cell)))),
     ),
   );
 }
 
 const cell = (value, column) => {
   if (value?.tag === "td") return value;
-  return column === 0 ? h("th", { scope: "row" }, value) : h("td", {}, value);
+  return column === 0 ? h("th", { scope: "row" }, value) : h("td", value);
 };

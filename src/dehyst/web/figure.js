@@ -21,8 +21,8 @@ export class Figure {
       },
       moved: () => this.write(),
     });
-    this.output = make(h("output", { class: "readout", "aria-live": "off" }));
-    this.element = make(h("figure", { class: "figure" }));
+    this.output = make(h("output.readout", { "aria-live": "off" }));
+    this.element = make(h("figure.figure"));
     this.write();
   }
 
@@ -55,20 +55,18 @@ export class Figure {
       return h("button", { type: "button", class: "view", "aria-pressed": pressed, onclick }, text);
     };
     const views = this.views.map(view);
-    const help = () => [h("summary", {}, "How to move in this picture"), h("p", {}, this.keys)];
+    const help = () => [h("summary", "How to move in this picture"), h("p", this.keys)];
     fill(
       this.element,
-      h(
-        "div",
-        { class: "figure-head" },
-        this.title && h("h3", {}, this.title),
+      h("div.figure-head",
+        this.title && h("h3", this.title),
         this.more,
-        views.length > 0 && h("div", { class: "views", role: "group", "aria-label": "View" }, views),
+        views.length > 0 && h("div.views", { role: "group", "aria-label": "View" }, views),
         h("button", { type: "button", class: "reset", hidden: chart.view === chart.home, onclick: reset }, "Show all"),
       ),
-      h("ul", { class: "legend" }, spec && this.legend(spec)),
+      h("ul.legend", spec && this.legend(spec)),
       this.holder,
-      h("div", { class: "figure-foot" }, this.output, this.help && h("details", { class: "keys" }, help())),
+      h("div.figure-foot", this.output, this.help && h("details.keys", help())),
     );
   }
 
@@ -80,19 +78,17 @@ export class Figure {
       this.set(this.spec, { keep: true });
     };
     const button = ([key, one]) =>
-      h(
-        "button",
-        { type: "button", class: "series", "aria-pressed": String(!one.hidden), onclick: () => toggle(key) },
+      h("button", { type: "button", class: "series", "aria-pressed": String(!one.hidden), onclick: () => toggle(key) },
         swatch(one.colour),
         one.name,
       );
     return [
       ...[...named].map((one) => h("li", { key: one[0] }, button(one))),
       ...notes.map(([colour, text]) =>
-        h("li", { class: "note", key: `note ${text}` }, colour && swatch(colour), text),
+        h("li.note", { key: `note ${text}` }, colour && swatch(colour), text),
       ),
     ];
   }
 }
 
-const swatch = (colour) => h("i", { class: "swatch", style: `background:var(--${colour})` });
+const swatch = (colour) => h("i.swatch", { style: `background:var(--${colour})` });

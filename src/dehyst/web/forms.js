@@ -10,6 +10,12 @@ export class Form {
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
   }
 
+  // Let the person choose among others; without one of them, the first is chosen.
+  offer(name, choices) {
+    this.fields[name].choices = choices;
+    if (!choices.some(([value]) => value === this.values[name])) this.values[name] = choices[0]?.[0] ?? "";
+  }
+
   // A labelled control.
   field(name, { class: style } = {}) {
     const { label, unit, hint, choices, placeholder } = this.fields[name];
@@ -20,12 +26,10 @@ export class Form {
     };
     const common = { id, class: style, value: this.values[name], "aria-describedby": hint && `${id}-hint` };
     const typed = { type: "text", autocomplete: "off", spellcheck: "false", placeholder, oninput: change };
-    return h(
-      "div",
-      { class: "field", key: name },
-      h("label", { for: id }, label, unit && h("span", { class: "unit" }, ` (${unit})`)),
+    return h("div.field", { key: name },
+      h("label", { for: id }, label, unit && h("span.unit", ` (${unit})`)),
       choices ? h("select", { ...common, onchange: change }, options(choices)) : h("input", { ...common, ...typed }),
-      hint && h("small", { class: "hint", id: `${id}-hint` }, hint),
+      hint && h("small.hint", { id: `${id}-hint` }, hint),
     );
   }
 
@@ -41,22 +45,22 @@ export class Form {
 
 // A check box or a radio button before its label.
 export const tick = (label, { spoken, ...input }) =>
-  h("label", { class: "tick" }, h("input", { "aria-label": spoken, ...input }), label);
+  h("label.tick", h("input", { "aria-label": spoken, ...input }), label);
 
 // A card with a title and these properties.
 export const card = (title, { class: style = "", ...about }, ...content) =>
-  h("div", { class: `card ${style}`.trim(), ...about }, h("h3", {}, title), content);
+  h("div", { class: `card ${style}`.trim(), ...about }, h("h3", title), content);
 
 export const options = (choices) => choices.map(([value, text]) => h("option", { value, key: value }, text));
 
 export const facts = (pairs) =>
-  h("dl", { class: "facts" }, pairs.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value))));
+  h("dl.facts", pairs.map(([name, value]) => h("div", h("dt", name), h("dd", value))));
 
 export const list = (sentences, style) =>
-  sentences?.length > 0 && h("ul", { class: style }, sentences.map((one) => h("li", {}, one)));
+  sentences?.length > 0 && h("ul", { class: style }, sentences.map((one) => h("li", one)));
 
 export const fold = (summary, ...content) =>
-  h("details", { key: `fold ${summary}` }, h("summary", {}, summary), content);
+  h("details", { key: `fold ${summary}` }, h("summary", summary), content);
 
 // The first of some remarks in sight, the others in a fold.
 export function remarks([first, ...others]) {

@@ -20,7 +20,7 @@ export class PathFigures {
     this.turns = turns ?? new Figure({ title: "Where the voltage turns", help: false });
     this.handles = new PointHandles(this.path.chart, edited);
     const all = [this.path, this.voltage, this.error, ...(turns ? [] : [this.turns])];
-    this.element = make(h("div", { class: "figures steady" }, all.map((one) => one.element)));
+    this.element = make(h("div.figures.steady", all.map((one) => one.element)));
   }
 
   // `reach` and `band`, half the height of the trust band, in um; `band` is 0 if it is not known. `turned` is what
@@ -155,10 +155,8 @@ export function judged(planned, { stroke, band, turned, light = "green", speed =
 }
 
 export const verdict = ({ light, first, facts }, ...more) =>
-  h(
-    "div",
-    { class: `plan outcome ${light}`, id: "plan-words", role: "status" },
-    h("p", { class: "first" }, first),
-    facts.map((one) => h("p", {}, one)),
+  h("div", { class: `plan outcome ${light}`, id: "plan-words", role: "status" },
+    h("p.first", first),
+    facts.map((one) => h("p", one)),
     more,
   );

@@ -9,6 +9,7 @@ import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from dehyst._errors import DehystError, LinkError
@@ -21,7 +22,11 @@ from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Step
 from dehyst.workbench.rig.link import RigLink
 
-_NONE: dict[str, Any] = {"status": "none", "words": [], "error": None, "plan": None, "result": None, "silent": None}
+_NONE: dict[str, Any] = {
+    **dict.fromkeys(("error", "plan", "result", "known", "silent")),
+    "status": "none",
+    "words": [],
+}
 # Seconds between two pings, which the page answers while a rig is armed.
 _PING = 0.2
 _LIVE = frozenset({"armed", "playing", "calibrating", "stopping"})
@@ -35,6 +40,8 @@ _SHORT = ("arm", "plan")
 _UNCONNECTED = frozenset({"none", "connecting", "lost"})
 _BUSY = frozenset({"playing", "calibrating"})
 _LONGEST_ADDRESS = 500
+# Repetitions of a path: each is shown.
+_MOST_CYCLES = 500
 _ADDRESS = re.compile(r"(pi|epics|ni)://[^\s]+|sim://[a-z]+")
 
 
@@ -68,7 +75,8 @@ class RigDesk:
     origins : sequence of str
         Of the page, which may send the emergency stop to the rig's process.
     finished : callable
-        Called with the result of a voltage or a calibration: a record or a folder, relative to the workbench's folder.
+        Called with each result, a record, a model or the folder of a calibration, relative to the workbench's folder,
+        and with the parameters of the operation that made it.
 
     Attributes
     ----------
@@ -82,13 +90,15 @@ class RigDesk:
         changed: Callable[[], None],
         send: Callable[[Mapping[str, Any]], None],
         origins: Sequence[str],
-        finished: Callable[[str], None] = lambda _: None,
+        finished: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
     ) -> None:
         self.state: dict[str, Any] = dict(_NONE)
         self._folder, self._changed, self._send = folder, changed, send
-        self._link = RigLink(self._receive, origins=origins, errors=folder.path / places.RIG_LOG)
+        self._link = RigLink(self._receive, origins=origins, folder=folder.path, errors=folder.path / places.RIG_LOG)
         self._pings: asyncio.Task[None] | None = None
-        self._finished, self._place, self._remark = finished, "", ""
+        self._finished, self._remark = finished, ""
+        # Results of the command, and the parameters of the operation that makes them.
+        self._expected: dict[str, Mapping[str, Any]] = {}
         # The command that is being done, and the answers that are waited for.
         self._task, self._keys = "", itertools.count(1)
         self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
@@ -116,9 +126,10 @@ class RigDesk:
         makers = {
             "connect": self._connect,
             "arm": self._arm,
-            "plan": _plan_of,
+            "plan": self._plan,
             "calibrate": self._calibrate,
             "play": self._play,
+            "run": self._run,
         }
         if what == "stop":
             await self._stop()
@@ -151,7 +162,7 @@ class RigDesk:
         folder = self._folder.path / places.RECORDS
         with suppress(DehystError, OSError):
             for path in await asyncio.to_thread(salvage, folder):
-                self._finished(f"{places.RECORDS}/{path.name}")
+                self._finished(f"{places.RECORDS}/{path.name}", {})
 
     async def _stop(self) -> None:
         self._demand_link()
@@ -210,12 +221,13 @@ class RigDesk:
 
     def _conclude(self) -> None:
         """Note that a command is done: its result, or what a killed process left of it, is listed."""
-        self._task, self._remark, place, self._place = "", "", self._place, ""
-        if not place:
+        self._task, self._remark, expected, self._expected = "", "", self._expected, {}
+        if not expected:
             return
-        if (self._folder.path / place).exists():
-            self._finished(place)
-        elif not self._link.running:
+        made = [place for place in expected if (self._folder.path / place).exists()]
+        for place in made:
+            self._finished(place, expected[place])
+        if not made and not self._link.running:
             self._recovering = asyncio.create_task(self.recover())
         self._changed()
 
@@ -235,21 +247,51 @@ class RigDesk:
     def _arm(self, body: Mapping[str, Any]) -> dict[str, Any]:
         return {"identity": body.get("identity"), **_limits_of(body)}
 
+    def _plan(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        return {"given": {"rig": str(self._address), **_plan_of(body)}}
+
     def _calibrate(self, body: Mapping[str, Any]) -> dict[str, Any]:
-        plan = _plan_of(body)
         place = self._folder.new(places.CALIBRATIONS, str(body.get("name") or "rig"))
-        bounds = {"limits": [self.state.get("limits") or (0.0, 0.0)], "slew_rate": [self.state.get("slew")]}
-        asked = {"rig": str(self.state.get("address")), "output": place, **bounds, **plan}
-        self._place, self._remark = place, f"moves the actuator: {shlex.join(Step('calibrate', asked).command)}"
-        return {"folder": str(self._folder.path / place), **plan}
+        bounds = {name: [value] for name, value in self._bounds.items()}
+        return self._operation("calibrate", {**bounds, **_plan_of(body), "output": place}, place)
+
+    def _run(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Follow the path of a voltage; `body` has its model and path, cycles, and whether to adapt."""
+        cycles = number_of(body.get("cycles", 1), "cycles")
+        if cycles != int(cycles) or not 1 <= cycles <= _MOST_CYCLES:
+            raise RigRequestError(f"cycles: got {cycles:g}, need a whole number, 1 to {_MOST_CYCLES}")
+        given = {name: body[name] for name in ("model", "path", "columns") if body.get(name)}
+        stem = f"{Path(str(body.get('path'))).stem}-followed"
+        outputs = {"output": self._folder.new(places.RECORDS, stem, ".csv")}
+        if body.get("adapt") is True:
+            outputs["updated"] = self._folder.new(
+                places.MODELS, f"{Path(str(body.get('model'))).stem}-adapted", ".json"
+            )
+        asked = {**given, **self._bounds, "cycles": int(cycles), "adapt": "updated" in outputs, **outputs}
+        return self._operation("run", asked, *outputs.values())
+
+    def _operation(self, name: str, asked: Mapping[str, Any], *made: str) -> dict[str, Any]:
+        """Return the message that performs an operation, which makes these files or folders."""
+        step = Step(name, {"rig": str(self._address), **asked})
+        self._expected, self._remark = dict.fromkeys(made, asked), f"moves the actuator: {shlex.join(step.command)}"
+        return {"given": step.parameters}
 
     def _play(self, body: Mapping[str, Any]) -> dict[str, Any]:
         relative = str(body.get("file", ""))
         file = self._folder.inside(relative)
         place = self._folder.new(places.RECORDS, f"{file.stem}-played", ".h5")
-        self._place = place
-        self._remark = f"played on {self.state.get('address')}: {relative}, recorded as {place}"
-        return {"file": str(file), "record": str(self._folder.path / place)}
+        self._expected = {place: {}}
+        self._remark = f"played on {self._address}: {relative}, recorded as {place}"
+        return {"file": relative, "record": place}
+
+    @property
+    def _address(self) -> Any:
+        return self.state.get("address")
+
+    @property
+    def _bounds(self) -> dict[str, Any]:
+        """Limits [V] and slew rate [V/s] of the rig, as parameters of an operation of one axis."""
+        return {"limits": self.state.get("limits"), "slew_rate": self.state.get("slew")}
 
     def _demand_link(self) -> None:
         if not self._link.running:
@@ -268,7 +310,7 @@ class RigDesk:
         if kind == "error":
             self.state["error"] = message["error"]
         elif kind == "rig":
-            self.state |= {name: self._shown(value) for name, value in message.items() if name != "kind"}
+            self.state |= {name: value for name, value in message.items() if name != "kind"}
             if self._remark and message.get("status") in _BUSY:
                 self._folder.remark(self._remark)
                 self._remark = ""
@@ -282,12 +324,6 @@ class RigDesk:
         waiting = self._answers.get(key)
         if waiting is not None and not waiting.done():
             waiting.set_result(dict(answer))
-
-    def _shown(self, value: Any) -> Any:
-        """Return a value with names of files as the page knows them: relative to the folder."""
-        if isinstance(value, dict):
-            return {name: self._shown(inner) for name, inner in value.items()}
-        return value.replace(f"{self._folder.path}/", "") if isinstance(value, str) else value
 
     async def _ping(self) -> None:
         while True:

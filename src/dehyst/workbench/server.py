@@ -198,6 +198,8 @@ _SANDBOX = (
 )
 # Code with which a WebSocket is closed that sent something else than text.
 _NO_TEXT = 1003
+# Fields of a request for the rig that a page does not choose: they belong to a voltage.
+_OF_SESSION = ("model", "path", "columns")
 # Bytes of a request that is not an upload.
 _MOST_JSON = 8_000_000
 
@@ -311,6 +313,8 @@ class Workbench:
                 "/api/models": self.identify,
                 "/api/models/{key}/end": self.end,
                 "/api/models/{key}/insight": self.insight,
+                "/api/models/{key}/check": self.check,
+                "/api/models/{key}/update": self.update,
                 "/api/models/{key}/path": self.path,
                 "/api/models/{key}/export": self.export,
                 "/api/jobs/{key}/cancel": self.cancel,
@@ -336,15 +340,18 @@ class Workbench:
         await self.rig.close()
         await self.session.close()
 
-    def _finished(self, place: str) -> None:
-        """List what the rig left: a record, or the model of a calibration."""
+    def _finished(self, place: str, asked: Mapping[str, Any]) -> None:
+        """List what the rig left: a record, an adapted model, or the model of a calibration."""
         if place.startswith(f"{places.RECORDS}/"):
             # A journal beside its file is that of a listed record.
             if all(record.source != place for record in self.session.records.values()):
                 self.session.add_record(place, Path(place).name)
             return
         with suppress(DehystError):
-            self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
+            if place.startswith(f"{places.MODELS}/"):
+                self.session.add_adapted(place, asked["model"], self.rig.state["known"]["cycles"])
+            else:
+                self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
 
     async def news(self, socket: WebSocket) -> None:
         """Send the news to a page, and listen to its heartbeat."""
@@ -455,6 +462,16 @@ class Workbench:
         return {"job": self.session.insight(request.path_params["key"])}
 
     @answered
+    async def check(self, request: Request) -> Any:
+        """Start a check of a model by a record."""
+        return {"job": self.session.check(request.path_params["key"], await body_of(request))}
+
+    @answered
+    async def update(self, request: Request) -> Any:
+        """Start an update of a model from a record."""
+        return {"job": self.session.update(request.path_params["key"], await body_of(request))}
+
+    @answered
     async def path(self, request: Request) -> Any:
         """Start the computation of a voltage."""
         return {"job": self.session.follow(request.path_params["key"], await body_of(request))}
@@ -474,9 +491,9 @@ class Workbench:
     @answered
     async def drive(self, request: Request) -> Any:
         """Execute a request for the rig."""
-        body = await body_of(request)
+        body = {name: value for name, value in (await body_of(request)).items() if name not in _OF_SESSION}
         if "voltage" in body:
-            body["file"] = self.session.voltage(str(body.pop("voltage"))).file
+            body |= self.session.followed(str(body.pop("voltage")))
         await self.rig.request(request.path_params["what"], body)
 
     @answered

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -103,10 +103,11 @@ class RecordEntry:
 class ModelEntry:
     """A model: its records, and its results.
 
-    `rig`: instrument of a calibrated model, which has no records in the list and no `seconds`. `table`: one entry for
-    each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for each of several coupled axes:
-    name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and its verdict is the verdict of
-    the worst axis. `coupling`: the matrix, whether it describes the coupling completely, and each verdict.
+    `rig`: instrument of a calibrated model, which has no records in the list and no `seconds`. `origin`: a sentence on
+    where another model comes from that was not identified here. `check`: the last check by a new record. `table`: one
+    entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for each of several coupled
+    axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and its verdict is the
+    verdict of the worst axis. `coupling`: the matrix, whether it describes the coupling completely, and each verdict.
     """
 
     id: str
@@ -133,6 +134,8 @@ class ModelEntry:
     slew_v_per_s: float | None = None
     band_percent: float | None = None
     insight: dict[str, Any] | None = None
+    origin: str = ""
+    check: dict[str, Any] | None = None
 
     @property
     def fit(self) -> str:
@@ -193,12 +196,29 @@ class ModelEntry:
         self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
 
 
+def _measured(
+    model: ModelEntry, errors: Sequence[float], stroke: float, basis: str, why: Sequence[str]
+) -> dict[str, Any]:
+    """Return a verdict by largest and RMS errors [% of the stroke [m]] that were measured, with a model's goal."""
+    largest, rms = errors
+    goal = model.verdict["goal"] if model.verdict else 1.0
+    return {
+        "readiness": "READY" if largest <= goal else "USABLE",
+        "sentence": "",
+        "largest_percent": largest,
+        "rms_percent": rms,
+        "basis": basis,
+        "largest_um": largest / 100 * stroke * _MICRO,
+        "goal": goal,
+        "why": list(why),
+    }
+
+
 def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the page shows of a verdict."""
     return {
         **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
         "largest_um": verdict["largest_m"] * _MICRO,
-        "noise_um": verdict["noise_m"] * _MICRO,
         "goal": verdict["goal_percent"],
         "why": verdict["reasons"],
     }
@@ -208,7 +228,8 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
 class VoltageEntry:
     """A voltage that follows a path with a model, and remarks on it in `words`.
 
-    `largest_um`: the largest error to expect of each axis, None if it is not known.
+    `largest_um`: the largest error to expect of each axis, None if it is not known. `path`: the file of the path, in
+    which `columns` tell the displacement from others.
     """
 
     id: str
@@ -222,6 +243,8 @@ class VoltageEntry:
     clamped: int = 0
     largest_um: list[float | None] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
+    path: str = ""
+    columns: str = ""
 
     def fill(self, result: Mapping[str, Any], file: Path) -> None:
         """Fill in the result of `compensate`."""
@@ -304,6 +327,14 @@ class WorkbenchSession:
     def voltage(self, key: str) -> VoltageEntry:
         """Return a voltage; raises SessionError if there is none."""
         return _found(self.voltages, key, "voltage")
+
+    def followed(self, key: str) -> dict[str, str]:
+        """Return the files of a voltage: its own, its path, and the model, if it is still listed."""
+        entry = self.voltage(key)
+        model = self.models.get(entry.model)
+        return {"file": entry.file, "path": entry.path, "columns": entry.columns} | (
+            {} if model is None else {"model": model.file}
+        )
 
     def add_record(self, source: str, name: str) -> RecordEntry:
         """Read an uploaded file, `source` relative to the folder, as a record."""
@@ -397,10 +428,38 @@ class WorkbenchSession:
         """List the model of a calibration in the folder `place`; `result`: content of its calibration.json."""
         rig = f"{result['rig']}, axis {result['axis']}"
         entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json", rig=rig, seconds=None)
-        entry.report = f"{place}/report.html"
+        entry.report, entry.origin = f"{place}/report.html", f"Calibrated on {rig}."
         write_json(self.folder.path / entry.fit, result["fit"])
         entry.fill(Finished(result["fit"]))
         entry.fill_ranges(self.folder.path / entry.file)
+        self.models[entry.id] = entry
+        self.touch()
+        return entry
+
+    def add_adapted(self, file: str, before: str, cycles: Sequence[Mapping[str, Any]]) -> ModelEntry:
+        """List the model that the one in the file `before` became in repetitions of a path on a rig."""
+        model = next(one for one in self.models.values() if one.file == before)
+        *_, last = cycles
+        errors = last["largest_percent"], last["rms_percent"]
+        verdict = _measured(model, errors, last["stroke_m"], "the last repetition of a path on the rig", [])
+        return self._derive(model, file, f"Adapted in {len(cycles)} repetitions of a path.", {"": verdict})
+
+    def _derive(self, model: ModelEntry, file: str, origin: str, verdicts: Mapping[str, dict[str, Any]]) -> ModelEntry:
+        """List a model that another one became, with the verdict of each axis."""
+        worst = max(verdicts.values(), key=lambda one: one["largest_percent"])
+        entry = replace(
+            model,
+            id=self._id("m"),
+            name=Path(file).stem,
+            file=file,
+            origin=f"{origin} Before: {model.name}. The report is that of the identification.",
+            verdict={**worst, "remarks": model.verdict["remarks"] if model.verdict else []},
+            coupling=model.coupling and {**model.coupling, "verdicts": verdicts},
+            seconds=None,
+            insight=None,
+            check=None,
+        )
+        entry.fill_ranges(self.folder.path / file)
         self.models[entry.id] = entry
         self.touch()
         return entry
@@ -422,7 +481,7 @@ class WorkbenchSession:
         files, read = [one.file for one in known], known[0].reading if known else {}
         if entry.rig:
             played = (one["record"] for one in entry.table if one["role"] == "training")
-            files = [f"{Path(entry.file).parent.as_posix()}/records/{name}.h5" for name in played]
+            files = [f"{Path(entry.report).parent.as_posix()}/records/{name}.h5" for name in played]
         if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
@@ -435,12 +494,57 @@ class WorkbenchSession:
         step = Step("insight", {"model": entry.file, "records": files, "report": report, **read})
         return self.jobs.start("insight", entry.id, [step], done)
 
+    def check(self, key: str, request: Mapping[str, Any]) -> str:
+        """Check whether a model is still true by a `record`; return the job."""
+        model, record = self.model(key, ready=True), self._usable([request.get("record")])[0]
+
+        def done(finished: Finished) -> None:
+            if (found := finished.result) is None:
+                return
+            parts = found.get("axes", {"": found})
+            model.check = {
+                "record": record.id,
+                "good": found["good"],
+                # Of another actuator, or in other units.
+                "foreign": any(one["mismatch"] for one in parts.values()),
+                "sentences": [f"{axis}: {one['sentence']}" if axis else one["sentence"] for axis, one in parts.items()],
+                "why": [words for one in parts.values() for words in (*one["change_sentences"], *one["remarks"])],
+            }
+            if model.coupling:
+                model.check["why"] += found["changes"]
+
+        step = Step("check", {"model": model.file, "record": record.file, **record.reading})
+        return self.jobs.start("check", model.id, [step], done)
+
+    def update(self, key: str, request: Mapping[str, Any]) -> str:
+        """Update a model from a `record`, and list the new one if it is better; return the job."""
+        model, record = self.model(key, ready=True), self._usable([request.get("record")])[0]
+        file = self.folder.new(places.MODELS, f"{model.name}-updated", ".json")
+
+        def done(finished: Finished) -> None:
+            if (found := finished.result) is None:
+                return
+            parts = found.get("axes", {"": found})
+            if not any(one["used"] for one in parts.values()):
+                raise SessionError("; ".join(one["sentence"] for one in parts.values()))
+            basis = "parts of the record that were held out"
+            verdicts = {
+                axis: _measured(model, one["held_out_percent"], one["stroke_m"], basis, one["sentences"])
+                for axis, one in parts.items()
+            }
+            self._derive(model, file, f"Updated from {record.name}.", verdicts)
+
+        step = Step("update", {"model": model.file, "record": record.file, "output": file, **record.reading})
+        return self.jobs.start("update", model.id, [step], done)
+
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
         """Compute the voltage for a path with a model: `points` or `scan`; return the job."""
         model = self.model(key, ready=True)
         file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
         steps = self._path_steps(model, request, file)
+        given = steps[-1].parameters
         entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id)
+        entry.path, entry.columns = given["trajectory"], given.get("columns", "")
 
         async def done(finished: Finished) -> None:
             if finished.result is not None:

@@ -8,7 +8,7 @@ const problems = new Map();
 const busy = new Set();
 
 export const problem = (place) =>
-  problems.get(place) && h("p", { class: "error", role: "alert", key: `problem ${place}` }, problems.get(place));
+  problems.get(place) && h("p.error", { role: "alert", key: `problem ${place}` }, problems.get(place));
 
 export function complain(place, sentence) {
   if ((problems.get(place) ?? "") === sentence) return;

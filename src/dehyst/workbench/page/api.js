@@ -24,9 +24,8 @@ async function post(path, body = {}) {
 export const readRecord = (id, options) => post(`/api/records/${id}/read`, { options });
 export const identify = (body) => post("/api/models", body);
 export const endIdentification = (id) => post(`/api/models/${id}/end`);
-export const assess = (id) => post(`/api/models/${id}/insight`);
-export const writeVoltage = (id, body) => post(`/api/models/${id}/path`, body);
-export const exportModel = (id, body) => post(`/api/models/${id}/export`, body);
+// "insight", "check", "update", "path" or "export": a job on a model.
+export const workOn = (id, what, body) => post(`/api/models/${id}/${what}`, body);
 export const cancelJob = (id) => post(`/api/jobs/${id}/cancel`);
 // Take a record or a model ("records", "models") from the list.
 export const remove = (kind, id) => request(`/api/${kind}/${id}`, { method: "DELETE" });

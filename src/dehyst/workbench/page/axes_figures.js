@@ -18,7 +18,7 @@ export class AxesFigures {
     this.path = new Figure({ title: "Displacement", keys: HANDLE_KEYS });
     this.voltage = new Figure({ title: "Voltage written last", help: false });
     this.handles = new PointHandles(this.path.chart, edited);
-    this.element = make(h("div", { class: "figures steady" }, this.path.element, this.voltage.element));
+    this.element = make(h("div.figures.steady", this.path.element, this.voltage.element));
   }
 
   // Draw `paths`, points for each axis of these `names`, with handles at those that are `drawn`: { points, reach }.

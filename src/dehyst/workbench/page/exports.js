@@ -1,6 +1,6 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
 import { announce, button, problem } from "./acts.js";
-import { exportModel } from "./api.js";
+import { workOn } from "./api.js";
 import { h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
@@ -20,8 +20,8 @@ export function exportView({ files, log }, model) {
   const rows = sorted.map(({ path, kind, bytes: size }) => [fileLink(path, path), kind ?? "", bytes(size)]);
   return [
     model && exportsOf(model),
-    h("h3", {}, "Files of this folder"),
-    h("div", { id: "files", class: "files" }, table("Files of this folder", ["File", "Kind", "Size"], rows)),
+    h("h3", "Files of this folder"),
+    h("div#files.files", table("Files of this folder", ["File", "Kind", "Size"], rows)),
     script(log),
   ];
 }
@@ -32,14 +32,12 @@ function exportsOf(model) {
   const cards = kinds.map(([kind, title, text]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
     const act = button("Export", `export ${kind}`, () => exportAs(kind), about);
-    return h("li", { class: "card" }, h("h3", {}, title), h("p", {}, text), problem(`export ${kind}`), act);
+    return h("li.card", h("h3", title), h("p", text), problem(`export ${kind}`), act);
   });
-  return h(
-    "div",
-    { id: "export-body", key: "body" },
+  return h("div#export-body", { key: "body" },
     modelChoice(),
-    h("ul", { class: "kinds" }, cards, h("li", { class: "card" }, modelLinks(model))),
-    h("ul", { id: "export-jobs", class: "cards" }, jobCards(openJobs("export", model.id))),
+    h("ul.kinds", cards, h("li.card", modelLinks(model))),
+    h("ul#export-jobs.cards", jobCards(openJobs("export", model.id))),
   );
 }
 
@@ -53,18 +51,16 @@ async function exportAs(kind) {
     }
     Object.assign(body, request);
   }
-  await exportModel(chosenModel().id, body);
+  await workOn(chosenModel().id, "export", body);
   announce("The export has begun.");
 }
 
 function modelLinks({ file, report }) {
   const look = { class: "button", download: null, target: "_blank", rel: "noopener" };
   return [
-    h("h3", {}, "Model and report"),
-    h("p", {}, "The model as JSON, for Python and the command line; the report as one page that needs no server."),
-    h(
-      "p",
-      { class: "row" },
+    h("h3", "Model and report"),
+    h("p", "The model as JSON, for Python and the command line; the report as one page that needs no server."),
+    h("p.row",
       fileLink(file, "Model (JSON)", { class: "button main" }),
       report && fileLink(report, "Report (HTML)", { class: "button main" }),
       report && fileLink(report, "Look at the report", look),
@@ -78,13 +74,11 @@ function script(log) {
     announce("The script is in the clipboard.");
   };
   const about = { id: "script", tabindex: "0", role: "region", "aria-label": "Commands of this session" };
-  return h(
-    "section",
-    { "aria-labelledby": "script-title" },
-    h("h3", { id: "script-title" }, "Log as script"),
-    h("p", { class: "muted" }, "The commands that do the same in a terminal, in this order."),
+  return h("section", { "aria-labelledby": "script-title" },
+    h("h3#script-title", "Log as script"),
+    h("p.muted", "The commands that do the same in a terminal, in this order."),
     h("pre", about, log.join("\n") || "# nothing was done yet"),
-    h("p", { class: "row" }, button("Copy", "script", copy)),
+    h("p.row", button("Copy", "script", copy)),
     problem("script"),
   );
 }

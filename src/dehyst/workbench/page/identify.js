@@ -12,11 +12,7 @@ const STRUCTURES = [
   ["auto", "Automatic: select the parts by cross-validation"],
   ["maxwell_slip", "Maxwell-slip: slip elements and a spring (seconds)"],
 ];
-const NORMS = [
-  ["l1", "Sum of absolute errors (robust)"],
-  ["l2", "Sum of squares"],
-  ["linf", "Largest error"],
-];
+const NORMS = [["l1", "Sum of absolute errors (robust)"], ["l2", "Sum of squares"], ["linf", "Largest error"]];
 const NUMBERS = {
   goal: { above: 0, value: "1", unit: "% of the stroke", hint: "With an error below it the model is ready for use." },
   time_limit: { above: 0, unit: "s", placeholder: "none", hint: "Then the best model so far is completed." },
@@ -42,7 +38,7 @@ export function identifyCard() {
   return card(
     "Identify",
     { class: "identify" },
-    h("p", { class: "muted", id: "identify-words" }, words),
+    h("p#identify-words.muted", words),
     button("Identify a model", "identify", start, train.length ? about : { ...about, disabled: true }),
     problem("identify"),
     fold("Options", Object.keys(form.fields).map((name) => form.field(name))),

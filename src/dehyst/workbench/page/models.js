@@ -3,12 +3,12 @@ import { cancelJob, endIdentification } from "./api.js";
 import { h, table } from "./dom.js";
 import { announce, button, problem, removeButton } from "./acts.js";
 import { duration, percent, range } from "./numbers.js";
-import { chooseModel, openJobs, readyModels, recordOf, redraw, session } from "./state.js";
+import { chooseModel, openJobs, readyModels, recordOf, redraw, session, watch } from "./state.js";
 import { goTo, isOpen, needsModel } from "./steps.js";
 import { VERDICT_HEADS, axesBlock, fileLink, modelChoice, mounted, verdictBlock, verdictCells } from "./verdict.js";
 
 const began = new Map(); // when the server said how long an identification has run
-const lately = new Map(); // status of each model as last seen
+let known = null; // models that were ready when the page last looked
 
 const MEANWHILE =
   "A first model exists within seconds; the search for a better structure takes minutes with long records. You can " +
@@ -19,34 +19,43 @@ setInterval(() => {
   if (isOpen("model") && session.state.models.some((one) => one.status === "identifying")) redraw();
 }, 500);
 
+// A model that has become ready is announced, and all steps speak of it.
+watch("state", ({ revision, models }) => {
+  if (revision === undefined) return;
+  for (const { id, seconds } of models) {
+    if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
+  }
+  const ready = readyModels();
+  const fresh = known && ready.find(({ id }) => !known.has(id));
+  known = new Set(ready.map(({ id }) => id));
+  if (!fresh) return;
+  announce(`${fresh.name} is ready: largest error ${percent(fresh.verdict.largest_percent)} of the stroke.`);
+  chooseModel(fresh.id);
+});
+
 export function modelView({ models }, model) {
-  models.forEach(noticed);
   return [
     models.length === 0 && needsModel("There is no model yet."),
-    h(
-      "ul",
-      { id: "running", class: "cards", "aria-label": "Identifications" },
+    h("ul#running.cards", { "aria-label": "Identifications" },
       models.filter((one) => one.status !== "ready").map(runningCard),
     ),
-    h("div", { id: "model-body", hidden: !model }, model && body(model)),
+    h("div#model-body", { hidden: !model }, model && body(model)),
   ];
 }
 
 function body(model) {
   const look = { class: "button", download: null, target: "_blank" };
-  const origin = model.rig ? `Calibrated on ${model.rig}.` : `Identified in ${duration(model.seconds)}.`;
+  const origin = model.origin || `Identified in ${duration(model.seconds)}.`;
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
-    h("div", { id: "verdict" }, verdictBlock(model), axesBlock(model)),
-    h(
-      "div",
-      { class: "row next" },
+    h("div#verdict", verdictBlock(model), axesBlock(model)),
+    h("div.row.next",
       goTo("path", "Make a voltage"),
       goTo("trust", "How far to trust it"),
       fileLink(model.report, "Read the report", look),
     ),
-    h("p", { class: "muted" }, `${ranges} ${origin} `, removeButton("models", model)),
+    h("p.muted", `${ranges} ${origin} `, removeButton("models", model)),
     problem(`models ${model.id}`),
     comparison(readyModels(), model),
     problem(model.report),
@@ -54,26 +63,16 @@ function body(model) {
   ];
 }
 
-// Say the end of an identification to those who do not see it.
-function noticed({ id, name, status, verdict, seconds }) {
-  if (lately.get(id) === "identifying" && status === "ready") {
-    announce(`${name} is ready: largest error ${percent(verdict.largest_percent)} of the stroke.`);
-    chooseModel(id);
-  }
-  lately.set(id, status);
-  if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
-}
-
 function runningCard(model) {
   const { id, name, status, error, progress, provisional, train } = model;
   const running = status === "identifying";
-  const title = h("div", { class: "card-head" }, h("h3", {}, name), !running && removeButton("models", model));
+  const title = h("div.card-head", h("h3", name), !running && removeButton("models", model));
   const place = `models ${id}`;
   if (!running) {
     const failed = `No model: ${error ?? "the identification failed."}`;
     const words = status === "failed" ? failed : `Cancelled${error ? `: ${error}` : "."}`;
-    const alert = h("p", { class: "error", role: "alert" }, words);
-    return h("li", { class: "card refused", key: id }, title, alert, problem(place));
+    const alert = h("p.error", { role: "alert" }, words);
+    return h("li.card.refused", { key: id }, title, alert, problem(place));
   }
   const { seconds, at } = began.get(id);
   const elapsed = duration(Math.round(seconds + (performance.now() - at) / 1000));
@@ -81,18 +80,14 @@ function runningCard(model) {
     const [job] = openJobs("identify", id);
     return job ? cancelJob(job.id) : endIdentification(id);
   };
-  return h(
-    "li",
-    { class: "card running", key: id },
+  return h("li.card.running", { key: id },
     title,
-    h("p", { class: "muted" }, `Identifying from ${train.map((one) => recordOf(one)?.name ?? one).join(", ")}`),
+    h("p.muted", `Identifying from ${train.map((one) => recordOf(one)?.name ?? one).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
-    h("p", { class: "progress-words", role: "status" }, progress || "starting"),
-    h("p", { class: "elapsed" }, `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
-    h("p", { class: "muted" }, MEANWHILE),
-    h(
-      "div",
-      { class: "row" },
+    h("p.progress-words", { role: "status" }, progress || "starting"),
+    h("p.elapsed", `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
+    h("p.muted", MEANWHILE),
+    h("div.row",
       button("Finish with the best so far", place, () => endIdentification(id), { class: "quiet" }),
       button("Cancel", place, cancel, { class: "quiet" }),
     ),
@@ -111,7 +106,7 @@ function comparison(all, chosen) {
   const same = new Set(records).size === 1;
   const cell = (verdict) => (name) => {
     const best = same && models.every((one) => verdict[name] <= one.verdict[name]);
-    const mark = best && h("span", { class: "unseen" }, " (best)");
+    const mark = best && h("span.unseen", " (best)");
     return h("td", { class: best && "best" }, percent(verdict[name]), mark);
   };
   const heads = ["Model", ...VERDICT_HEADS, "Structure", "Time taken", "From"];
@@ -122,10 +117,8 @@ function comparison(all, chosen) {
     duration(one.seconds),
     one.verdict.basis ?? "",
   ]);
-  return h(
-    "section",
-    { class: "comparison", "aria-labelledby": "comparison", key: "comparison" },
-    h("h2", { id: "comparison" }, "Models side by side"),
+  return h("section.comparison", { "aria-labelledby": "comparison", key: "comparison" },
+    h("h2#comparison", "Models side by side"),
     table("Error, verdict and time of each model", heads, rows),
   );
 }

@@ -1,6 +1,6 @@
 // The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
 import { announce, button, complain, problem } from "./acts.js";
-import { remembered, scanColumns, wasmAddress, writeVoltage } from "./api.js";
+import { remembered, scanColumns, wasmAddress, workOn } from "./api.js";
 import { AxesFigures, resting } from "./axes_figures.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
@@ -44,16 +44,10 @@ export function pathView(state, model) {
   if (model.coupling) axesFigures.show(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
   const { said } = view;
   const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
-  return h(
-    "div",
-    { class: "split", key: "path-body" },
-    h(
-      "div",
-      { class: "side" },
+  return h("div.split", { key: "path-body" },
+    h("div.side",
       modelChoice(),
-      h(
-        "div",
-        { class: "card" },
+      h("div.card",
         sourceChoice(model),
         model.coupling && view.source === "points" && form.field("axis"),
         { scan: scanFields, points: pointsField, file: fileField }[view.source](),
@@ -63,7 +57,7 @@ export function pathView(state, model) {
       ),
       voltages(state),
     ),
-    h("div", { class: "stage" }, said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
+    h("div.stage", said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
   );
 }
 
@@ -77,10 +71,10 @@ function sourceChoice(model) {
     };
     return tick(label, { type: "radio", name: "source", value, checked: value === view.source, onchange });
   };
-  return h("fieldset", { class: "row" }, h("legend", {}, "The wanted path"), sources.map(one));
+  return h("fieldset.row", h("legend", "The wanted path"), sources.map(one));
 }
 
-const scanFields = () => h("div", { id: "source-scan", key: "scan" }, scans.view());
+const scanFields = () => h("div#source-scan", { key: "scan" }, scans.view());
 
 function fileField() {
   const read = async (event) => {
@@ -97,12 +91,10 @@ function fileField() {
       cannotPlan(`${file.name}: ${error.message}`);
     }
   };
-  return h(
-    "div",
-    { class: "field", key: "file" },
+  return h("div.field", { key: "file" },
     h("label", { for: "path-file" }, "Table of time and displacement"),
     h("input", { type: "file", accept: ".csv,.txt,.dat,.tsv", id: "path-file", onchange: read }),
-    h("small", { class: "hint" }, `columns such as ${expected(namesOf(chosenModel())).join(",")}`),
+    h("small.hint", `columns such as ${expected(namesOf(chosenModel())).join(",")}`),
   );
 }
 
@@ -117,12 +109,10 @@ function pointsField() {
   };
   const value = view.points.map((point) => point.map((one) => plain(one, 5)).join("  ")).join("\n");
   const about = { id: "points", rows: String(Math.min(view.points.length + 1, 12)), spellcheck: "false" };
-  return h(
-    "div",
-    { class: "field", key: "points" },
+  return h("div.field", { key: "points" },
     h("label", { for: "points" }, "Points: time (s) and displacement (\u00b5m)"),
     h("textarea", { ...about, value, onchange: typed }),
-    h("small", { class: "hint" }, "Drag the points in the picture, or type or paste here."),
+    h("small.hint", "Drag the points in the picture, or type or paste here."),
   );
 }
 
@@ -149,8 +139,7 @@ function adopt(model) {
   if (view.model === model.id) return;
   view.model = model.id;
   view.file = null;
-  form.fields.axis.choices = namesOf(model).map((name) => [name, name]);
-  [form.values.axis] = namesOf(model);
+  form.offer("axis", namesOf(model).map((name) => [name, name]));
   if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
@@ -281,7 +270,7 @@ export function currentPlan() {
 export const lastPlan = () => view.took;
 
 async function write() {
-  await writeVoltage(chosenModel().id, currentRequest());
+  await workOn(chosenModel().id, "path", currentRequest());
   announce("The voltage is being computed.");
 }
 
@@ -289,25 +278,21 @@ async function write() {
 function voltages(state) {
   const jobs = openJobs("compensate");
   if (!state.voltages.length && !jobs.length) return null;
-  return h(
-    "section",
-    { "aria-labelledby": "voltages-title", id: "voltages", key: "voltages" },
-    h("h3", { id: "voltages-title" }, "Voltages written"),
-    h("ul", { id: "voltage-jobs", class: "cards" }, jobCards(jobs)),
-    h("ul", { id: "voltage-list", class: "cards" }, [...state.voltages].reverse().map(voltageCard)),
+  return h("section", { "aria-labelledby": "voltages-title", id: "voltages", key: "voltages" },
+    h("h3#voltages-title", "Voltages written"),
+    h("ul#voltage-jobs.cards", jobCards(jobs)),
+    h("ul#voltage-list.cards", [...state.voltages].reverse().map(voltageCard)),
   );
 }
 
 function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
   const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
   const maker = modelOf(model)?.name ?? "a model that was removed";
-  return h(
-    "li",
-    { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
-    h("div", { class: "card-head" }, h("h3", {}, name), fileLink(file, "Download CSV", { class: "button main" })),
-    h("p", {}, `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
-    errors.some(Boolean) && h("p", {}, `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
-    clamped > 0 && h("p", { class: "error" }, `${whole(clamped)} voltages are clamped: the path is missed there.`),
+  return h("li", { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
+    h("div.card-head", h("h3", name), fileLink(file, "Download CSV", { class: "button main" })),
+    h("p", `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
+    errors.some(Boolean) && h("p", `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
+    clamped > 0 && h("p.error", `${whole(clamped)} voltages are clamped: the path is missed there.`),
     remarks(words.map(inPage)),
   );
 }

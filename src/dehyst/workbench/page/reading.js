@@ -55,15 +55,13 @@ export function readingForm(record) {
   const { form, marked, guesses, help, known } = forms.get(id);
   const count = Number(form.values.axes);
   const field = (one, option = one) => form.field(one, { class: marked(option) && "suggested" });
-  const column = (one) => h("div", { class: "column" }, field(one), field(`${one}_unit`, one));
+  const column = (one) => h("div.column", field(one), field(`${one}_unit`, one));
   const axis = (_, k) => [count > 1 && field(`name_${k + 1}`), column(voltageOf(k)), column(displacementOf(k))];
   const others = Object.keys(OTHERS).map((one) => field(one));
   const place = `reading ${id}`;
   const read = () => readRecord(id, chosen(form, columns, guesses));
-  return h(
-    "form",
-    { class: "reading", "aria-label": `How to read ${name}`, onsubmit: (event) => event.preventDefault() },
-    help && h("p", {}, help),
+  return h("form.reading", { "aria-label": `How to read ${name}`, onsubmit: (event) => event.preventDefault() },
+    help && h("p", help),
     columns.length > 3 && field("axes"),
     column("time"),
     Array.from({ length: count }, axis),

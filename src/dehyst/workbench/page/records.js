@@ -36,7 +36,7 @@ const JOURNEY = [
   ["Use", "Play it on a rig from here, or export C, an FMU, WebAssembly or a wave table."],
 ];
 export const journey = (id, steps) =>
-  h("ol", { class: "journey", id, key: id }, steps.map(([title, text]) => h("li", {}, h("b", {}, title), text)));
+  h("ol.journey", { id, key: id }, steps.map(([title, text]) => h("li", h("b", title), text)));
 
 export function recordsView({ records }) {
   // What is open comes first, the newest on top.
@@ -47,20 +47,16 @@ export function recordsView({ records }) {
   scrollToRefused(records);
   return [
     dropPlace(records.length > 0),
-    h("ul", { id: "uploads", class: "uploads" }, uploads.map(uploadRow)),
+    h("ul#uploads.uploads", uploads.map(uploadRow)),
     records.length === 0 && journey("journey", JOURNEY),
     records.length > 0 &&
-      h(
-        "div",
-        { class: "split", id: "records-body", key: "body" },
-        h(
-          "div",
-          { class: "side" },
-          h("ul", { id: "record-list", class: "cards", "aria-label": "Records" }, cards),
+      h("div#records-body.split", { key: "body" },
+        h("div.side",
+          h("ul#record-list.cards", { "aria-label": "Records" }, cards),
           problem("records"),
           identifyCard(),
         ),
-        h("div", { class: "stage" }, readyRecords().length > 0 && figure.element),
+        h("div.stage", readyRecords().length > 0 && figure.element),
       ),
   ];
 }
@@ -70,27 +66,21 @@ function dropPlace(small) {
     sendAll(event.target.files);
     event.target.value = "";
   };
-  return h(
-    "div",
-    { class: small ? "drop small" : "drop", id: "drop" },
-    h("p", { class: "big" }, "Drop a record here"),
-    h(
-      "p",
-      {},
+  return h("div", { class: small ? "drop small" : "drop", id: "drop" },
+    h("p.big", "Drop a record here"),
+    h("p",
       "A measurement of your actuator: time, voltage and displacement. CSV and other text, Excel, LabVIEW (LVM, " +
         "TDMS), MATLAB, HDF5, NumPy, Parquet.",
     ),
-    h("p", {}, "Units stand in the names of the columns:"),
-    h("pre", {}, SAMPLE),
-    h(
-      "p",
-      { class: "row" },
+    h("p", "Units stand in the names of the columns:"),
+    h("pre", SAMPLE),
+    h("p.row",
       h("input", { type: "file", id: "file", multiple: true, class: "unseen", onchange: choose }),
       h("label", { for: "file", class: "button main" }, "Choose a file"),
       button("Try with an example", "example", tryExample, { id: "example" }),
     ),
     problem("example"),
-    h("p", { class: "muted" }, `Files stay on this computer. The example: ${ORIGIN}.`),
+    h("p.muted", `Files stay on this computer. The example: ${ORIGIN}.`),
   );
 }
 
@@ -131,11 +121,11 @@ function uploadRow(one) {
     redraw();
   };
   if (error) {
-    const words = h("p", { class: "error", role: "alert" }, `${name} was not sent: ${error}`);
+    const words = h("p.error", { role: "alert" }, `${name} was not sent: ${error}`);
     return h("li", { key }, words, h("button", { type: "button", class: "quiet", onclick: dismiss }, "Dismiss"));
   }
   const bar = h("progress", { max: "1", value: share, "aria-label": `Upload of ${name}` });
-  return h("li", { key }, h("span", {}, `${name}, ${bytes(size)}: ${percent(100 * share)} sent`), bar);
+  return h("li", { key }, h("span", `${name}, ${bytes(size)}: ${percent(100 * share)} sent`), bar);
 }
 
 // A file that was refused is brought into view once.
@@ -152,28 +142,23 @@ function scrollToRefused(records) {
 
 function card(record, first) {
   const { id, name, status, usable } = record;
-  const swatch = h("i", { class: "swatch", style: `background:var(--${colourOf(id)})` });
+  const swatch = h("i.swatch", { style: `background:var(--${colourOf(id)})` });
   const content = { reading: readingCard, ready: readyCard, refused: refusedCard }[status];
-  return h(
-    "li",
-    { class: `card ${usable ? status : "refused"}`, key: id, id: `record-${id}` },
-    h("div", { class: "card-head" }, swatch, h("h3", {}, name), removeButton("records", record)),
+  return h("li", { class: `card ${usable ? status : "refused"}`, key: id, id: `record-${id}` },
+    h("div.card-head", swatch, h("h3", name), removeButton("records", record)),
     problem(`records ${id}`),
     content(record, first),
   );
 }
 
-const readingCard = ({ name }) => [
-  h("p", { class: "muted" }, "Reading\u2026"),
-  h("progress", { "aria-label": `Reading ${name}` }),
-];
+const readingCard = ({ name }) => [h("p.muted", "Reading\u2026"), h("progress", { "aria-label": `Reading ${name}` })];
 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
   const { error, file_columns: columns, id } = record;
-  const summary = h("summary", {}, "Say how to read it");
+  const summary = h("summary", "Say how to read it");
   return [
-    h("p", { class: "error", role: "alert" }, inPage(error ?? "It could not be read.")),
+    h("p.error", { role: "alert" }, inPage(error ?? "It could not be read.")),
     columns?.length
       ? h("details", { open: first }, summary, readingForm(record))
       : button("Read again", `reading ${id}`, () => readRecord(id, record.options), { class: "quiet" }),
@@ -203,9 +188,7 @@ function readyCard(record) {
     ]),
     remarks(problems.map(inPage)),
     understood && fold("How the file was understood", list(words), readingForm(record)),
-    h(
-      "div",
-      { class: "row" },
+    h("div.row",
       role("Train", "train"),
       role("Validate", "validate"),
       box("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
@@ -224,11 +207,7 @@ const axesOf = ({ axes }) => (axes?.length ? axes : [""]);
 
 class RecordFigure extends Figure {
   constructor() {
-    const views = [
-      ["loops", "Loops"],
-      ["time", "Displacement over time"],
-      ["voltage", "Voltage over time"],
-    ];
+    const views = [["loops", "Loops"], ["time", "Displacement over time"], ["voltage", "Voltage over time"]];
     super({ title: "What was measured", views, choose: () => this.draw(this.records), tall: true });
   }
 

@@ -3,11 +3,11 @@ import { button, problem } from "./acts.js";
 import { rig as request } from "./api.js";
 import { h, table } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { Form, card, facts, fold, list } from "./forms.js";
-import { duration, limitsFrom, percent, range, short, whole } from "./numbers.js";
+import { Form, card, facts, fold, list, tick } from "./forms.js";
+import { duration, length, limitsFrom, percent, range, short, whole } from "./numbers.js";
 import { journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";
-import { watch } from "./state.js";
+import { modelOf, redraw, watch } from "./state.js";
 import { isOpen } from "./steps.js";
 
 const LIMITS = {
@@ -30,7 +30,12 @@ const planning = new Form("plan", {
   goal: { label: "Goal", unit: "%", value: "1", above: 0 },
 });
 const arming = new Form("arm", LIMITS);
-const playing = new Form("play", { voltage: { label: "Voltage", choices: [] } });
+const playing = new Form(
+  "play",
+  { voltage: { label: "Voltage", choices: [] }, cycles: { label: "Repetitions", value: "20", least: 1 } },
+  redraw,
+);
+let adapts = true;
 
 const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.number("slew") });
 const calibration = () =>
@@ -57,28 +62,23 @@ export function rigView({ rig, voltages }) {
   const connected = here && rig.status !== "connecting";
   const moving = ["playing", "calibrating", "stopping"].includes(rig.status);
   return [
-    h("p", { class: "error", role: "alert" }, rig.error),
+    h("p.error", { role: "alert" }, rig.error),
     problem("rig"),
-    h(
-      "div",
-      { class: "split" },
-      h(
-        "div",
-        { class: "side" },
+    h("div.split",
+      h("div.side",
         !here && connectCard(),
         connected && connectedCard(rig),
         connected && planCard(rig),
         rig.status === "connected" && armCard(rig),
         rig.status === "armed" && voltages.length > 0 && playCard(voltages),
       ),
-      h(
-        "div",
-        { class: "stage rig-stage", "data-moving": String(moving) },
+      h("div.stage.rig-stage", { "data-moving": String(moving) },
         !here && journey("rig-steps", STEPS),
-        h("div", { id: "rig-result" }, rig.result && resultBlock(rig.result)),
-        h("div", { id: "rig-live", hidden: live.count === 0 }, live.view()),
-        h("div", { id: "rig-plan" }, rig.plan && planTable(rig.plan)),
-        h("ul", { id: "rig-words", class: "remarks" }, (rig.words ?? []).map((one) => h("li", {}, one))),
+        h("div#rig-result", rig.result && resultBlock(rig.result, rig.known?.cycles)),
+        h("div#rig-live", { hidden: live.count === 0 }, live.view()),
+        h("div#rig-run.figures", rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
+        h("div#rig-plan", rig.plan && planTable(rig.plan)),
+        h("ul#rig-words.remarks", (rig.words ?? []).map((one) => h("li", one))),
       ),
     ),
   ];
@@ -92,7 +92,7 @@ function connectCard() {
     { id: "rig-connect", key: "connect" },
     connecting.field("address"),
     connecting.row(Object.keys(LIMITS), "fields three"),
-    h("p", { class: "muted" }, "Nothing moves before you arm. No voltage leaves these limits."),
+    h("p.muted", "Nothing moves before you arm. No voltage leaves these limits."),
     act("Connect", connect),
   );
 }
@@ -109,9 +109,7 @@ function connectedCard(rig) {
     "Connected",
     { id: "rig-connected", key: "connected" },
     facts(about),
-    h(
-      "p",
-      { class: "row" },
+    h("p.row",
       canMove(rig) && act("Disarm", () => request("disarm"), { class: "" }),
       act("Disconnect", () => request("disconnect"), { class: "" }),
     ),
@@ -128,8 +126,8 @@ function planCard(rig) {
     "2. Plan a calibration",
     { id: "rig-calibration", key: "calibration" },
     planning.row(Object.keys(planning.fields), "fields three"),
-    h("p", { class: "row" }, act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
-    h("p", { class: "muted" }, missing),
+    h("p.row", act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
+    h("p.muted", missing),
   );
 }
 
@@ -143,19 +141,37 @@ function armCard({ identity, limits: ends, slew, safe }) {
   return card(
     "3. Arm",
     { class: "danger", id: "rig-arm", key: "arm" },
-    h("p", {}, `Rig: ${identity}. ${confirm} ${check}`),
+    h("p", `Rig: ${identity}. ${confirm} ${check}`),
     arming.row(Object.keys(LIMITS), "fields three"),
     act("Arm with these limits", arm, { class: "main armed" }),
   );
 }
 
+// A voltage is played once, or its path is followed again and again by its model, which may adapt.
 function playCard(voltages) {
-  const { values, fields } = playing;
   const words = ({ name, samples, seconds }) => `${name}: ${whole(samples)} samples, ${duration(seconds)}`;
-  fields.voltage.choices = voltages.map((one) => [one.id, words(one)]);
-  if (!voltages.some((one) => one.id === values.voltage)) values.voltage = voltages[0].id;
-  const play = () => request("play", { voltage: values.voltage });
-  return card("4. Play a voltage", { id: "rig-play", key: "play" }, playing.field("voltage"), act("Play", play));
+  playing.offer("voltage", voltages.map((one) => [one.id, words(one)]));
+  const { voltage } = playing.values;
+  const { path, model } = voltages.find((one) => one.id === voltage);
+  const follow = () => request("run", { voltage, cycles: playing.number("cycles"), adapt: adapts });
+  const onchange = (event) => {
+    adapts = event.target.checked;
+  };
+  const leader = modelOf(model);
+  return card(
+    "4. Play a voltage, or follow its path",
+    { id: "rig-play", key: "play" },
+    playing.field("voltage"),
+    act("Play", () => request("play", { voltage })),
+    path &&
+      leader &&
+      !leader.coupling && [
+        h("p.muted", `Or follow its path again and again with ${leader.name}, and measure the error:`),
+        playing.field("cycles"),
+        tick("Adapt the model after each repetition", { type: "checkbox", id: "adapt", checked: adapts, onchange }),
+        h("p", act("Follow the path", follow)),
+      ],
+  );
 }
 
 // What a calibration would play, which is shown before anything is armed; and what came of it.
@@ -164,33 +180,70 @@ function planTable({ steps, seconds: all }) {
   const heads = ["Step", text, "Samples", "Time", "Lowest (V)", "Highest (V)", "Steepest (V/s)"];
   const rows = steps.map(({ step, what, samples, seconds, lowest_V, highest_V, steepest_V_per_s }) => [
     String(step),
-    h("td", { class: "text" }, what ?? ""),
+    h("td.text", what ?? ""),
     samples === undefined ? "" : whole(samples),
     duration(seconds),
     ...[lowest_V, highest_V, steepest_V_per_s].map((one) => short(one)),
   ]);
   return [
-    h("h3", {}, "What a calibration plays"),
+    h("h3", "What a calibration plays"),
     table("Plan of the calibration", heads, rows),
-    h("p", { class: "muted" }, `It takes about ${duration(all)} in all.`),
+    h("p.muted", `It takes about ${duration(all)} in all.`),
   ];
 }
 
-function resultBlock({ kind, good, samples, compensated_percent: error, nominal_percent: nominal, warnings, command }) {
-  if (kind !== "calibration") {
-    const recorded = h("p", { class: "first" }, `Recorded ${whole(samples ?? 0)} samples.`);
-    return h("div", { class: "outcome green", role: "status" }, recorded);
-  }
-  const rest = `of the stroke is the largest error on the measured path; ${percent(nominal)} by a straight gain`;
-  return h(
-    "div",
-    { class: `outcome ${good ? "green" : "amber"}`, role: "status" },
-    h("strong", {}, good ? "Calibrated" : "Calibrated, with care"),
-    h("b", {}, percent(error), " ", h("small", {}, rest)),
+function resultBlock({ kind, good, samples, compensated, nominal, warnings, command }, cycles = []) {
+  const [first, last] = [cycles[0], cycles.at(-1)].map((one) => percent(one?.largest_percent));
+  const gain = percent(nominal?.largest_percent);
+  const { done, error, rest } = {
+    calibrate: {
+      done: "Calibrated",
+      error: percent(compensated?.largest_percent),
+      rest: `of the stroke is the largest error on the measured path; ${gain} by a straight gain`,
+    },
+    run: {
+      done: "Followed",
+      error: last,
+      rest: `of the stroke is the largest error of the last repetition; ${first} in the first`,
+    },
+    record: { done: `Recorded ${whole(samples ?? 0)} samples` },
+  }[kind];
+  return h("div", { class: `outcome ${good === false ? "amber" : "green"}`, role: "status" },
+    h("strong", good === false ? `${done}, with care` : done),
+    error && h("b", error, " ", h("small", rest)),
     list(warnings),
-    command && fold("The same in a terminal", h("pre", {}, command)),
+    command && fold("The same in a terminal", h("pre", command)),
   );
 }
+
+// Errors of the repetitions of a path, and what the weights of the model have learnt.
+class RunFigures {
+  constructor() {
+    this.error = new Figure({ title: "Error of each repetition", help: false });
+    this.drift = new Figure({ title: "Drift of the weights", help: false });
+  }
+
+  view(cycles) {
+    if (this.drawn !== cycles) this.draw(cycles);
+    this.drawn = cycles;
+    return [this.error.element, this.drift.element];
+  }
+
+  draw(cycles) {
+    const x = cycles.map((_, k) => k + 1);
+    const curve = ([name, colour, key]) => ({ name, colour, x, y: cycles.map((one) => one[key]), rising: true });
+    const axes = (label) => ({ x: { label: "Repetition" }, y: { label, unit: "%" } });
+    const errors = [["largest", "simulated", "largest_percent"], ["RMS", "measured", "rms_percent"]];
+    this.error.set({ ...axes("Error (% of the stroke)"), series: errors.map(curve) });
+    const { offset_um: offset } = cycles.at(-1);
+    this.drift.element.hidden = offset === undefined;
+    if (offset === undefined) return;
+    const changes = [["gain", "simulated", "gain_percent"], ["width of the loop", "measured", "width_percent"]];
+    const notes = [[null, `offset of the sensor ${length(offset)}`]];
+    this.drift.set({ ...axes("Change (%)"), series: changes.map(curve), notes });
+  }
+}
+const run = new RunFigures();
 
 const ROOM = 30_000; // samples that are kept
 const STRIP = 20; // seconds of the strips
@@ -207,9 +260,9 @@ class LiveFigures {
   }
 
   view() {
-    const strips = h("div", {}, this.voltage.element, this.displacement.element);
+    const strips = h("div", this.voltage.element, this.displacement.element);
     if (this.count > 0) this.draw();
-    return h("div", { class: "live" }, this.loop.element, strips);
+    return h("div.live", this.loop.element, strips);
   }
 
   add(message) {

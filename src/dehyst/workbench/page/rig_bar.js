@@ -96,15 +96,13 @@ function contents({ name, axis, address, status, step, silent, progress, words =
   const known = typeof progress === "number";
   const share = { value: known ? progress : 0, title: known && percent(100 * progress), hidden: !known };
   return [
-    h(
-      "div",
-      { class: "rig-words" },
+    h("div.rig-words",
       h("b", { title: name }, title),
-      h("span", { class: "rig-status", role: "status" }, `${STATUS[status] ?? status}${doing}${gone}`),
-      h("span", { class: "rig-values" }, values.join(" \u00b7 ")),
+      h("span.rig-status", { role: "status" }, `${STATUS[status] ?? status}${doing}${gone}`),
+      h("span.rig-values", values.join(" \u00b7 ")),
       h("progress", { max: "1", "aria-label": "Progress of the rig", ...share }),
     ),
-    h("p", { class: "rig-answer", role: "alert" }, answer),
-    h("button", { ...STOP, class: last.pressed ? "stop pressed" : "stop" }, "STOP", h("small", {}, "Esc")),
+    h("p.rig-answer", { role: "alert" }, answer),
+    h("button", { ...STOP, class: last.pressed ? "stop pressed" : "stop" }, "STOP", h("small", "Esc")),
   ];
 }

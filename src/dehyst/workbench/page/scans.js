@@ -65,7 +65,7 @@ export class ScanForm extends Form {
   view() {
     const { needs, may } = optionsOf(this.values.kind);
     const more = fold("More options", this.row(may));
-    return [this.field("kind"), h("div", { class: "scan-options" }, this.row(needs), more)];
+    return [this.field("kind"), h("div.scan-options", this.row(needs), more)];
   }
 
   // The options as the server takes them; an Error says which is wrong.

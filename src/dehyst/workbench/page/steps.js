@@ -44,7 +44,7 @@ function refresh(state) {
   fill(byId("steps"), IDS.map((id, k) => tab(id, k, state)));
   for (const id of IDS) byId(id).hidden = id !== open;
   const [title, , needs] = STEPS[open];
-  const heading = h("h2", { class: "unseen" }, title);
+  const heading = h("h2.unseen", title);
   const model = chosenModel();
   fill(byId(open), heading, needs && !model && needsModel(needs), pages[open](state, model));
 }
@@ -53,19 +53,18 @@ export const goTo = (step, text) =>
   h("button", { type: "button", class: "main", onclick: () => openStep(step, { focus: true }) }, text);
 
 // Of a step that needs a model, while there is none.
-export const needsModel = (words) => h("div", { class: "empty" }, h("p", {}, words), goTo("records", "To the records"));
+export const needsModel = (words) => h("div.empty", h("p", words), goTo("records", "To the records"));
 
 function tab(id, k, state) {
   const [title, describe, needs] = STEPS[id];
   const { text, mark } = needs && !chosenModel() ? { text: "needs a model" } : describe(state);
   const chosen = id === open;
   const about = { role: "tab", type: "button", id: `step-${id}`, "aria-controls": id, "aria-selected": String(chosen) };
-  return h(
-    "button",
+  return h("button",
     { ...about, tabindex: chosen ? "0" : "-1", "data-mark": mark || undefined, onclick: () => openStep(id) },
-    h("span", { class: "number", "aria-hidden": "true" }, String(k + 1)),
-    h("span", { class: "title" }, title),
-    h("small", {}, text),
+    h("span.number", { "aria-hidden": "true" }, String(k + 1)),
+    h("span.title", title),
+    h("small", text),
   );
 }
 

@@ -1,20 +1,20 @@
 // The third step: how far to trust a model. Where its records turned, with the path of the next step and what is
 // promised along it; and the assessment.
 import { announce, button, problem } from "./acts.js";
-import { assess } from "./api.js";
+import { workOn } from "./api.js";
 import { fill, h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS } from "./figure.js";
-import { card, fold } from "./forms.js";
+import { Form, card, list } from "./forms.js";
 import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { isPlane } from "./report.js";
-import { openJobs } from "./state.js";
+import { openJobs, readyRecords } from "./state.js";
 import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
 const promise = new Figure({ title: "The promise along your path", help: false });
-const turns = make(h("div", { class: "report", id: "trust-turns" }));
+const turns = make(h("div#trust-turns.report"));
 let drawn = {}; // the plan in the pictures, and the figure with its turning points
 
 export function trustView(_, model) {
@@ -30,15 +30,11 @@ export function trustView(_, model) {
     modelChoice(),
     !assessment && verdictBlock(model),
     !assessment && turns,
-    h("ul", { id: "trust-jobs", class: "cards" }, jobCards(jobs)),
-    h("div", { id: "trust-insight" }, assessment ? assessment.element : !report && invitation(model, running)),
+    h("ul#trust-jobs.cards", jobCards(jobs)),
+    h("div#trust-insight", assessment ? assessment.element : !report && invitation(model, running)),
     report && problem(report),
     problem("trust"),
-    fold(
-      "Does it still hold later?",
-      h("p", {}, "Measure one loop again now and then, and check the model by it in a terminal, in the page's folder:"),
-      h("pre", {}, `dehyst check ${model.file} new-record.csv`),
-    ),
+    checkCard(model),
   ];
 }
 
@@ -53,7 +49,7 @@ function turned(model) {
   if (beside.nextSibling !== promise.element) beside.after(promise.element);
   if (plan && (drawn.plan !== plan || drawn.figure !== figure)) drawPath(plan, figure);
   const none = ["There is no path yet. ", goTo("path", "To the path")];
-  const words = h("p", {}, plan ? plan.turned?.sentence : none);
+  const words = h("p", plan ? plan.turned?.sentence : none);
   return [section.previousElementSibling, section, words];
 }
 
@@ -72,9 +68,7 @@ const invitation = ({ id }, running) =>
   card(
     "What do the records leave open?",
     { key: "invitation" },
-    h(
-      "p",
-      {},
+    h("p",
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
         "model the records determine. It takes seconds to minutes.",
     ),
@@ -82,8 +76,43 @@ const invitation = ({ id }, running) =>
   );
 
 async function start(id) {
-  await assess(id);
+  await workOn(id, "insight");
   announce("The assessment has begun.");
+}
+
+const checking = new Form("check", { record: { label: "New record" } });
+
+// Whether a model still holds, by a record that it was not identified from; and its update by that record.
+function checkCard(model) {
+  const { check } = model;
+  const records = readyRecords().filter((one) => !model.train.includes(one.id));
+  checking.offer("record", records.map((one) => [one.id, one.name]));
+  const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
+  const act = (text, what, record, begun, look) => {
+    const work = async () => {
+      await workOn(model.id, what, { record });
+      announce(begun);
+    };
+    return button(text, "check", work, { ...look, hidden: jobs.some((one) => one.status === "running") });
+  };
+  const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
+  return card(
+    "Is it still true?",
+    { id: "check", key: "check" },
+    records.length === 0 && h("p", measure),
+    records.length > 0 && checking.field("record"),
+    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),
+    h("ul.cards", jobCards(jobs)),
+    problem("check"),
+    check &&
+      h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
+        check.sentences.map((one) => h("p.first", one)),
+        list(check.why),
+        !check.good &&
+          !check.foreign &&
+          act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
+      ),
+  );
 }
 
 // Draw the path with its band, and where its voltage turns.

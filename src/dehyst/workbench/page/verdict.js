@@ -20,7 +20,7 @@ export const lightOf = (verdict) => LIGHTS[readiness(verdict)] ?? ["amber", Stri
 export const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
 export function verdictCells(verdict, write = (name) => percent(verdict[name])) {
   const [colour, words] = lightOf(verdict);
-  const light = h("td", { class: "text" }, h("span", { class: `light ${colour}` }, words));
+  const light = h("td.text", h("span", { class: `light ${colour}` }, words));
   return [light, write("largest_percent"), length(verdict.largest_um), write("rms_percent")];
 }
 
@@ -34,13 +34,11 @@ export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
   const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
-  const told = h("small", {}, `of the stroke (${length(um)}) is the largest error to expect`);
-  return h(
-    "div",
-    { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
-    h("strong", {}, words),
-    h("b", {}, percent(largest), " ", told),
-    h("p", {}, `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
+  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect`);
+  return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
+    h("strong", words),
+    h("b", percent(largest), " ", told),
+    h("p", `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
     why.length > 0 && fold(things, list(why.map(inPage))),
     list(remarksOf(verdict), "remarks"),
   );
@@ -57,11 +55,9 @@ export function axesBlock({ axes, coupling }) {
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
   const rest = whole ? "This matrix describes all coupling, and is compensated." : "Coupling is more than this matrix.";
-  return h(
-    "section",
-    { class: "comparison", "aria-label": "Axes", key: "axes" },
+  return h("section.comparison", { "aria-label": "Axes", key: "axes" },
     table("Verdict of each axis", heads, rows),
-    h("p", { class: "muted" }, `Coupling: ${pairs.join(", ")}. ${rest}`),
+    h("p.muted", `Coupling: ${pairs.join(", ")}. ${rest}`),
   );
 }
 
@@ -72,7 +68,7 @@ export function modelChoice() {
   const onchange = (event) => chooseModel(event.target.value);
   const about = { "aria-label": "Model", class: "model-choice", value: chosenModel().id, onchange };
   const select = h("select", about, options(models.map((one) => [one.id, one.name])));
-  return h("p", { class: "row model-row" }, h("span", {}, "Model "), select);
+  return h("p.row.model-row", h("span", "Model "), select);
 }
 
 // The parts of a report that is a file of the folder; each `copy` has elements of its own.
@@ -99,12 +95,10 @@ export const fileLink = (path, text, attributes = {}) =>
 export const jobCards = (jobs) =>
   jobs.map(({ id, status, error, progress }) => {
     if (status === "failed") {
-      const alert = h("p", { class: "error", role: "alert" }, inPage(error ?? "It failed."));
-      return h("li", { class: "card refused", key: id }, alert);
+      const alert = h("p.error", { role: "alert" }, inPage(error ?? "It failed."));
+      return h("li.card.refused", { key: id }, alert);
     }
-    return h(
-      "li",
-      { class: "card", key: id },
+    return h("li.card", { key: id },
       h("p", { role: "status" }, progress || "Computing\u2026"),
       h("progress", { "aria-label": "Job" }),
       button("Cancel", `job ${id}`, () => cancelJob(id), { class: "quiet" }),

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from dehyst._errors import DehystError, RigError
 from dehyst._process import Outlet
-from dehyst.instruments import AbstractRig, VoltageNote, open_rig
+from dehyst.instruments import BY_HAND, AbstractRig, VoltageNote, open_rig
 from dehyst.instruments.samples import READBACK_TOLERANCE
 from dehyst.workbench.rig.messages import Request, number, pair, text
-from dehyst.workbench.rig.tasks import LiveFeed, Task, calibrating, planned, playing
+from dehyst.workbench.rig.tasks import LiveFeed, RigRun, performed, playing
 from dehyst.workbench.rig.watchdog import Stopped, Watchdog
 
 # Seconds between two readings of a rig at rest, and longest wait for a command.
@@ -23,8 +23,6 @@ _PERIOD, _TICK = 0.1, 0.02
 _LOST_AFTER = 3
 # Fields of the state that belong to one rig.
 OF_RIG = ("name", "identity", "axis", "limits", "slew", "safe", "plan")
-# What a device does that no command reaches.
-_ADVICE = "The device holds, or plays to its end, what it has; see to it by hand."
 
 
 class RigDriver:
@@ -60,7 +58,8 @@ class RigDriver:
             "arm": self._arm,
             "plan": self._plan,
             "play": self._play,
-            "calibrate": self._calibrate,
+            "calibrate": self._operate,
+            "run": self._operate,
             "disarm": self._disarm,
             "disconnect": self._disconnect,
         }
@@ -183,15 +182,23 @@ class RigDriver:
         self._show("armed", error=None, words=[])
 
     def _plan(self, request: Request) -> None:
-        self._outlet.state(plan=planned(self._connected(), request), error=None)
+        """Show what a calibration would send."""
+        run = RigRun(self._connected(), self._working("connected"), self._outlet.state)
+        steps = performed(run, {**request, "do": "calibrate"}, dry_run=True)["steps"]
+        self._outlet.state(plan={"steps": steps, "seconds": sum(one.get("seconds", 0.0) for one in steps)}, error=None)
 
     def _play(self, request: Request) -> None:
         rig = self._armed()
-        self._work("playing", playing(rig, request, self._feed, first=self._fresh))
+        task = playing(rig, request, self._feed, first=self._fresh)
+        with self._working("playing"):
+            result = task()
+        self._show("armed", result=result, words=[])
 
-    def _calibrate(self, request: Request) -> None:
-        rig = self._armed()
-        self._work("calibrating", calibrating(rig, str(self.address), request, self._feed))
+    def _operate(self, request: Request) -> None:
+        """Calibrate, or follow a path."""
+        working = self._working("calibrating" if request["do"] == "calibrate" else "playing")
+        result = performed(RigRun(self._armed(), working, self._outlet.state), request)
+        self._show("armed", result=result, words=[])
 
     def _armed(self) -> AbstractRig:
         rig = self._connected()
@@ -199,16 +206,16 @@ class RigDriver:
             raise RigError("the rig is not armed, nothing was sent; confirm limits and slew rate first")
         return rig
 
-    def _work(self, status: str, task: Task) -> None:
-        """Do what sends voltages; `Stopped` leaves it after the base class has retreated."""
+    @contextmanager
+    def _working(self, status: str) -> Iterator[LiveFeed]:
+        """Send voltages; `Stopped` leaves it after the base class has retreated."""
         self._show(status, error=None, words=[], result=None)
         self._watchdog.active, self._fresh = True, False
         try:
-            result = task()
+            yield self._feed
         finally:
             self._watchdog.active = False
             self._feed.end()
-        self._show("armed", result=result, words=[])
 
     def _disarm(self, _: Request) -> None:
         self._connected()
@@ -248,7 +255,7 @@ class RigDriver:
             voltage = rig.retreat()
         # Whatever a driver raises, also to end the program: the outcome is a sentence.
         except BaseException as error:
-            self._lose(f"The voltage could not be brought to {rig.safe:.6g} V ({reason_of(error)}).", words)
+            self._lose(f"The voltage could not be brought to {rig.safe:.6g} V ({reason_of(error)}): {BY_HAND}.", words)
             return
         self._watchdog.disarm()
         self._stopped = [*words, f"The voltage was brought to {voltage:.6g} V."]
@@ -266,14 +273,13 @@ class RigDriver:
         elif not self._watchdog.armed or self._status == "armed":
             self._show(self._status, words=notes)
         elif any(isinstance(note, VoltageNote) and not note.safe for note in notes):
-            # The note gives the advice too.
-            self._lose(" ".join(notes), stopped, advice=[])
+            self._lose(" ".join(notes), stopped)
             self._watchdog.settle()
         else:
             self._retreat([sentence, *stopped])
             self._watchdog.settle()
 
-    def _lose(self, outcome: str, words: list[str], advice: Sequence[str] = (_ADVICE,)) -> None:
+    def _lose(self, outcome: str, words: list[str]) -> None:
         """Give up a rig whose voltage cannot be brought anywhere; send where it was last."""
         last, now = self._feed.last, time.monotonic()
         known = "Its voltage was never read."
@@ -281,7 +287,7 @@ class RigDriver:
             known = f"Its voltage was last seen at {last.voltage:.6g} V, {now - self._feed.seen_at:.1f} s ago."
         self._watchdog.lose()
         self._close()
-        self._show("lost", words=[*words, outcome, known, *advice])
+        self._show("lost", words=[*words, outcome, known])
 
     def _look(self) -> None:
         """Read a rig at rest, ten times a second."""
@@ -307,7 +313,7 @@ class RigDriver:
             self._watchdog.trip(f"the rig cannot be read: {reason}")
         elif self._failures >= _LOST_AFTER:
             self._outlet.state(error=reason)
-            self._lose("It cannot be read any more.", [])
+            self._lose(f"It cannot be read any more: {BY_HAND}.", [])
 
     def _look_now(self) -> None:
         if self.rig is not None:

@@ -43,6 +43,8 @@ class RigLink:
         Called in the event loop with each message: a dict whose "kind" is "rig", "live" or "error". It must not block.
     origins : sequence of str
         Origins of the page that may send the emergency stop: ``["http://127.0.0.1:8000", "http://localhost:8000"]``.
+    folder : Path, optional
+        Folder in which the process runs, to which names of files refer.
     errors : Path, optional
         File for the standard error of the process; by default it is discarded.
 
@@ -54,9 +56,14 @@ class RigLink:
     """
 
     def __init__(
-        self, on_message: Callable[[Message], None], *, origins: Sequence[str] = (), errors: Path | None = None
+        self,
+        on_message: Callable[[Message], None],
+        *,
+        origins: Sequence[str] = (),
+        folder: Path | None = None,
+        errors: Path | None = None,
     ) -> None:
-        self._on_message, self._origins, self._errors = on_message, list(origins), errors
+        self._on_message, self._origins, self._folder, self._errors = on_message, list(origins), folder, errors
         self._listening = _bound(0)
         self.stop: dict[str, Any] = {"port": self._listening.getsockname()[1], "key": ""}
         self._process: asyncio.subprocess.Process | None = None
@@ -146,9 +153,9 @@ class RigLink:
 
     async def _started(self, module: str, *arguments: str, **options: Any) -> asyncio.subprocess.Process:
         if self._errors is None:
-            return await started(module, *arguments, **options)
+            return await started(module, *arguments, folder=self._folder, **options)
         with self._errors.open("ab") as errors:
-            return await started(module, *arguments, errors=errors, **options)
+            return await started(module, *arguments, folder=self._folder, errors=errors, **options)
 
     async def _read(self, process: asyncio.subprocess.Process) -> None:
         """Pass messages on until the process, and a fresh one that replaces it, have ended."""

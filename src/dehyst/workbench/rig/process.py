@@ -22,7 +22,7 @@ from contextlib import suppress
 from typing import Any
 
 from dehyst._process import Inlet, Outlet, lines_of, own_output
-from dehyst.instruments import open_rig
+from dehyst.instruments import BY_HAND, open_rig
 from dehyst.workbench.rig.driver import RigDriver
 from dehyst.workbench.rig.stop_listener import StopListener
 from dehyst.workbench.rig.watchdog import Watchdog
@@ -140,7 +140,7 @@ def _outcome(address: str, limits: tuple[float, float], slew_rate: float) -> tup
             failure = error
             time.sleep(_PAUSE)
     sentence = f"A fresh connection could not bring the voltage to a safe one ({failure})"
-    return "lost", f"{sentence}: the device holds, or plays to its end, what it has; see to it by hand."
+    return "lost", f"{sentence}: {BY_HAND}."
 
 
 if __name__ == "__main__":

@@ -1,24 +1,25 @@
-"""Live data: samples as they arrive, thinned to ten messages a second."""
+"""What moves a rig: operations and waves, and the live data that they send, thinned to ten messages a second."""
 
 from __future__ import annotations
 
-import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import RigError
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Reading, Samples
-from dehyst.workbench.rig.messages import Request, number, path
+from dehyst.operations.registry import find
+from dehyst.operations.run import Run, perform
+from dehyst.workbench.rig.messages import Request, path
 
 if TYPE_CHECKING:
-    from dehyst.calibration import Plan
     from dehyst.calibration.plan import WantedVoltage
 
 # Seconds between two messages, and between two changes of the state.
@@ -146,79 +147,52 @@ def _numbers(values: Array) -> list[float | None]:
     return [round(value, _DIGITS) if np.isfinite(value) else None for value in values.tolist()]
 
 
-REPORT = "report.html"
+class RigRun(Run):
+    """The run of an operation on the rig that this process holds.
+
+    Until it begins to send voltages it only checks: `working` is entered then, and yields the receiver of samples.
+    `show` takes changed fields of the state.
+    """
+
+    def __init__(self, rig: AbstractRig, working: AbstractContextManager[LiveFeed], show: Callable[..., None]) -> None:
+        self._working, self._show = working, show
+        super().__init__()
+        self.held = nullcontext(rig)
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """What is known already; the page shows it while the operation runs."""
+        return self._known
+
+    @known.setter
+    def known(self, values: dict[str, Any]) -> None:
+        self._known = values
+        self._show(known=values)
+
+    def note(self, sentence: object) -> None:
+        """Show a warning."""
+        self._show(words=[str(sentence)])
+
+    def watch(self, steps: Sequence[str]) -> AbstractContextManager[LiveFeed]:
+        """Return the context in which voltages are sent."""
+        return self._working
+
+
+def performed(run: RigRun, request: Request, **more: Any) -> dict[str, Any]:
+    """Perform the operation of a request, and return its result for the state; `more` parameters have priority."""
+    operation = find(request["do"])
+    given = request.get("given")
+    if not isinstance(given, dict):
+        raise RigError(f"{request['do']}: got {str(given)[:60]}, need the parameters of dehyst {operation.name}")
+    result = perform(operation, operation.of_json({**given, **more}), run)
+    # A fit is long, and in a file; repetitions are known already.
+    fields = {name: value for name, value in result.fields.items() if name not in ("fit", "cycles")}
+    outcome = {"good": result.good, "warnings": [*result.warnings], "command": run.command}
+    return {"kind": operation.name, **fields, **outcome}
+
+
 # Sends voltages; returns the result for the state.
 Task = Callable[[], dict[str, Any]]
-
-
-def plan_of(request: Request) -> Plan:
-    """Return the plan that a `request` describes: frequency, hold, rounds and goal, all optional."""
-    from dehyst.calibration import Plan
-
-    plain = Plan()
-    rounds = number(request, "rounds", float(plain.rounds))
-    return Plan(
-        frequency=_given(request, "frequency", plain.frequency),
-        hold=number(request, "hold"),
-        rounds=int(rounds) if rounds is not None and rounds.is_integer() else rounds,  # type: ignore[arg-type]
-        goal=_given(request, "goal", plain.goal),
-    )
-
-
-def _given(request: Request, name: str, default: float) -> float:
-    value = number(request, name)
-    return default if value is None else value
-
-
-def planned(rig: AbstractRig, request: Request) -> dict[str, Any]:
-    """Return the steps of a calibration of `rig`, and their seconds in all; nothing is sent."""
-    from dehyst.calibration.plan import entries
-
-    steps = entries(rig, plan_of(request))
-    return {"steps": steps, "seconds": sum(step.get("seconds", 0.0) for step in steps)}
-
-
-def calibrating(rig: AbstractRig, address: str, request: Request, feed: LiveFeed) -> Task:
-    """Return the calibration of `rig` into the folder of a `request`, as `dehyst calibrate` does it.
-
-    `address`: of the rig, for the command in the report. `feed` receives the progress. Raise what `Plan` and
-    `AbstractRig.check` raise; nothing was sent.
-    """
-    from dehyst.calibration.plan import steps
-
-    plan, folder = plan_of(request), path(request, "folder")
-    _refuse_foreign(folder)
-    steps(rig, plan)
-
-    def task() -> dict[str, Any]:
-        from dehyst.calibration import calibrate
-        from dehyst.report import write_calibration
-
-        calibration = calibrate(rig, folder, plan=plan, watcher=feed)
-        feed.step("report")
-        command = command_of(rig, address, plan, folder)
-        write_calibration(folder / REPORT, calibration, command=command)
-        return {
-            "kind": "calibration",
-            "folder": str(folder),
-            "good": calibration.good,
-            "warnings": list(calibration.warnings()),
-            "nominal_percent": calibration.nominal.largest_percent,
-            "compensated_percent": calibration.compensated.largest_percent,
-            "command": command,
-        }
-
-    return task
-
-
-def command_of(rig: AbstractRig, address: str, plan: Plan, folder: Path) -> str:
-    """Return the command that does the same: of `rig` at `address`, by this `plan`, into this `folder`."""
-    from dehyst.operations.registry import find
-
-    asked = {name: getattr(plan, name) for name in ("frequency", "hold", "rounds", "goal")}
-    bounds = {"limits": [[rig.limits.low, rig.limits.high]], "slew_rate": [rig.slew_rate]}
-    operation = find("calibrate")
-    return shlex.join(operation.command(operation.of_json({"rig": address, "output": str(folder), **bounds, **asked})))
 
 
 def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) -> Task:
@@ -266,17 +240,3 @@ def _played(rig: AbstractRig, voltage: WantedVoltage, target: Path, feed: LiveFe
             target.unlink(missing_ok=True)
         raise
     return {"kind": "record", "file": str(target), "samples": recording.samples}
-
-
-def _refuse_foreign(folder: Path) -> None:
-    """Refuse a folder in which results would replace files of somebody else."""
-    from dehyst._io import format_of
-    from dehyst.calibration.experiment import RESULTS
-    from dehyst.calibration.session import FORMAT
-
-    if format_of(folder / "campaign.json") != FORMAT:
-        foreign = [name for name in (*RESULTS, REPORT) if (folder / name).exists()]
-        if foreign:
-            raise FileFormatError(
-                f"{folder}: holds {', '.join(foreign)}, but no calibration; name another folder, nothing was sent"
-            )
