@@ -21,6 +21,7 @@ from dehyst.operations.files import Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import voltage_columns, written_path
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.forms import in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
 
 _T = TypeVar("_T")
@@ -96,7 +97,7 @@ class RecordEntry:
             self.words += [
                 f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
             ]
-            self.problems += [f"{prefix}{words}" for words in one["problems"]]
+            self.problems += [in_page(f"{prefix}{words}") for words in one["problems"]]
 
 
 @dataclass
@@ -153,7 +154,7 @@ class ModelEntry:
         if fit is None:
             stopped = self.early or finished.stopped
             self.status = "cancelled" if stopped else "failed"
-            self.error = "it was ended before there was a model" if stopped else finished.words
+            self.error = "it was ended before there was a model" if stopped else in_page(finished.words)
             return
         several = "fits" in fit
         fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
@@ -162,12 +163,13 @@ class ModelEntry:
             return
         verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
         remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
+        remarks = [in_page(one) for one in remarks]
         verdict = max(verdicts.values(), key=lambda one: one["largest_percent"])
         self.status, self.error = "ready", None
         self.verdict = {**verdict, "remarks": remarks}
         if several:
             self.coupling = {"matrix": fit["coupling"], "is_matrix": fit["is_matrix"], "verdicts": verdicts}
-            self.verdict["remarks"] = [*fit["remarks"], *remarks]
+            self.verdict["remarks"] = [*map(in_page, fit["remarks"]), *remarks]
             self.verdict["why"] = [fit["verdict"]]
             if not fit["good"]:
                 self.verdict["readiness"] = "NOT_USABLE"
@@ -220,7 +222,7 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
         **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
         "largest_um": verdict["largest_m"] * _MICRO,
         "goal": verdict["goal_percent"],
-        "why": verdict["reasons"],
+        "why": [in_page(one) for one in verdict["reasons"]],
     }
 
 
@@ -257,7 +259,7 @@ class VoltageEntry:
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
         errors = [one["largest_m"] for one in each("judgement")]
         self.largest_um = [None if one is None else one * _MICRO for one in errors]
-        self.words = [str(one) for one in result["warnings"]]
+        self.words = [in_page(str(one)) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
@@ -371,7 +373,8 @@ class WorkbenchSession:
             if finished.result is None:
                 # A suggestion is in the form already.
                 words = finished.error.get("reason", finished.words)
-                entry.status, entry.error = "refused", words.replace(entry.source, Path(entry.source).name)
+                words = in_page(words.replace(entry.source, Path(entry.source).name))
+                entry.status, entry.error = "refused", words
                 hint = finished.error.get("suggestion")
                 entry.hint = {"options": hint} if hint else None
                 return

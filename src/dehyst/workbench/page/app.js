@@ -6,7 +6,7 @@ import { pathView } from "./path_step.js";
 import { isSending, recordsView, sendAll } from "./records.js";
 import { rigView } from "./rig.js";
 import { buildRigBar, canMove } from "./rig_bar.js";
-import { connect, session, watch } from "./state.js";
+import { connect, session, watch } from "./server.js";
 import { buildSteps } from "./steps.js";
 import { trustView } from "./trust.js";
 

@@ -1,10 +1,8 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
-import { announce, button, problem } from "./acts.js";
-import { workOn } from "./api.js";
 import { h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
-import { chosenModel, openJobs, session } from "./state.js";
+import { announce, button, chosenModel, openJobs, problem, session, workOn } from "./server.js";
 import { openStep } from "./steps.js";
 import { fileLink, jobCards, modelChoice } from "./verdict.js";
 

@@ -1,22 +1,13 @@
 // The form that reads a file again with other options: columns, units, scales, sample rate, and coupled axes.
-import { button, problem } from "./acts.js";
-import { readRecord } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Form, fold } from "./forms.js";
-import { LABELS } from "./labels.js";
 import { numberFrom, range } from "./numbers.js";
+import { button, problem, readRecord } from "./server.js";
 
-const UNITS = {
-  time: ["s", "ms", "us", "ns", "min"],
-  voltage: ["V", "mV", "kV"],
-  displacement: ["um", "nm", "mm", "m", "pm"],
-};
-const OTHERS = {
-  voltage_scale: "of an amplifier's monitor, e.g. 100 V/V",
-  displacement_scale: "of a sensor's voltage, e.g. 10 um/V",
-  sample_rate: "instead of a column of time, e.g. 1000",
-  decimal: "a comma or a point, if the numbers do not show it",
-};
+const FIELDS = DECLARED.forms.reading;
+const UNITS = Object.fromEntries(Object.entries(FIELDS).flatMap(([name, { units }]) => (units ? [[name, units]] : [])));
+const OTHERS = Object.keys(FIELDS).filter((name) => !(name in UNITS));
 const NAMES = ["x", "y", "z"]; // of axes, of which a form offers as many
 // Marks what is guessed.
 const GUESS = /\?$/;
@@ -57,7 +48,7 @@ export function readingForm(record) {
   const field = (one, option = one) => form.field(one, { class: marked(option) && "suggested" });
   const column = (one) => h("div.column", field(one), field(`${one}_unit`, one));
   const axis = (_, k) => [count > 1 && field(`name_${k + 1}`), column(voltageOf(k)), column(displacementOf(k))];
-  const others = Object.keys(OTHERS).map((one) => field(one));
+  const others = OTHERS.map((one) => field(one));
   const place = `reading ${id}`;
   const read = () => readRecord(id, chosen(form, columns, guesses));
   return h("form.reading", { "aria-label": `How to read ${name}`, onsubmit: (event) => event.preventDefault() },
@@ -98,7 +89,7 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
     const [column, unit] = taken(given.replace(GUESS, ""), names);
     const units = [["", "as named"], ...UNITS[quantityOf(field)].map((one) => [one, one])];
     const value = names.includes(column) ? String(names.indexOf(column)) : "";
-    fields[field] = { label: LABELS[quantityOf(field)], choices, value };
+    fields[field] = { label: FIELDS[quantityOf(field)].label, choices, value };
     fields[`${field}_unit`] = { label: "Unit", choices: units, value: unit };
     // A guess that is taken as it is remains one.
     if (GUESS.test(given)) guesses[field] = `${value},${unit}`;
@@ -106,9 +97,7 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
   NAMES.forEach((name, k) => {
     fields[`name_${k + 1}`] = { label: `Name of axis ${k + 1}`, value: axes[k] ?? name };
   });
-  for (const [name, help] of Object.entries(OTHERS)) {
-    fields[name] = { label: LABELS[name], hint: help, value: String(values[name] ?? "") };
-  }
+  for (const name of OTHERS) fields[name] = { ...FIELDS[name], value: String(values[name] ?? "") };
   const form = new Form(`reading-${id}`, fields, (name) => name === "axes" && pair(form, columns, pairs));
   if (many) {
     form.values.axes = String(Math.min(pairs.length, NAMES.length));
@@ -119,7 +108,7 @@ function filled({ id, status, options, hint, file_columns: columns = [] }) {
     (name in UNITS && "columns" in suggested) ||
     (many && (name === "axes" || (quantityOf(name) in UNITS && form.values[name] !== "")));
   const coupled = `There are ${pairs.length} voltages with displacements, perhaps of coupled axes: check the pairs.`;
-  const known = Object.keys(OTHERS).some((name) => values[name]);
+  const known = OTHERS.some((name) => values[name]);
   return { form, marked, guesses, known, help: many ? coupled : hint && "Try the marked options." };
 }
 
@@ -173,8 +162,8 @@ function chosen({ values }, columns, guesses) {
     options.columns = order.join(",");
   }
   if (count > 1) options.axes = Object.fromEntries(axes.map((name) => [name, `v${name}:${name}`]));
-  for (const name of Object.keys(OTHERS)) if (values[name].trim()) options[name] = values[name].trim();
-  if (options.sample_rate) options.sample_rate = numberFrom(options.sample_rate, LABELS.sample_rate, { above: 0 });
+  for (const name of OTHERS) if (values[name].trim()) options[name] = values[name].trim();
+  if (options.sample_rate) options.sample_rate = numberFrom(options.sample_rate, FIELDS.sample_rate.label, { above: 0 });
   return options;
 }
 

@@ -1,7 +1,6 @@
 // The third step: how far to trust a model. Where its records turned, with the path of the next step and what is
 // promised along it; and the assessment.
-import { announce, button, problem } from "./acts.js";
-import { workOn } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { fill, h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS } from "./figure.js";
 import { Form, card, list } from "./forms.js";
@@ -9,7 +8,7 @@ import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { isPlane } from "./report.js";
-import { openJobs, readyRecords } from "./state.js";
+import { announce, button, openJobs, problem, readyRecords, workOn } from "./server.js";
 import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
@@ -80,7 +79,7 @@ async function start(id) {
   announce("The assessment has begun.");
 }
 
-const checking = new Form("check", { record: { label: "New record" } });
+const checking = new Form("check", DECLARED.forms.check);
 
 // Whether a model still holds, by a record that it was not identified from; and its update by that record.
 function checkCard(model) {
