@@ -21,17 +21,37 @@ _STRUCTURES = {
     "auto": "Automatic: select the parts by cross-validation",
     "maxwell_slip": "Maxwell-slip: slip elements and a spring (seconds)",
 }
+# Axes of which a record's form offers as many; quantities of each; and fields of a record's form that are no columns.
+AXES, QUANTITIES = ("x", "y", "z"), ("voltage", "displacement")
+PLAIN = {
+    "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100 V/V"},
+    "displacement_scale": {"label": "Scale of the displacement", "hint": "of a sensor's voltage, e.g. 10 um/V"},
+    "sample_rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
+    "decimal": {"label": "Decimal sign", "hint": "a comma or a point, if the numbers do not show it"},
+}
+_COLUMNS = {
+    "time": ("Column of the time", ("s", "ms", "us", "ns", "min")),
+    "voltage": ("Column of the voltage", ("V", "mV", "kV")),
+    "displacement": ("Column of the displacement", ("um", "nm", "mm", "m", "pm")),
+}
+
+
+def _reading() -> Form:
+    """Return the fields of a record's form; the choices of its columns are those of the file."""
+    counts = [(str(k), f"{k}, coupled" if k > 1 else "1") for k in range(1, len(AXES) + 1)]
+    found: Form = {"axes": {"label": "Axes", "choices": counts}}
+    columns = ["time", *(f"{quantity}_{k}" for k in range(1, len(AXES) + 1) for quantity in QUANTITIES)]
+    for name in columns:
+        label, units = _COLUMNS[name.partition("_")[0]]
+        found[name] = {"label": label, "column": True}
+        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "as named"), *((one, one) for one in units)]}
+    names = {f"name_{k}": {"label": f"Name of axis {k}"} for k in range(1, len(AXES) + 1)}
+    return {**found, **names, **PLAIN}
+
+
 # A field: "above" or "least" and "optional" hold for its number, "many" for several numbers in it.
 FORMS: dict[str, Form] = {
-    "reading": {
-        "time": {"label": "Column of the time", "units": ["s", "ms", "us", "ns", "min"]},
-        "voltage": {"label": "Column of the voltage", "units": ["V", "mV", "kV"]},
-        "displacement": {"label": "Column of the displacement", "units": ["um", "nm", "mm", "m", "pm"]},
-        "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100 V/V"},
-        "displacement_scale": {"label": "Scale of the displacement", "hint": "of a sensor's voltage, e.g. 10 um/V"},
-        "sample_rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
-        "decimal": {"label": "Decimal sign", "hint": "a comma or a point, if the numbers do not show it"},
-    },
+    "reading": _reading(),
     "identify": {
         "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},
         "goal": {
@@ -131,13 +151,13 @@ def scan_kinds() -> dict[str, dict[str, list[str]]]:
 
 def _flags() -> Iterator[tuple[re.Pattern[str], str]]:
     """Yield what options look like in a sentence, as --sensor-lag SECONDS or sensor_lag=SECONDS, and their labels."""
-    for form in ("reading", "identify"):
-        for name, field in FORMS[form].items():
-            if name != "name":
-                keyword = rf"\b{name}\b=?" if "_" in name else rf'\b{name}(?:=| (?="))'
-                option = rf"--{name.replace('_', '-')}(?![-\w])[ =]?"
-                value = r'"NAME"|NAMES?\b|HZ\b|SCALE\b|SECONDS\b'
-                yield re.compile(f"({option}|{keyword})({value})?(?=(.?))"), field["label"]
+    labels = {name: label for name, (label, _) in _COLUMNS.items()}
+    labels |= {name: field["label"] for name, field in {**PLAIN, **FORMS["identify"]}.items() if name != "name"}
+    for name, label in labels.items():
+        keyword = rf"\b{name}\b=?" if "_" in name else rf'\b{name}(?:=| (?="))'
+        option = rf"--{name.replace('_', '-')}(?![-\w])[ =]?"
+        value = r'"NAME"|NAMES?\b|HZ\b|SCALE\b|SECONDS\b'
+        yield re.compile(f"({option}|{keyword})({value})?(?=(.?))"), label
 
 
 _FLAGS = tuple(_flags())

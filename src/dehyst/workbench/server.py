@@ -41,6 +41,7 @@ from dehyst.workbench.data import (
     wasm,
 )
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.reading import options_of
 from dehyst.workbench.rig_desk import RigDesk
 from dehyst.workbench.session import WorkbenchSession
 
@@ -409,11 +410,12 @@ class Workbench:
 
     @answered
     async def read(self, request: Request) -> Any:
-        """Read a record again, with options."""
-        options = (await body_of(request)).get("options", {})
-        if not isinstance(options, dict):
-            raise RequestError("options: need an object with a text for each option")
-        self.session.read_record(request.path_params["key"], options)
+        """Read a record again, with options or the values of its form."""
+        body, key = await body_of(request), request.path_params["key"]
+        options, values = body.get("options", {}), body.get("form")
+        if not isinstance(options, dict) or not isinstance(values, dict | None):
+            raise RequestError("options, form: need an object with a text for each option or field")
+        self.session.read_record(key, options if values is None else options_of(self.session.record(key), values))
 
     @answered
     async def record_data(self, request: Request) -> Any:

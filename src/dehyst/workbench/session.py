@@ -23,6 +23,7 @@ from dehyst.workbench.data import voltage_columns, written_path
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
+from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
@@ -308,6 +309,7 @@ class WorkbenchSession:
                 "folder": self.folder.path.name,
                 "version": __version__,
                 **self._entries(),
+                "records": [{**asdict(one), "form": form_of(one)} for one in self.records.values()],
                 "jobs": [asdict(one) for one in self.jobs.entries.values()],
                 "files": list(self.folder.files()),
                 "log": self.folder.commands(),

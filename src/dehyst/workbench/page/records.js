@@ -129,7 +129,7 @@ function refusedCard(record, first) {
     h("p.error", { role: "alert" }, error ?? "It could not be read."),
     columns?.length
       ? h("details", { open: first }, summary, readingForm(record))
-      : button("Read again", `reading ${id}`, () => server.readRecord(id, record.options), { class: "quiet" }),
+      : button("Read again", `reading ${id}`, () => server.readRecord(id, { options: record.options }), { class: "quiet" }),
     !columns?.length && problem(`reading ${id}`),
   ];
 }

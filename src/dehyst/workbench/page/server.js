@@ -15,7 +15,8 @@ const getBuffer = async (path) => (await request(path)).arrayBuffer();
 const json = (body) => ({ method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
-export const readRecord = (id, options) => post(`/api/records/${id}/read`, { options });
+// With { options } or the values of its { form }.
+export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
 // "end" of its identification, or a job on it: "insight", "check", "update", "path", "export".
 export const workOn = (id, what, body) => post(`/api/models/${id}/${what}`, body);
