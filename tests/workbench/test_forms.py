@@ -7,6 +7,8 @@ from dehyst.operations.registry import find
 from dehyst.waveforms.named import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
+from dehyst.workbench.reading import form_of, options_of
+from dehyst.workbench.session import RecordEntry
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
 
@@ -96,3 +98,62 @@ def test_a_text_that_is_no_path_is_refused_with_the_reason(points, text, words):
     with pytest.raises(RequestError, match=words) as refused:
         points(text)
     assert "path.csv" not in str(refused.value)
+
+
+COLUMNS = [{"name": name, "unit": unit, "range": [0, 1]} for name, unit in (("t", "s"), ("U", "V"), ("s:um", "um"))]
+PAIRS = [*COLUMNS, {"name": "V2", "unit": "V", "range": []}, {"name": "y_um", "unit": "um", "range": []}]
+
+
+def record(columns=COLUMNS, **about):
+    return RecordEntry("r1", "loops", "uploads/loops.csv", file_columns=columns, **about)
+
+
+def test_a_form_that_is_sent_as_it_is_means_the_options_it_was_made_from():
+    for options in (
+        {},
+        {"voltage": "U:mV", "displacement": "s:um:nm", "decimal": ","},
+        {"time": "t", "sample_rate": 100.0},
+    ):
+        one = record(options=options)
+        assert options_of(one, form_of(one)["values"]) == options
+
+
+def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
+    one = record(status="refused", hint={"options": {"voltage": "U:V?", "displacement": "s:um:um"}})
+    form = form_of(one)
+    assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
+    assert options_of(one, form["values"]) == {"voltage": "U:V?", "displacement": "s:um:um"}
+    assert options_of(one, {**form["values"], "voltage_1_unit": "mV"})["voltage"] == "U:mV"
+    one = record(status="refused", hint={"options": {"columns": "time:s,-,displacement:um?"}})
+    form = form_of(one)
+    assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
+    assert options_of(one, form["values"]) == {"time": "t:s", "displacement": "s:um:um?"}
+
+
+def test_columns_of_coupled_axes_are_paired_by_their_units():
+    one = record(PAIRS, status="refused")
+    form = form_of(one)
+    assert form["values"]["axes"] == "2" and "pairs" in form["help"]
+    options = options_of(one, form["values"])
+    assert options == {"columns": "time,vs,s,vy,y", "axes": {"s": "vs:s", "y": "vy:y"}}
+    again = form_of(record(PAIRS, options=options))
+    assert {name: again["values"][name] for name in form["pairs"]} == form["pairs"]
+    with pytest.raises(RequestError, match="all their columns"):
+        options_of(one, {**form["values"], "voltage_2": ""})
+    with pytest.raises(RequestError, match="letters and digits"):
+        options_of(one, {**form["values"], "name_2": "1 x"})
+
+
+def test_a_form_that_contradicts_itself_is_refused():
+    alike = record([*COLUMNS[:2], {**COLUMNS[1]}])
+    assert options_of(alike, {"time": "0", "voltage_1": "1", "displacement_1": "2"}) == {
+        "columns": "time,voltage,displacement"
+    }
+    for values, words in (
+        ({"voltage_1": "1", "displacement_1": "1"}, "two fields"),
+        ({"voltage_1": "1"}, "the same name"),
+        ({"voltage_1": "9"}, "two fields"),
+        ({"sample_rate": "fast"}, "above 0"),
+    ):
+        with pytest.raises(RequestError, match=words):
+            options_of(alike, values)

@@ -108,6 +108,13 @@ FORMS: dict[str, Form] = {
     "arm": _LIMITS,
     "play": {"voltage": {"label": "Voltage"}, "cycles": {"label": "Repetitions", "value": "20", "least": 1}},
 }
+# Kinds of exports: title, text and, of a file, its suffix.
+EXPORTS = {
+    "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
+    "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 3.0).", ".fmu"),
+    "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
+    "wave_table": ("Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV).", ".csv"),
+}
 # Of scans: units as they are shown, options of several numbers with their hints, and first values.
 _UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}
 _MANY = {

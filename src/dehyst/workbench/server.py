@@ -171,8 +171,13 @@ class PageFiles:
 
 
 def _declared(examples: Mapping[str, Any]) -> str:
-    """Return a module with the records to try, and the fields of all forms."""
-    declared = {"examples": examples, "forms": forms.FORMS, "scan": forms.scan_form(), "kinds": forms.scan_kinds()}
+    """Return a module with the records to try, the fields of all forms, and the kinds of scans and exports."""
+    declared = {
+        "examples": examples,
+        "forms": {**forms.FORMS, "scan": forms.scan_form()},
+        "scans": forms.scan_kinds(),
+        "exports": forms.EXPORTS,
+    }
     return f"export const DECLARED = {json.dumps(declared)};\n"
 
 

@@ -21,7 +21,7 @@ from dehyst.operations.files import Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import voltage_columns, written_path
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.forms import in_page
+from dehyst.workbench.forms import EXPORTS, in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
 from dehyst.workbench.reading import form_of
 
@@ -37,8 +37,6 @@ _NO_RECORD = (
 _MICRO = 1e6
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
-# Suffixes of exports.
-_EXPORTS = {"c": "", "fmu": ".fmu", "wasm": ".wasm"}
 
 
 class SessionError(DehystError, ValueError):
@@ -566,12 +564,13 @@ class WorkbenchSession:
             table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
             file = self.folder.new(places.VOLTAGES, f"{name}-cycle", ".csv")
             steps = self._path_steps(model, request, file, table=table)
-        elif kind in _EXPORTS:
-            target = self.folder.new(places.EXPORTS, name if _EXPORTS[kind] else f"{name}-c", _EXPORTS[kind])
+        elif kind in EXPORTS:
+            suffix = EXPORTS[kind][-1]
+            target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
             version = {"fmu": "3.0"} if kind == "fmu" else {}
             steps = [Step("export", {"model": model.file, "directory": target, **version})]
         else:
-            raise SessionError(f"kind: got {kind!r}, need wave_table, {', '.join(_EXPORTS)}")
+            raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         return self.jobs.start("export", model.id, steps, lambda _: None)
 
     def cancel(self, job: str) -> None:

@@ -10,7 +10,7 @@ import { PathFigures, curve, judged, turnsOf, verdict } from "./path_figures.js"
 import { isPlane } from "./report.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
-import { bandOf, fileLink, jobCards, lightOf, modelChoice, remarksOf, reportOf } from "./verdict.js";
+import { fileLink, jobCards, lightOf, modelChoice, reportOf } from "./verdict.js";
 
 const { announce, button, chosenModel, complain, problem, redraw } = server;
 
@@ -107,7 +107,8 @@ function pointsField() {
 function typedPoints(text) {
   const rows = text.split("\n").map((row) => row.trim()).filter(Boolean);
   const points = rows.map((row) => row.split(/[\s;]/.test(row) ? /[\s;]+/ : ",").map(parsed));
-  const wrong = points.findIndex((one, k) => one.length !== 2 || !one.every(Number.isFinite) || one[0] <= points[k - 1]?.[0]);
+  const fits = (one, k) => one.length === 2 && one.every(Number.isFinite) && !(one[0] <= points[k - 1]?.[0]);
+  const wrong = points.findIndex((one, k) => !fits(one, k));
   if (wrong >= 0) throw new Error(`Row ${wrong + 1}: got ${rows[wrong]}, need a time that rises and a displacement.`);
   if (points.length < 2) throw new Error("Points: need two rows at least.");
   return points;
@@ -178,7 +179,6 @@ async function planNow(model) {
     if (model.coupling) {
       view.said = planAxes(model);
       complain("path", "");
-      redraw();
       return;
     }
     const { limits, slew, rate } = choices();
@@ -190,15 +190,16 @@ async function planNow(model) {
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
     const turned = turnsOf(report.figures.find(isPlane)?.spec, path.time, planned.voltage);
-    view.last = { path, planned, limits, reach: model.range_um, band: bandOf(model), points, turned };
+    view.last = { path, planned, limits, reach: model.range_um, band: model.verdict.largest_um, points, turned };
     figures.draw(view.last);
     view.took = performance.now() - began;
     view.said = described(model, view.last);
     complain("path", "");
   } catch (error) {
     if (asked === view.asked) cannotPlan(error.message);
+  } finally {
+    redraw();
   }
-  redraw();
 }
 
 // Of several axes, whose voltages depend on one another, only the path is drawn before they are written.
@@ -220,7 +221,7 @@ function planAxes(model) {
     light,
     first: `Expect ${expected.join(", ")}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
-    remarks: remarksOf(model.verdict),
+    remarks: model.verdict.remarks,
   };
 }
 
@@ -255,7 +256,7 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach,
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
   const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, turned });
-  return { ...said, remarks: remarksOf(known) };
+  return { ...said, remarks: known.remarks };
 }
 
 // Limits, slew rate and sample rate as they are typed.

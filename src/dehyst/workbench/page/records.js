@@ -176,9 +176,7 @@ function identifyCard() {
   const held = validate.length ? `; validates with ${names(validate)}` : "";
   if (train.length) words = `Trains with ${names(train)}${held}.`;
   const about = { class: "main wide-button", id: "identify", "aria-describedby": "identify-words" };
-  return card(
-    "Identify",
-    { class: "identify" },
+  return card("Identify", { class: "identify" },
     h("p#identify-words.muted", words),
     button("Identify a model", "identify", start, train.length ? about : { ...about, disabled: true }),
     problem("identify"),

@@ -48,9 +48,7 @@ export function rigView({ rig, voltages }) {
 function connectCard() {
   const { values } = connecting;
   const connect = () => request("connect", { address: values.address.trim(), ...limits(connecting) });
-  return card(
-    "1. Connect",
-    { id: "rig-connect", key: "connect" },
+  return card("1. Connect", { id: "rig-connect", key: "connect" },
     connecting.field("address"),
     connecting.row(LIMITS, "fields three"),
     h("p.muted", "Nothing moves before you arm. No voltage leaves these limits."),
@@ -66,9 +64,7 @@ function connectedCard(rig) {
     ["Largest slew rate", `${short(rig.slew)} V/s`],
     ["Safe voltage", `${short(rig.safe)} V`],
   ];
-  return card(
-    "Connected",
-    { id: "rig-connected", key: "connected" },
+  return card("Connected", { id: "rig-connected", key: "connected" },
     facts(about),
     h("p.row",
       canMove(rig) && act("Disarm", () => request("disarm"), { class: "" }),
@@ -83,9 +79,7 @@ function planCard(rig) {
   else if (rig.status === "armed" && !rig.plan) missing = "Look at the plan first.";
   const ready = rig.status === "armed" && rig.plan;
   const calibrate = act("Calibrate", () => request("calibrate", planning.collected()), ready ? {} : { disabled: true });
-  return card(
-    "2. Plan a calibration",
-    { id: "rig-calibration", key: "calibration" },
+  return card("2. Plan a calibration", { id: "rig-calibration", key: "calibration" },
     planning.row(Object.keys(planning.fields), "fields three"),
     h("p.row", act("Show the plan", () => request("plan", planning.collected()), { class: "" }), calibrate),
     h("p.muted", missing),
@@ -99,9 +93,7 @@ function armCard({ identity, limits: ends, slew, safe }) {
     await request("arm", { identity, ...limits(arming) });
     for (const name of LIMITS) arming.values[name] = "";
   };
-  return card(
-    "3. Arm",
-    { class: "danger", id: "rig-arm", key: "arm" },
+  return card("3. Arm", { class: "danger", id: "rig-arm", key: "arm" },
     h("p", `Rig: ${identity}. ${confirm} ${check}`),
     arming.row(LIMITS, "fields three"),
     act("Arm with these limits", arm, { class: "main armed" }),
@@ -119,9 +111,7 @@ function playCard(voltages) {
     adapts = event.target.checked;
   };
   const leader = modelOf(model);
-  return card(
-    "4. Play a voltage, or follow its path",
-    { id: "rig-play", key: "play" },
+  return card("4. Play a voltage, or follow its path", { id: "rig-play", key: "play" },
     playing.field("voltage"),
     act("Play", () => request("play", { voltage })),
     path &&

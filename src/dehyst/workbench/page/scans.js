@@ -11,7 +11,7 @@ const STEEPEST = 0.5 * 1.875; // widths of a change of level, times its duration
 
 export class ScanForm extends Form {
   constructor(changed) {
-    super("scan", DECLARED.scan, (name) => {
+    super("scan", DECLARED.forms.scan, (name) => {
       if (name === "kind") this.values.frequency = this.frequencies[this.values.kind] ?? "";
       changed();
     });
@@ -35,14 +35,14 @@ export class ScanForm extends Form {
   }
 
   view() {
-    const { needs, may } = DECLARED.kinds[this.values.kind];
+    const { needs, may } = DECLARED.scans[this.values.kind];
     const more = fold("More options", this.row(may));
     return [this.field("kind"), h("div.scan-options", this.row(needs), more)];
   }
 
   // The options as the server takes them; an Error says which is wrong.
   scan() {
-    const { needs, may } = DECLARED.kinds[this.values.kind];
+    const { needs, may } = DECLARED.scans[this.values.kind];
     return this.collected(["kind", ...needs, ...may], needs);
   }
 }

@@ -64,9 +64,7 @@ function assessed({ element, figures }) {
 }
 
 const invitation = ({ id }, running) =>
-  card(
-    "What do the records leave open?",
-    { key: "invitation" },
+  card("What do the records leave open?", { key: "invitation" },
     h("p",
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
         "model the records determine. It takes seconds to minutes.",
@@ -95,9 +93,7 @@ function checkCard(model) {
     return button(text, "check", work, { ...look, hidden: jobs.some((one) => one.status === "running") });
   };
   const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
-  return card(
-    "Is it still true?",
-    { id: "check", key: "check" },
+  return card("Is it still true?", { id: "check", key: "check" },
     records.length === 0 && h("p", measure),
     records.length > 0 && checking.field("record"),
     records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),

@@ -23,12 +23,6 @@ export function verdictCells(verdict, write = (name) => percent(verdict[name])) 
   return [light, write("largest_percent"), length(verdict.largest_um), write("rms_percent")];
 }
 
-// What the records did not show: it limits what the verdict holds for.
-export const remarksOf = (verdict) => verdict.remarks ?? [];
-
-// Half the width of the trust band, in micrometres: the largest error to expect.
-export const bandOf = (model) => model?.verdict?.largest_um ?? 0;
-
 export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
@@ -39,7 +33,7 @@ export function verdictBlock({ verdict }) {
     h("b", percent(largest), " ", told),
     h("p", `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
     why.length > 0 && fold(things, list(why)),
-    list(remarksOf(verdict), "remarks"),
+    list(verdict.remarks, "remarks"),
   );
 }
 
