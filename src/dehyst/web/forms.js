@@ -4,7 +4,8 @@ import { numberFrom } from "./numbers.js";
 
 export class Form {
   // Fields by name: { label, value, unit, hint, placeholder }, and of what they hold: choices: [[value, text], ...],
-  // `text`, or a number that is `above` or at `least` another; `many` numbers; `optional` if it may be empty. `changed` is called with the name of a field after each change by the person.
+  // `text`, or a number that is `above` or at `least` another; `many` numbers; `optional` if it may be empty. `changed`
+  // is called with the name of a field after each change by the person.
   constructor(id, fields, changed = () => {}) {
     Object.assign(this, { id, fields, changed });
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));

@@ -26,18 +26,16 @@ buildSteps({
   rig: rigView,
 });
 
-let depth = 0; // of elements that a file was dragged into
 const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
-const cover = (change) => {
-  depth = change === 0 ? 0 : Math.max(0, depth + change);
-  byId("drop-cover").hidden = depth === 0;
+const cover = (shown) => {
+  byId("drop-cover").hidden = !shown;
 };
-window.addEventListener("dragenter", (event) => holdsFiles(event) && cover(1));
-window.addEventListener("dragleave", (event) => holdsFiles(event) && cover(-1));
+window.addEventListener("dragenter", (event) => cover(holdsFiles(event)));
+window.addEventListener("dragleave", (event) => event.relatedTarget ?? cover(false));
 window.addEventListener("dragover", (event) => event.preventDefault());
 window.addEventListener("drop", (event) => {
   event.preventDefault();
-  cover(0);
+  cover(false);
   if (holdsFiles(event)) sendAll(event.dataTransfer.files);
 });
 

@@ -211,7 +211,8 @@ function planAxes(model) {
   const series = curves(names, (k) => column(k, 0), (k) => column(k, 1));
   const { x, y } = figures.handles.ranges(series.map((one) => one.y));
   const axes = { x: { ...SECONDS, range: x }, y: { ...MICROMETRES, range: y } };
-  figures.path.set({ ...axes, series }, { keep: true, spoken: `Wanted displacement of ${names.join(", ")} over time.` });
+  const spoken = `Wanted displacement of ${names.join(", ")} over time.`;
+  figures.path.set({ ...axes, series }, { keep: true, spoken });
   const [light] = lightOf(model.verdict);
   const expected = model.axes.map(({ name }) => {
     const { largest_um: um, largest_percent: share } = model.coupling.verdicts[name];

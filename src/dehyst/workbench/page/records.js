@@ -124,13 +124,12 @@ const readingCard = ({ name }) => [h("p.muted", "Reading\u2026"), h("progress", 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
   const { error, file_columns: columns, id } = record;
-  const summary = h("summary", "Say how to read it");
+  const again = () => server.readRecord(id, { options: record.options });
   return [
     h("p.error", { role: "alert" }, error ?? "It could not be read."),
-    columns?.length
-      ? h("details", { open: first }, summary, readingForm(record))
-      : button("Read again", `reading ${id}`, () => server.readRecord(id, { options: record.options }), { class: "quiet" }),
-    !columns?.length && problem(`reading ${id}`),
+    ...(columns?.length
+      ? [h("details", { open: first }, h("summary", "Say how to read it"), readingForm(record))]
+      : [button("Read again", `reading ${id}`, again, { class: "quiet" }), problem(`reading ${id}`)]),
   ];
 }
 

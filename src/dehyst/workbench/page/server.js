@@ -12,7 +12,8 @@ async function request(path, options) {
 }
 
 const getBuffer = async (path) => (await request(path)).arrayBuffer();
-const json = (body) => ({ method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+const TYPE = { "Content-Type": "application/json" };
+const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(body) });
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
 // With { options } or the values of its { form }.
