@@ -148,14 +148,32 @@ def test_a_path_below_a_breakaway_is_not_learnt():
     assert not any(one.used for one in loop.log)
 
 
-def test_small_paths_then_a_large_one():
+@pytest.mark.parametrize(
+    ("age", "zero_drifts"), [(lambda part: part, True), (lambda part: 1.0, False)], ids=["slowly", "at once"]
+)
+def test_small_paths_then_a_large_one(age, zero_drifts):
     def path(k):
         return cycle(k, scale=0.25 if k < 30 else 1.0)
 
-    before = lived(loop_of(Compensator), 40, age=lambda part: 1.0, path=path)
-    errors = lived(loop_of(), 40, age=lambda part: 1.0, path=path)
+    before = lived(loop_of(Compensator), 40, age=age, path=path)
+    errors = lived(loop_of(zero_drifts=zero_drifts), 40, age=age, path=path)
     assert np.all(errors[30:] <= 1.2 * before[30:])
-    assert errors[-1] < 0.5 * before[-1]
+    assert errors[-1] < 0.3 * before[-1]
+
+
+def test_an_offset_at_the_beginning_is_the_sensors():
+    loop = loop_of()
+    frozen = lived(loop_of(Compensator), 30, age=lambda part: 1.0)
+    errors = lived(loop, 30, age=lambda part: 1.0)
+    assert errors.max() <= frozen.max()
+    assert loop.datum < -0.03 * STROKE
+
+
+def test_a_true_model_with_a_noisy_sensor_is_kept():
+    noise = np.random.default_rng(3)
+    frozen = lived(loop_of(Compensator), 60)
+    errors = lived(loop_of(), 60, sensor=lambda y, k, n: y + 0.005 * STROKE * noise.standard_normal())
+    assert errors.max() < frozen.max() + 0.002
 
 
 def test_a_clamped_voltage_is_not_learnt_from():

@@ -315,6 +315,7 @@ def test_identify_places_the_zero(far, zero):
     assert f"zero at {shift * 1e6:.6g} um" in (far / "moved.json").read_text()
 
 
+@pytest.mark.nightly
 def test_the_commands_that_are_printed_for_an_unknown_decimal_sign_work(far):
     rows = "".join(f"{k}\t-{112 + k % 4},{k:03d}\n" for k in range(1, 40))
     (far / "path.txt").write_text(f"time_s\tdisplacement_um\n{rows}")

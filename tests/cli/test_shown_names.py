@@ -93,6 +93,7 @@ def test_a_model_with_such_a_name_is_escaped_in_every_output(tmp_path, loops, mo
     assert ElementTree.fromstring(text).get("modelName") and not UNSAFE.search(text)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes")
 def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
     name = os.fsdecode(b"caf\xe9 \xc2\xb5.csv")

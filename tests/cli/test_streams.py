@@ -20,6 +20,7 @@ from dehyst.records import read_table
 posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
 
 
+@pytest.mark.nightly
 @posix
 def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path):
     longest = "µ" * 125 + "x.csv"

@@ -111,6 +111,7 @@ def families(present, low, limits, end):
     yield lambda rise: (present, low, base + rise, end)
 
 
+@pytest.mark.nightly
 @given(our.actuators(1, 6), our.SEEDS)
 def test_bisection_finds_nothing_shorter(actuator, seed):
     """A second way: for many bottoms, the least peak after which two simulations meet."""

@@ -62,6 +62,7 @@ def test_a_project_of_its_own_finds_it(tmp_path):
     run(tmp_path / "user" / "user")
 
 
+@pytest.mark.nightly
 def test_the_same_sources_make_the_same_files(tmp_path):
     for name in ("one", "two"):
         build(places.CORE, tmp_path / name, target="dehyst")

@@ -195,7 +195,7 @@ def test_the_core_is_the_text_of_its_sources_and_the_number_type_one_line():
         assert unused not in double["piezo.c"]
 
 
-@pytest.mark.parametrize(("kind", "number"), spanning(["plain", "moving"], ["double", "float"]))
+@pytest.mark.parametrize(("kind", "number"), [("moving", "float"), at_night("plain", "double")])
 def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, number):
     need("gcc")
     folder = written(tmp_path / "c", KINDS[kind](), number)
@@ -275,6 +275,7 @@ def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
         sizes(tmp_path / "c")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", ["double", at_night("float")])
 def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
     broken = tmp_path / "cc"
@@ -334,6 +335,7 @@ int main(void)
 """
 
 
+@pytest.mark.nightly
 def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeasured):
     need("gcc", "make")
     models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
@@ -478,7 +480,7 @@ def test_floats_stay_within_the_limits(limits):
         code(Compensator(plain_records.plant(3), (100, 100 + 1e-9)), "float")
 
 
-@pytest.mark.parametrize(("kind", "number"), spanning(["slewing", "moving"], ["double", "float"]))
+@pytest.mark.parametrize(("kind", "number"), [("moving", "float"), at_night("slewing", "double")])
 def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
     need("gcc")
     folder = export(KINDS[kind](), tmp_path / "c", number).folder

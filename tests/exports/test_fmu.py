@@ -162,6 +162,7 @@ def test_what_is_no_number_is_refused_and_moves_nothing(fmus, version, kind, val
         np.testing.assert_array_equal(other.run(given[10:]), first[10:])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("model", "value"), [("mass", 1.7e308), ("preview", 1e300)])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):

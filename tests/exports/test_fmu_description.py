@@ -45,6 +45,7 @@ def test_validation_finds_nothing(fmus, model, version, kind):
     assert validate_fmu(str(path)) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("version", [at_night("2.0"), "3.0"])
 def test_built_from_its_own_sources_it_is_the_same(fmus, version, tmp_path, monkeypatch):
     """As an importer builds it: the files, language and definitions of its own description, no flags of ours."""
@@ -129,6 +130,7 @@ def test_the_licence_goes_with_it(fmus):
     assert "MIT License" in (folder / "documentation" / "licenses" / "license.txt").read_text()
 
 
+@pytest.mark.nightly
 def test_any_name_makes_an_fmu(tmp_path):
     odd = replace(plain_records.plant(3), name='Möbius "<&> 100 %\n\x00 7')
     export_fmu(Compensator(odd, (0, 100)), tmp_path / "x.fmu")
@@ -217,6 +219,7 @@ def test_the_command_line_refuses(tmp_path, options, words):
     assert (tmp_path / "x.fmu").read_text() == "mine"
 
 
+@pytest.mark.nightly
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
     """And what it shows: the actuator follows two steps late."""
     page = (places.DOCS / "how_to" / "simulink.md").read_text()

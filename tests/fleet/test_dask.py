@@ -70,6 +70,7 @@ def cluster(tmp_path):
         process.wait()
 
 
+@pytest.mark.nightly
 def test_a_scheduler_of_others_computes_the_rows(dataset, expected, tmp_path, cluster):
     output, (_, address) = tmp_path / "m.parquet", cluster("only", workers=1)
     process = client(dataset, output, "--dask", address)

@@ -144,6 +144,7 @@ def test_a_lock_of_a_folder_that_was_removed_holds_nothing(tmp_path):
     assert not first.folder.exists()
 
 
+@pytest.mark.nightly
 def test_names_of_arbitrary_bytes_are_rows_exactly_once(dataset, tmp_path):
     source = (dataset / "S000" / "0.csv").read_bytes()
     for name in NAMES:
@@ -243,6 +244,7 @@ def test_content_changed_at_equal_size_and_time_is_computed_again(dataset, tmp_p
     assert computed(after, before) == ["S000/1"]
 
 
+@pytest.mark.nightly
 def test_a_full_disk_ends_the_run_with_its_own_message_and_no_lost_record(dataset, tmp_path):
     output = tmp_path / "m.parquet"
     # The marker fits into this limit of a file's size, a row with its model does not.
@@ -253,6 +255,7 @@ def test_a_full_disk_ends_the_run_with_its_own_message_and_no_lost_record(datase
     assert [row["outcome"] for row in identify_fleet(dataset, output, jobs=1, resume=True).rows] == ["identified"] * 4
 
 
+@pytest.mark.nightly
 def test_double_starts_at_any_moment_leave_one_whole_table(tmp_path):
     path = write_parquet(tmp_path / "d.parquet", 3)
     for k, gap in enumerate((0.0, 0.05, 0.8) if NIGHTLY else (0.05,)):

@@ -108,6 +108,7 @@ def test_killed_workers_lose_no_row(dataset, complete, tmp_path):
     assert first == second
 
 
+@pytest.mark.nightly
 def test_a_killed_client_leaves_shards_and_no_worker_and_resumes(dataset, complete, tmp_path):
     output = tmp_path / "m.parquet"
     process = client(dataset, output, "--jobs", "2")
@@ -130,7 +131,7 @@ def test_a_killed_client_leaves_shards_and_no_worker_and_resumes(dataset, comple
     assert first == second
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), at_night(signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [at_night(signal.SIGINT, 130), at_night(signal.SIGTERM, 143)])
 def test_a_stopped_client_ends_cleanly_and_names_resume(dataset, complete, tmp_path, number, status):
     output = tmp_path / "m.parquet"
     process = client(dataset, output, "--jobs", "2")
@@ -194,6 +195,7 @@ def test_a_worker_that_prints_leaves_the_output_to_the_client(dataset, tmp_path,
     assert out == "" and "a library prints" in errors
 
 
+@pytest.mark.nightly
 def test_a_record_that_takes_too_long_is_lost_and_tried_again_on_resume(tmp_path):
     few, output = write_parquet(tmp_path / "few.parquet", 2), tmp_path / "m.parquet"
     fleet = identify_fleet(few, output, by=BY, jobs=1, time_limit=1e-3)
@@ -280,6 +282,7 @@ def test_a_table_of_another_run_is_not_resumed(tmp_path):
     assert output.read_bytes() == before and not output.with_name("m.parquet.parts").exists()
 
 
+@pytest.mark.nightly
 def test_records_with_the_same_keys_are_remarked_by_the_command(tmp_path):
     path, output = write_parquet(tmp_path / "d.parquet", 2), tmp_path / "m.parquet"
     words = [*DEHYST, "fleet", "identify", str(path), "-o", str(output), "--by", "serial", "--jobs", "1", "--json"]

@@ -88,6 +88,7 @@ def test_a_state_after_a_record_continues_it():
     assert np.std(y - rest.displacement) < 0.002 * 12e-6
 
 
+@pytest.mark.nightly
 def test_without_holds_or_without_creep_nothing_is_chosen():
     tops, stairs = records(actuator(0.0))
     assert dehyst.identify([tops]).holds is None

@@ -167,6 +167,7 @@ def test_noise_of_2_nm_does_little_harm():
         assert fit.repairs == ()
 
 
+@pytest.mark.nightly
 def test_noise_makes_the_first_element_too_soft_until_it_is_removed_but_not_the_sum():
     slip = PLANT.slip
     ratios = []
@@ -206,6 +207,7 @@ def test_held_out_records_get_errors_of_their_own():
     assert check.largest == pytest.approx(np.abs(trace.residual).max())
 
 
+@pytest.mark.nightly
 def test_the_same_call_gives_the_same_bits():
     noisy = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=5e-9)
     for norm in NORMS:

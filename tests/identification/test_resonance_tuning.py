@@ -67,6 +67,7 @@ def test_without_dynamics_there_is_nothing_to_tune():
     assert tuned(still, records(still)) == still
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_noisy_derivatives_do_not_make_a_mass_too_small():
     """The equation's least squares alone is off by several percent here; the whole identification is not."""

@@ -62,6 +62,7 @@ def test_temperatures_between_are_predicted_as_at_a_constant_one(warm, degrees):
     assert found < 0.2 * missed(warm.actuator, record)
 
 
+@pytest.mark.nightly
 def test_without_the_channel_the_promise_covers_what_is_reached():
     fit = dehyst.identify([at(15, 16, 1, known=False), at(29, 31, 2, known=False), at(45, 44, 3, known=False)])
     assert fit.actuator.thermal is None

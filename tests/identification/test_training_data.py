@@ -162,6 +162,7 @@ def test_delayed_voltages_are_taken_back():
     assert errors[0] < 0.1 * errors[1]
 
 
+@pytest.mark.nightly
 def test_friction_that_lets_go_gradually_is_no_delay():
     """A Bouc-Wen actuator at 0.01 Hz: plain elements take it to be seconds late, wider ones know better."""
     truth = BoucWenActuator()

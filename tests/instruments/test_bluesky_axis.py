@@ -295,6 +295,7 @@ def test_limits_narrower_than_told(actuator, engine, tmp_path):
         assert measured(engine, axis) == pytest.approx(1.0, abs=EXACT)
 
 
+@pytest.mark.nightly
 def test_an_ioc_that_dies(actuator, engine, tmp_path):
     """The move fails, as does all that follows."""
     actuator.save(tmp_path / "model.json")

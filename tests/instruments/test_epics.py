@@ -117,6 +117,7 @@ def test_a_record_is_what_the_actuator_did():
     assert len(came.came) > 2
 
 
+@pytest.mark.nightly
 def test_long_waves_are_cut_and_joined(rig):
     excitation = cosine(5000)
     record = rig.play(excitation)
@@ -265,6 +266,7 @@ def test_killed_in_mid_wave(doomed):
         rig.read()
 
 
+@pytest.mark.nightly
 def test_killed_and_started_again_it_goes_on(doomed):
     rig = EpicsRig.connect(doomed.prefix, timeout=20.0)
     rig.set_voltage(10.0)

@@ -92,6 +92,7 @@ def page(folder):
     return Page((folder / "index.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.nightly
 def test_every_figure_is_there_in_three_formats(folder):
     for name in FIGURES:
         svg = ET.parse(folder / f"{name}.svg").getroot()

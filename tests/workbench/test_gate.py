@@ -315,6 +315,7 @@ def test_an_upload_that_is_too_large_leaves_nothing(bench, client):
     assert sorted(path.name for path in (bench.folder / "uploads").iterdir()) == before
 
 
+@pytest.mark.nightly
 def test_an_upload_that_breaks_off_leaves_nothing_and_not_its_name(tmp_path):
     text = b"time_s,voltage_V,displacement_um\n0,1,2\n"
     with served(tmp_path / "bench") as running, running.client() as client:
@@ -345,6 +346,7 @@ def test_a_folder_comes_as_an_archive_without_what_its_links_lead_to(bench, clie
     assert archive.read("plain/deeper/own.txt") == b"own"
 
 
+@pytest.mark.nightly
 def test_connections_that_say_nothing_are_closed_after_a_while(bench):
     with (
         socket.create_connection(("127.0.0.1", bench.port), 20) as silent,

@@ -255,6 +255,7 @@ def works_in(pid, folder):
     return ended.stdout.strip() == str(folder.resolve())
 
 
+@pytest.mark.nightly
 def test_a_request_that_makes_no_sense_is_answered_with_a_sentence(bench, loops):
     with bench.client() as client:
         record = upload(client, loops)

@@ -8,8 +8,8 @@ from workbench_page import CHROMIUM
 
 pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")]
-# The others are repeated at night: what follows from them is tested beside, at the process that holds the rig.
-ALWAYS = ("network", "server-killed")
+# The others are repeated at night: what follows from them is tested at the process that holds the rig too.
+ALWAYS = ("network",)
 
 
 @pytest.mark.parametrize(

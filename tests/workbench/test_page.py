@@ -13,6 +13,7 @@ from workbench_page import CHROMIUM, chromium, emulator, visit
 from workbench_tour import PICTURES, played
 
 from dehyst.records import read_table, write_record
+from examples import at_night
 
 Error = pytest.importorskip("playwright.sync_api", reason="needs playwright").Error
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
@@ -114,6 +115,7 @@ def test_an_identification_shows_its_progress_and_can_be_cancelled(person, loops
     assert person.page.locator("#model-body").is_hidden()
 
 
+@pytest.mark.nightly
 def test_an_identification_can_be_finished_with_the_best_so_far(person, loops):
     person.drop(loops)
     person.sees("3.000 in", within="#records")
@@ -153,7 +155,7 @@ def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
     assert float(on_path.min()) == pytest.approx(low, abs=2)
 
 
-@pytest.mark.parametrize("kind", ["raster", "spiral", "lissajous", "steps", "triangle"])
+@pytest.mark.parametrize("kind", ["raster", *map(at_night, ["spiral", "lissajous", "steps", "triangle"])])
 def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
     owner.step("Path")
     owner.page.get_by_label("A scan").check()
@@ -233,6 +235,7 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     assert person.page.locator("#export .kinds h3").all_inner_texts() == ["C99", "Model and report"]
 
 
+@pytest.mark.nightly
 def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
     second = person.tab()
     second.goto(bench.base)
@@ -281,6 +284,7 @@ def test_a_calibration_on_the_emulator_brings_a_model(person, bench):
     assert "dehyst calibrate" in (bench.folder / "commands.sh").read_text()
 
 
+@pytest.mark.nightly
 def test_the_plan_of_a_calibration_scrolls_in_a_small_window(person):
     person.connect("sim://play", LIMITS, SLEW)
     person.click("button", "Show the plan")

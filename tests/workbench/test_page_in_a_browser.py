@@ -11,6 +11,7 @@ import pytest
 from workbench_client import served
 
 from dehyst.workbench.server import MEASURED
+from examples import at_night
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -268,7 +269,7 @@ def test_nothing_is_wider_than_the_window(journey, width):
     page.set_viewport_size({"width": 1400, "height": 900})
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", at_night("dark")])
 def test_axe_finds_nothing(journey, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python").Axe()
     page = journey[0]

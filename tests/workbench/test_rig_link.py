@@ -174,6 +174,7 @@ def test_a_start_right_after_the_last_state_makes_a_fresh_process():
     run(journey)
 
 
+@pytest.mark.nightly
 def test_a_stop_that_the_process_does_not_confirm_is_not_answered_by_another():
     """A process that is stopped (SIGSTOP) confirms nothing; it wakes disarmed, and says how long it slept."""
 

@@ -296,6 +296,7 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_wave(tmp_path):
         assert on_disk(tmp_path, "second") == controller.told - 3001
 
 
+@pytest.mark.nightly
 def test_a_reader_that_closes_the_pipe_does_not_hold_up_the_wave(tmp_path):
     with ObservedController() as controller, held(tmp_path) as holder:
         holder.connect(controller.address)

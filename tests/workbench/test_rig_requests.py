@@ -134,6 +134,7 @@ def test_a_process_that_is_silent_is_named_and_stops_nothing(bench, page, contro
     assert controller.wait_for(lambda: controller.voltage == 0.0)
 
 
+@pytest.mark.nightly
 def test_the_journal_of_a_killed_process_becomes_a_record(bench, page, controller):
     armed(page, controller)
     wave = playing(bench, page)

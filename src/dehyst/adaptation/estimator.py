@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import isnan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,15 @@ from dehyst.model import Actuator, Creep, State
 _CHUNK, _STEPS = 32, 60
 # Strength of the model as it was given beside all cycles in memory, and of the likeness of neighbours' changes.
 _RIDGE, _ALIKE = 1e-2, 1e-1
-# Cycles before the first exchange; other weights must predict a cycle better than the present ones by this part.
-_FIRST, _BETTER = 5, 0.95
+# Cycles before the first exchange; other weights must predict cycles better than the present ones by this part, and by
+# this many standard errors of the sensor's noise. Factor on the evidence of the cycles before.
+_FIRST, _BETTER, _SURE, _EVIDENCE = 5, 0.95, 2.0, 0.7
+# Factor on the means of the cycles before: an offset is that of the last cycles.
+_RECENT = 0.5
+# Part of the sensor's noise below which an error is not known.
+_UNKNOWN = 0.2
+# An offset that differs from the explained one by this part of the usual error is corrected.
+_OFFSET = 0.5
 # Largest change of the displacement that one exchange makes, as a part of the reach.
 _TRUST = 0.02
 # Allowed mean slope of the spring and friction of all elements, of those of the model as it was given.
@@ -93,6 +100,20 @@ class PathCycle:
     seconds: float | None
 
 
+class _Sums(NamedTuple):
+    """What a cycle gives: second moments and means of the columns and the drive.
+
+    `centred` (m + 1, m + 1) [V^2] and `mean` (m + 1,) [V]: the drive last. `samples`: their number. `noise`: of the
+    sensor [m]. `datum`: the one with which the measured path was followed [m].
+    """
+
+    centred: Array
+    mean: Array
+    samples: float
+    noise: float
+    datum: float
+
+
 class Estimator:
     """Estimator of the factors on an actuator's weights from the cycles of a path.
 
@@ -108,6 +129,9 @@ class Estimator:
         self._zero, self._zero_drifts = 0.0, zero_drifts
         size = self.factors.size
         self._gram, self._image, self._sizes = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+        # Sums over cycles of the means of columns and drive and of their number; squares of the errors in use, of those
+        # on offer, and of the difference's standard error.
+        self._means, self._evidence = np.zeros(size + 2), np.zeros(3)
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
         self._tracker = Tracker(self.weights, state)
         self._usual, self._odd, self._learnt = deque[float](maxlen=9), 0, 0
@@ -127,6 +151,8 @@ class Estimator:
             "gram": self._gram.ravel(),
             "image": self._image,
             "sizes": self._sizes,
+            "means": self._means,
+            "evidence": self._evidence,
             "usual": np.array(self._usual),
             "counts": np.array(counts, dtype=np.float64),
             "lagging": self._lagging,
@@ -139,6 +165,7 @@ class Estimator:
     def restore(self, numbers: dict[str, Array]) -> Actuator:
         """Continue from `numbers` of the same actuator; return the actuator to use."""
         self.factors, self._image, self._sizes = (numbers[name].copy() for name in ("factors", "image", "sizes"))
+        self._means, self._evidence = numbers["means"].copy(), numbers["evidence"].copy()
         self._gram = numbers["gram"].reshape(self.factors.size, -1).copy()
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, numbers["offered"])
         self.datum, self._zero, self.constant, odd, learnt = numbers["counts"].tolist()
@@ -157,9 +184,9 @@ class Estimator:
 
         `keep`: factor on the weight of the cycles before.
         """
-        path, counted, reason = self._signal(cycle)
+        path, left, noise, counted, reason = self._signal(cycle)
         yield None
-        drive, speed = self._drive(cycle), self._slope * np.gradient(path)
+        drive, speed = self._drive(cycle) - self._slope * left, self._slope * np.gradient(path)
         sums = np.zeros((self.factors.size + 3,) * 2)
         for begin in range(0, path.size, _CHUNK):
             span = slice(begin, begin + _CHUNK)
@@ -188,46 +215,65 @@ class Estimator:
                 yield self.weights.model(self.factors, self.constant)
             return
         kept = np.delete(np.arange(len(sums)), -3)
-        centred, mean = centred[np.ix_(kept[:-1], kept[:-1])], mean[kept]
-        yield from self._judged(cycle, centred, mean)
+        found = _Sums(centred[np.ix_(kept[:-1], kept[:-1])], mean[kept][:-1], count, noise, self.datum)
+        yield from self._judged(cycle, found)
         if not self._odd:
             yield None
-            yield from self._learnt_from(centred, keep)
+            yield from self._learnt_from(found, keep)
 
-    def _judged(self, cycle: PathCycle, centred: Array, mean: Array) -> Iterator[Actuator | None]:
-        """Predict a cycle, and exchange the weights if the new ones predict it better."""
-        error = self._error(centred, self.factors)
+    def _judged(self, cycle: PathCycle, found: _Sums) -> Iterator[Actuator | None]:
+        """Predict a cycle, and exchange the weights if the new ones predict the last cycles better."""
+        error = self._error(found, self.factors)
         usual = float(np.median(self._usual)) if self._usual else error
-        odd = error > max(_ODD * usual, _ODD_PART * self.reach) and self._odd < _ODD_CYCLES
+        large = error > max(_ODD * usual, _ODD_PART * self.reach)
+        odd = large and self._odd < _ODD_CYCLES
         self._odd = self._odd + 1 if odd else 0
         if odd:
             self._note(cycle, "its error is not like that of the cycles before: not learnt", error)
             return
+        if large:
+            # A change that stays: errors as large as this are usual now.
+            self._usual.clear()
         self._usual.append(error)
-        left = float(mean[-2] - mean[:-2] @ self.factors) - self.constant
-        self.datum -= left / self._slope
+        self.datum = self._offset(found, self.factors, self.constant)
         if self._zero_drifts and self.factors is self.weights.initial:
             # The sensor's zero while the model is believed.
             self._zero += (self.datum - self._zero) / min(self._learnt + 1, _FIRST)
         if self._learnt < _FIRST:
             self._note(cycle, "too few cycles yet", error)
             return
-        offered = self._error(centred, self._program.x)
-        reason, factors = self._trusted(centred, self._program.x)
-        constant, datum = self._constant(factors, mean)
-        # Better without regard to an offset, and not worse with it.
-        worse = np.hypot(self._error(centred, factors), datum - self._zero) > np.hypot(error, self.datum - self._zero)
-        if not offered < _BETTER * error or worse:
-            reason = "no weights on offer predict the cycle better"
+        offered = self._error(found, self._program.x)
+        reason, factors, moved = self._trusted(found.centred, self._program.x)
+        # Noise is in both errors: their difference has the standard error of its product with the change.
+        doubt = 2 * _SURE * found.noise * moved / np.sqrt(found.samples)
+        self._evidence = _EVIDENCE * self._evidence + np.array([error**2, offered**2, doubt**2])
+        constant = self._constant(factors)
+        datum = self._offset(found, factors, constant)
+        # Better without regard to an offset, in this cycle too, and not worse with it.
+        gained = self._evidence[0] - self._evidence[1]
+        better = gained > max((1 - _BETTER**2) * self._evidence[0], np.sqrt(self._evidence[2])) and offered < error
+        worse = np.hypot(self._error(found, factors), datum - self._zero) > np.hypot(error, self.datum - self._zero)
+        if worse or not better:
+            reason = "no weights on offer predict the cycles better"
+            # Those in use may have got an offset.
+            factors, constant = self.factors, self._constant(self.factors, self.constant)
+            if abs(constant - self.constant) > _OFFSET * self._slope * usual:
+                reason, datum = "", self._offset(found, factors, constant)
+        else:
+            self._evidence = np.zeros(3)
         if not reason:
             self.factors, self.constant, self.datum = factors, constant, datum
             yield None
             yield self.weights.model(factors, constant)
         self._note(cycle, reason, error, offered)
 
-    def _learnt_from(self, centred: Array, keep: float) -> Iterator[None]:
+    def _learnt_from(self, found: _Sums, keep: float) -> Iterator[None]:
         """Add the sums of a cycle, and solve for new weights step by step; the next cycle tests them."""
         self._learnt += 1
+        columns, centred = found.mean[:-1], found.centred
+        # As if the path had been followed with the sensor's zero.
+        drive = found.mean[-1] - self._slope * (found.datum - self._zero)
+        self._means = min(keep, _RECENT) * self._means + np.array([*columns, drive, 1.0])
         self._gram = keep * self._gram + centred[:-1, :-1]
         self._image = keep * self._image + centred[:-1, -1]
         self._sizes = np.maximum(self._sizes, np.diag(centred)[:-1])
@@ -242,7 +288,7 @@ class Estimator:
     def _forget(self) -> None:
         """Return to the initial weights, with nothing learnt; the datum of the sensor stays."""
         self.factors, self.constant = self.weights.initial, float(self.weights.actuator.spring.voltage[0])
-        for sums in (self._gram, self._image, self._sizes):
+        for sums in (self._gram, self._image, self._sizes, self._means, self._evidence):
             sums[...] = 0.0
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
         self._odd = self._learnt = 0
@@ -263,13 +309,14 @@ class Estimator:
         effect = abs(late) * float(np.sqrt(small[2, 2])) / self._slope
         return late if squares[1] < _LATE**2 * squares[0] and effect > _ODD_PART * self.reach else 0.0
 
-    def _error(self, centred: Array, factors: Array) -> float:
-        """Return the RMS error [m] of factors on a cycle, by its centred sums."""
+    def _error(self, found: _Sums, factors: Array) -> float:
+        """Return the RMS error [m] of factors on a cycle, without its mean and the sensor's noise."""
         vector = np.append(factors, -1.0)
-        return float(np.sqrt(max(vector @ centred @ vector, 0.0))) / self._slope
+        squares = float(vector @ found.centred @ vector) / self._slope**2 - found.noise**2
+        return float(np.sqrt(max(squares, (_UNKNOWN * found.noise) ** 2)))
 
-    def _trusted(self, centred: Array, offered: Array) -> tuple[str, Array]:
-        """Return why new factors suggest another actuator, or "", and the factors within the range of one exchange."""
+    def _trusted(self, centred: Array, offered: Array) -> tuple[str, Array, float]:
+        """Return why new factors suggest another actuator, or "", the factors within one exchange, and its size [m]."""
         change = np.append(offered - self.factors, 0.0)
         moved = float(np.sqrt(max(change @ centred @ change, 0.0))) / self._slope
         share = min(1.0, _TRUST * self.reach / moved) if moved else 1.0
@@ -277,22 +324,34 @@ class Estimator:
         slope, friction = self.weights.ratios(factors)
         for value, (low, high), name in ((slope, _SLOPE, "slope"), (friction, _FRICTION, "friction")):
             if not low <= value <= high:
-                return f"the {name} would be {value:.3g} of the model's: this may be another actuator", factors
-        return "", factors
+                return f"the {name} would be {value:.3g} of the model's: this may be another actuator", factors, moved
+        return "", factors, share * moved
 
-    def _constant(self, factors: Array, mean: Array) -> tuple[float, float]:
-        """Return the constant c [V] for given factors, and the resulting datum of the sensor [m].
+    def _needed(self, factors: Array) -> float:
+        """Return the constant c [V] with which factors predict the last cycles without an offset."""
+        *columns, drive, weight = self._means
+        return float(drive - np.array(columns) @ factors) / float(weight)
 
-        The constant keeps the sensor's zero where it was. If the zero may drift, the constant changes only as far as an
-        anchor of the model stays in place within the usual error; the rest is the datum.
+    def _offset(self, found: _Sums, factors: Array, constant: float) -> float:
+        """Return the datum of the sensor [m] that a cycle shows with given weights."""
+        return found.datum - float(found.mean[-1] - found.mean[:-1] @ factors - constant) / self._slope
+
+    def _constant(self, factors: Array, present: float | None = None) -> float:
+        """Return the constant c [V] for factors; `present`: the constant with which they are in use.
+
+        If the sensor's zero does not drift, no offset is left. Otherwise a new constant changes only as far as an
+        anchor of the model stays in place within the usual error, and what is left is the datum. It cannot have the
+        other sign than the offset of the initial weights, nor be larger: that would be an error of the weights.
         """
-        fitted = float(mean[-2] - mean[:-2] @ factors)
-        constant = fitted - self._slope * (self.datum - self._zero)
-        if self._zero_drifts:
+        needed = self._needed(factors)
+        if not self._zero_drifts:
+            return needed
+        if present is None:
             slack = self._slope * float(np.median(self._usual))
             low, high = self.weights.constants(factors)
-            constant = min(max(constant, low - slack), high + slack)
-        return constant, self.datum - (fitted - constant) / self._slope
+            present = min(max(needed, low - slack), high + slack)
+        initial = self._needed(self.weights.initial) - float(self.weights.actuator.spring.voltage[0])
+        return needed - min(max(needed - present, min(initial, 0.0)), max(initial, 0.0))
 
     def _note(self, cycle: PathCycle, reason: str, error: float = np.nan, offered: float = np.nan) -> None:
         ratios = self.weights.ratios(self.factors)
@@ -317,20 +376,22 @@ class Estimator:
         velocity = np.gradient(cycle.wanted, seconds)
         return dynamics.lead(velocity, np.gradient(velocity, seconds))
 
-    def _signal(self, cycle: PathCycle) -> tuple[Array, Mask, str]:
-        """Return the displacement (n,) [m] at the elements, the samples that count, and why the cycle is not learnt.
+    def _signal(self, cycle: PathCycle) -> tuple[Array, Array, float, Mask, str]:
+        """Return the displacement (n,) [m] at the elements, what smoothing took from it, and the sensor's noise [m].
 
-        Noise would move every cart. So the path is the wanted one plus the smoothed difference of the measured one from
-        it.
+        Then the samples that count, and why the cycle is not learnt. Noise would move every cart. So the path is the
+        wanted one plus the smoothed difference of the measured one from it; the rest counts with the mean slope.
         """
         rest = cycle.measured - self.datum - cycle.wanted
         counted = np.isfinite(rest) & ~cycle.clamped & ~_stuck(cycle.measured, cycle.wanted, self.least_motion)
         reason = self._contradiction(cycle, counted)
         if reason:
-            return cycle.wanted, counted, reason
+            return cycle.wanted, np.zeros(rest.size), 0.0, counted, reason
         places = np.arange(rest.size)
-        smooth = self._smoothed(np.interp(places, places[counted], rest[counted]))
-        return cycle.wanted + smooth + self._lead(cycle), counted, ""
+        rest = np.interp(places, places[counted], rest[counted])
+        noise = float(np.std(np.diff(rest, 2))) / np.sqrt(6)
+        smooth = self._smoothed(rest, noise)
+        return cycle.wanted + smooth + self._lead(cycle), rest - smooth, noise, counted, ""
 
     def _contradiction(self, cycle: PathCycle, counted: Mask) -> str:
         """Return why nothing can be learnt from a cycle; empty if something can."""
@@ -346,10 +407,9 @@ class Estimator:
             return f"the sensor contradicts the path: it moves {slope:.3g} of what was wanted"
         return ""
 
-    def _smoothed(self, rest: Array) -> Array:
+    def _smoothed(self, rest: Array, noise: float) -> Array:
         """Return a difference (n,) [m] without the noise that would move the element that slides first."""
         rho = self.weights.actuator.slip.breakaway
-        noise = float(np.std(np.diff(rest, 2))) / np.sqrt(6) if rest.size > 3 else 0.0
         width = min(np.ceil((_QUIET * noise / float(rho[0])) ** 2), rest.size // 12) if rho.size else 0
         if width < 2:
             return rest

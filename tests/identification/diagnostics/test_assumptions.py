@@ -480,6 +480,7 @@ def test_a_verdicts_words():
     assert isinstance(families(plain_records.loops(CURVED, plain_records.MAJOR))[0], Family)
 
 
+@pytest.mark.nightly
 def test_a_measured_actuator():
     records = [
         dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")

@@ -63,6 +63,7 @@ def test_steps_have_no_bandwidth_below_their_sampling():
     assert bandwidth(np.sin(2 * np.pi * time), 1e-3, 1e-5) < 2
 
 
+@pytest.mark.nightly
 def test_a_fast_recording_gives_the_model_of_a_slow_one():
     unseen = recorded(12, 500, 40, 0.0)
     found = {}

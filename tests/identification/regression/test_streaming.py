@@ -220,6 +220,7 @@ def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
     assert other.voltage[4] == 4
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize(("samples", "most"), [(250_000, 300), at_night(1_000_000, 512)])
 def test_a_million_samples_take_half_a_gigabyte_at_most(samples, most):

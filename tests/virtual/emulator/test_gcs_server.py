@@ -330,6 +330,7 @@ def test_the_command_ends_with_the_tally_of_its_voltages(number):
     )
 
 
+@pytest.mark.nightly
 def test_the_command_ends_by_itself_and_tells_its_faults():
     with command("--seconds", "0.5", "--fault", "unplug@0.1s", "--actuator", "creep", "--speed", "5") as (process, _):
         said, _ = process.communicate(timeout=120)
