@@ -23,12 +23,10 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { before, inked, nearest, pixels } from "./thinning.js";
 import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
-import { parsedPaths } from "./path_file.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
 const { column } = await import("./report.js");
 const { turnsOf } = await import("./path_figures.js");
-import { inPage } from "./labels.js";
 import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
 import { limitsFrom, numberFrom, ticks, whole } from "./numbers.js";
 const floats = (name) => {
@@ -263,42 +261,6 @@ def test_modules_become_one_script_without_two_names_that_are_equal(modules):
         assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "time_s,displacement_um\n0,1\n0.5,2\n1,1.5\n",
-        "# a comment\ntime_ms;weg_nm\n0;1000\n500;2000\n1000;1500\n",
-        '"Time [ms]";"Position (um)"\n1000,0;1,0\n1500,0;2,0\n2000,0;1,5\n',
-        "0 1\n0.5 2\n1 1.5",
-        "voltage_V,time_s,displacement_m\r\n9,0,1e-6\r\n9,0.5,2e-6\r\n9,1,1.5e-6\r\n",
-    ],
-)
-def test_a_path_is_read_from_text(run, text):
-    assert run(f"print(parsedPaths({json.dumps(text)})[0]);") == [
-        pytest.approx(row) for row in [[0, 1], [0.5, 2], [1, 1.5]]
-    ]
-
-
-def test_a_path_of_several_axes_is_read_by_their_names(run):
-    text = "time_s,y_nm,x_um\n0,1000,2\n1,3000,4\n"
-    assert run(f'print(parsedPaths({json.dumps(text)}, ["x", "y"]));') == [[[0, 2], [1, 4]], [[0, 1], [1, 3]]]
-    run(f'assert.throws(() => parsedPaths({json.dumps(text)}, ["x", "z"]), /time_s,x_um,z_um/);')
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("", "is empty"),
-        ("a,b\n1,2\n", "need one of time and one of displacement"),
-        ("time_s,displacement_um\n0,1\n0,2\n", "does not rise"),
-        ("time_s,displacement_um\n0,1\n1,x\n", "need a number"),
-        ("time_s,displacement_um\n0,1\n", "need two at least"),
-    ],
-)
-def test_a_text_that_is_no_path_is_refused_with_the_reason(run, text, sentence):
-    run(f"assert.throws(() => parsedPaths({json.dumps(text)}), /{sentence}/);")
-
-
 def test_numbers_are_written_for_people(run):
     run("""
         const values = [0, 0.5, 1234.5, -3.25, 1e-9, null];
@@ -367,19 +329,3 @@ def test_a_million_samples_are_inked_in_a_frame(run):
         y=y,
     )
     assert best < 150
-
-
-def test_options_in_sentences_are_the_fields_of_the_page(run):
-    sentences = {
-        'By --time "NAME" or --sample-rate HZ.': "By <Column of the time> or <Sample rate in Hz>.",
-        "give --voltage-scale '100 V/V'": "give <Scale of the voltage> '100 V/V'",
-        "--time-limit=5 or time_limit=5": "<Time limit> 5 or <Time limit> 5",
-        "give it as sensor_lag=SECONDS (0 if none)": "give it as <Lag of the sensor> (0 if none)",
-        "give it as sensor_lag. (voltage=, time=)": "give it as <Lag of the sensor>. (<Column of the voltage>, "
-        "<Column of the time>)",
-        'Select one with displacement "NAME". A name': "Select one with <Column of the displacement>. A name",
-        "the goal, at any time; --other NAME": "the goal, at any time; --other NAME",
-    }
-    got = run(f"print({json.dumps(list(sentences))}.map(inPage));")
-    quoted = [words.replace("<", "\u201c").replace(">", "\u201d") for words in sentences.values()]
-    assert got == quoted

@@ -43,7 +43,6 @@ export class Chart {
     this.spec = { x: {}, y: {}, series: [] };
     this.home = { x: [0, 1], y: [0, 1] };
     this.view = this.home;
-    this.frames = 0;
     bindGestures(this);
     charts.add(this);
     new ResizeObserver(() => this.request()).observe(holder);
@@ -87,7 +86,6 @@ export class Chart {
   draw() {
     this.whole = false;
     if (this.holder.clientWidth === 0 || !this.spec.x.label) return;
-    const began = performance.now();
     this.measure();
     const pen = this.pen(this.base);
     this.axes(pen);
@@ -97,8 +95,6 @@ export class Chart {
       for (const one of this.spec.series) if (!one.hidden) KINDS[one.kind ?? "line"](this, pen, one);
       this.levels(pen);
     });
-    this.frames += 1;
-    this.took = performance.now() - began;
     this.drawTop();
     this.drawn();
   }

@@ -25,37 +25,25 @@ export function make(one) {
 
 const textOf = (child) => (child === null || child === undefined || child === false ? "" : String(child));
 
-// Make the children of an element those that are described: what has the same key is changed, or else what is in place.
+// Make the children of an element those that are described: what has the same key is changed, or else the next one
+// without a key.
 export function fill(parent, ...described) {
   const children = described.flat(9);
-  const keys = new Set(children.map((one) => one?.properties?.key));
-  const keyed = new Map();
-  for (const old of [...parent.childNodes]) {
-    const key = old.given?.key;
-    if (key === undefined) continue;
-    if (keys.has(key)) keyed.set(key, old);
-    else old.remove();
-  }
-  let place = parent.firstChild;
-  for (const one of children) {
+  const old = [...parent.childNodes].filter((node) => !children.includes(node));
+  const keyed = new Map(old.map((node) => [node.given?.key, node]));
+  const others = old.filter((node) => node.given?.key === undefined);
+  const nodes = children.map((one) => {
+    if (one instanceof Node) return make(one);
     const key = one?.properties?.key;
-    const old = key === undefined ? place : keyed.get(key);
-    const node = fits(old, one) ? changed(old, one) : make(one);
-    const inPlace = key === undefined && place && place.given?.key === undefined && !children.includes(place);
-    if (node === place) place = place.nextSibling;
-    else if (inPlace) place = swapped(place, node).nextSibling;
-    else parent.insertBefore(node, place);
-  }
-  while (place) {
-    const next = place.nextSibling;
-    place.remove();
-    place = next;
-  }
-}
-
-function swapped(old, node) {
-  old.replaceWith(node);
-  return node;
+    const node = key === undefined ? others.shift() : keyed.get(key);
+    return fits(node, one) ? changed(node, one) : make(one);
+  });
+  // Before anything is inserted: what stays does not move, and keeps its focus.
+  const kept = new Set(nodes);
+  for (const node of [...parent.childNodes]) if (!kept.has(node)) node.remove();
+  nodes.forEach((node, k) => {
+    if (parent.childNodes[k] !== node) parent.insertBefore(node, parent.childNodes[k] ?? null);
+  });
 }
 
 // Can this node become what is described? An element that somebody made and holds cannot.

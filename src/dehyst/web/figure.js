@@ -8,6 +8,9 @@ export const SECONDS = { label: "Time (s)", unit: "s" };
 export const VOLTS = { label: "Voltage (V)", unit: "V" };
 export const MICROMETRES = { label: "Displacement (\u00b5m)", unit: "\u00b5m" };
 
+// Colours of several curves; their values are in style.css.
+export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
+
 export class Figure {
   // `views` are [name, title] pairs; `choose` is called with the name of the view that the person chose. `more` stands
   // behind the title.

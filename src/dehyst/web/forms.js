@@ -3,8 +3,9 @@ import { h } from "./dom.js";
 import { numberFrom } from "./numbers.js";
 
 export class Form {
-  // Fields by name: { label, value, unit, hint, placeholder, choices: [[value, text], ...], above, least, optional }.
-  // `changed` is called with the name of a field after each change by the person.
+  // Fields by name: { label, value, unit, hint, placeholder }, and of what they hold: choices: [[value, text], ...],
+  // `text`, or a number that is `above` or at `least` another; `many` numbers; `optional` if it may be empty. `changed`
+  // is called with the name of a field after each change by the person.
   constructor(id, fields, changed = () => {}) {
     Object.assign(this, { id, fields, changed });
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
@@ -37,9 +38,19 @@ export class Form {
     return h("div", { class: style }, names.map((name) => this.field(name)));
   }
 
-  // The number in a field, null if it is empty and may be; an Error names the field.
-  number(name) {
-    return numberFrom(this.values[name], this.fields[name].label, this.fields[name]);
+  // What a field holds, null if it is empty and may be; an Error names the field.
+  value(name, optional = this.fields[name].optional) {
+    const field = this.fields[name];
+    const text = this.values[name].trim();
+    if (field.choices || field.text) return text || null;
+    if (!field.many || !text) return numberFrom(text, field.label, { ...field, optional });
+    return text.split(/[\s;]+/).map((one) => numberFrom(one, field.label));
+  }
+
+  // What the fields hold by name, without those that are empty; `needed` ones may not be.
+  collected(names = Object.keys(this.fields), needed = []) {
+    const pairs = names.map((name) => [name, this.value(name, needed.includes(name) ? false : undefined)]);
+    return Object.fromEntries(pairs.filter(([, value]) => value !== null));
   }
 }
 

@@ -28,51 +28,46 @@ export class PathFigures {
   draw({ path, planned, limits, reach, band, points, turned }) {
     const { clamps, clamped } = planned;
     const cut = clamps.limited + clamps.slewed > 0;
-    const note = band ? [["band", `trust band, \u00b1${length(band)}`]] : [];
+    const notes = band ? [["band", `trust band, \u00b1${length(band)}`]] : [];
     const straight = (y) => curve("straight gain", "without", path.time, y, { dash: [5, 4], width: 1.4 });
     const off = (values) => Float32Array.from(values, (value, i) => value - path.wanted[i]);
     this.handles.set(points ?? [], reach);
     const { x, y } = this.handles.ranges();
-    this.path.set(
-      {
-        x: { ...SECONDS, range: x },
-        y: { ...MICROMETRES, range: y },
-        series: [straight(planned.straightReached), ...wantedCurves({ path, planned, band })],
-        notes: note,
-      },
-      { keep: true, spoken: "Wanted displacement over time, and what a straight gain would reach." },
-    );
+    const show = (figure, spoken, spec) => figure.set({ x: SECONDS, ...spec }, { keep: true, spoken });
+    show(this.path, "Wanted displacement over time, and what a straight gain would reach.", {
+      x: { ...SECONDS, range: x },
+      y: { ...MICROMETRES, range: y },
+      series: [straight(planned.straightReached), ...wantedCurves({ path, planned, band })],
+      notes,
+    });
     const at = [...clamped.keys()].filter((i) => clamped[i]);
     const [when, volts] = [path.time, planned.voltage].map((values) => Float32Array.from(at, (i) => values[i]));
-    this.voltage.set(
-      {
-        x: SECONDS,
-        y: VOLTS,
-        levels: limits.map((value) => ({ value, name: `limit ${short(value, 4)} V`, colour: "limit" })),
-        series: [
-          straight(planned.straight),
-          curve("dehyst", "simulated", path.time, planned.voltage),
-          ...(cut ? [{ name: "clamped", colour: "limit", kind: "points", width: 5, x: when, y: volts }] : []),
-        ],
-      },
-      { keep: true, spoken: "Voltage over time with its limits." },
-    );
-    this.error.set(
-      {
-        x: SECONDS,
-        y: { label: "Error (\u00b5m)", unit: "\u00b5m" },
-        levels: [{ value: 0 }],
-        band: band ? [-band, band] : undefined,
-        series: [
-          straight(off(planned.straightReached)),
-          curve("dehyst, without the model's error", "simulated", path.time, off(planned.reached)),
-        ],
-        notes: note,
-      },
-      { keep: true, spoken: "Error over time of a straight gain, and of dehyst where the model is the actuator." },
-    );
-    this.turns.element.hidden = !turned;
+    show(this.voltage, "Voltage over time with its limits.", {
+      y: VOLTS,
+      levels: limits.map((value) => ({ value, name: `limit ${short(value, 4)} V`, colour: "limit" })),
+      series: [
+        straight(planned.straight),
+        curve("dehyst", "simulated", path.time, planned.voltage),
+        ...(cut ? [{ name: "clamped", colour: "limit", kind: "points", width: 5, x: when, y: volts }] : []),
+      ],
+    });
+    show(this.error, "Error over time of a straight gain, and of dehyst where the model is the actuator.", {
+      y: { label: "Error (\u00b5m)", unit: "\u00b5m" },
+      levels: [{ value: 0 }],
+      band: band ? [-band, band] : undefined,
+      series: [
+        straight(off(planned.straightReached)),
+        curve("dehyst, without the model's error", "simulated", path.time, off(planned.reached)),
+      ],
+      notes,
+    });
+    this.show(["path", "voltage", "error", turned && "turns"]);
     if (turned) this.turns.set(...turnsPicture(turned));
+  }
+
+  // Show these pictures alone.
+  show(names) {
+    for (const name of ["path", "voltage", "error", "turns"]) this[name].element.hidden = !names.includes(name);
   }
 }
 

@@ -65,8 +65,8 @@ class PathTrial {
   plan(stretched) {
     const { form, band, reach, plane } = this;
     const limits = limitsFrom(form.values.low, form.values.high);
-    const slewRate = form.number("slew");
-    const seconds = form.number("duration");
+    const slewRate = form.value("slew");
+    const seconds = form.value("duration");
     const period = this.needsPeriod ? this.model.about.period : seconds / (this.samples - 1);
     if (seconds / period > MOST_PLANNED) throw new Error(`Duration: need ${plain(MOST_PLANNED * period)} s at most.`);
     const times = stretched ? seconds / this.points.at(-1)[0] : 1;

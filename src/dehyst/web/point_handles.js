@@ -13,9 +13,7 @@ const NEAREST = 0.002; // between the times of two points, of the duration
 export class PointHandles {
   // `changed` is called with the points (s, um) after each change by the person.
   constructor(chart, changed) {
-    this.chart = chart;
-    this.changed = changed;
-    this.points = [];
+    Object.assign(this, { chart, changed, points: [] });
     this.layer = document.createElement("div");
     this.layer.className = "handles";
     chart.holder.append(this.layer);
@@ -47,8 +45,7 @@ export class PointHandles {
     const outside = (x, y) => x < left - 1 || x > left + width + 1 || y < top - 1 || y > top + height + 1;
     const handle = ([t, y], k) => {
       const [px, py] = [chart.px(t), chart.py(y)];
-      return h("div", {
-        class: "point",
+      return h("div.point", {
         role: "slider",
         tabindex: "0",
         hidden: outside(px, py),
@@ -73,7 +70,7 @@ export class PointHandles {
 
   grab(event, k) {
     if (event.button !== 0) return;
-    const handle = this.layer.childNodes[k];
+    const handle = event.currentTarget;
     event.preventDefault();
     handle.focus({ preventScroll: true });
     handle.setPointerCapture(event.pointerId);
@@ -97,6 +94,11 @@ export class PointHandles {
     return true;
   }
 
+  remove(k) {
+    const points = removed(this.points, k);
+    if (points !== this.points) this.use(points, Math.min(k, points.length - 1));
+  }
+
   use(points, focus) {
     this.points = points;
     this.changed(points);
@@ -109,27 +111,21 @@ export class PointHandles {
     const far = event.shiftKey ? 0.1 : 0.01;
     const [rise, wait] = [far * (this.reach[1] - this.reach[0]), far * this.duration];
     const next = this.points[k + 1] ?? this.points[k - 1];
-    const insert = () => this.insert([(t + next[0]) / 2, (y + next[1]) / 2]);
-    const remove = () => {
-      const points = removed(this.points, k);
-      if (points !== this.points) this.use(points, Math.min(k, points.length - 1));
-    };
-    const act = {
-      ArrowUp: () => this.move(k, [t, y + rise]),
-      ArrowDown: () => this.move(k, [t, y - rise]),
-      ArrowLeft: () => this.move(k, [t - wait, y]),
-      ArrowRight: () => this.move(k, [t + wait, y]),
-      PageUp: () => this.move(k, [t, y + 10 * rise]),
-      PageDown: () => this.move(k, [t, y - 10 * rise]),
-      Home: () => this.move(k, [t, this.reach[0]]),
-      End: () => this.move(k, [t, this.reach[1]]),
-      Insert: insert,
-      "+": insert,
-      Delete: remove,
-      "-": remove,
+    const to = {
+      ArrowUp: [t, y + rise],
+      ArrowDown: [t, y - rise],
+      ArrowLeft: [t - wait, y],
+      ArrowRight: [t + wait, y],
+      PageUp: [t, y + 10 * rise],
+      PageDown: [t, y - 10 * rise],
+      Home: [t, this.reach[0]],
+      End: [t, this.reach[1]],
     }[event.key];
-    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    const [inserts, removes] = [["Insert", "+"], ["Delete", "-"]].map((keys) => keys.includes(event.key));
+    if (!(to || inserts || removes) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
-    act();
+    if (to) this.move(k, to);
+    else if (removes) this.remove(k);
+    else this.insert([(t + next[0]) / 2, (y + next[1]) / 2]);
   }
 }

@@ -62,7 +62,7 @@ export function nearest({ x, y, rising }, { x0, kx, y0, ky }, at, reach) {
 // Long curves are inked here: the browser's path machinery takes seconds for 1e5 vertices without a graphics card.
 const NEAR = 0.25; // pixels: shorter steps are joined
 
-// Ink a curve, cut where it is not finite, on columns x rows pixels, of which `scale` are one of px and py: 0 to 255 for
+// Ink a curve, cut where it is not finite, on columns x rows pixels, `scale` of them for one of the frame: 0 to 255 for
 // each, the coverage by a line `width` wide.
 export function inked({ px, py }, columns, rows, scale, width) {
   const ink = new Uint8Array(columns * rows);

@@ -10,12 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import DehystError
+from dehyst._errors import DehystError, FileFormatError
 from dehyst._types import Array
 from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.model import Actuator
+from dehyst.operations.axes import AxesModel
+from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.registry import find
+from dehyst.operations.run import Run
 from dehyst.records import read, read_table, write_columns
 from dehyst.waveforms.named import scan_of
 
@@ -68,6 +71,40 @@ def written_path(file: Path, points: Any, rate: Any) -> None:
     sampled = first + np.arange(round(seconds * hertz) + 1) / hertz
     moved = {name: np.interp(sampled, *one.T) for name, one in corners.items()}
     write_columns(file, {"time_s": sampled, **moved}, digits=12)
+
+
+def path_points(file: Path, model: Path) -> list[list[list[float]]]:
+    """Return the points (time [s], displacement [um]) of a path in a file, for each axis of a model; times begin at 0.
+
+    Raises
+    ------
+    RequestError
+        If the file is not understood, or its times do not rise. A table without a header holds time and displacement.
+    """
+    known = AxesModel.read(Run(), model)
+    try:
+        moved, time = _path_columns(file, known)
+    except FileFormatError as error:
+        need = ",".join(["time_s", *(known.name("displacement", axis) for axis in known.axes)])
+        if getattr(error, "change", ()) or "--columns" in error.hint:
+            raise RequestError(
+                f"has no column of a name and a unit as expected; need columns such as {need}"
+            ) from error
+        raise RequestError(str(error).replace(f"{file}: ", "").replace(f"{file.name}: ", "")) from error
+    if time.size < 2 or not (np.diff(time) > 0).all():
+        raise RequestError("its times do not rise; need two rising times at least, in a column such as time_s")
+    return [np.column_stack([time - time[0], _MICRO * column]).tolist() for column in moved.T]
+
+
+def _path_columns(file: Path, known: AxesModel) -> tuple[Array, Array]:
+    """Return displacements (n, axes) [m] and times (n,) [s] of a path."""
+    read, table = AS_FOUND, AS_FOUND.table(file)
+    if len(table.names) == 2 and all(name.isdigit() for name in table.names):
+        # Without a header.
+        read = Columns(names="time:s,displacement:um")
+        table = read.table(file)
+    moved = known.values(table, "displacement", read)
+    return moved, read.clock(table, len(moved)).get("time_s", np.empty(0))
 
 
 def _corners(points: Any) -> Array:

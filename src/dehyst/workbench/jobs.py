@@ -15,6 +15,7 @@ from dehyst._errors import DehystError, LinkError
 from dehyst._process import messages, started, written
 from dehyst.operations.registry import find
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.forms import in_page
 
 # A session has one person, and a small computer two cores.
 _AT_ONCE = 2
@@ -250,7 +251,8 @@ class Jobs:
             if inspect.isawaitable(after):
                 await after
             if entry.status == "running":
-                entry.status, entry.error = ("failed", finished.words) if finished.result is None else ("done", None)
+                failed = finished.result is None
+                entry.status, entry.error = ("failed", in_page(finished.words)) if failed else ("done", None)
         except DehystError as error:
             entry.status, entry.error = "failed", str(error)
         finally:

@@ -27,19 +27,21 @@ from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
 from dehyst._io import read_json
-from dehyst.waveforms.named import OPTIONS, SCANS
 from dehyst.web import files
 from dehyst.workbench import folder as places
+from dehyst.workbench import forms
 from dehyst.workbench.data import (
     RequestError,
     number_of,
     packed,
+    path_points,
     record_columns,
     scan_columns,
     voltage_columns,
     wasm,
 )
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.reading import options_of
 from dehyst.workbench.rig_desk import RigDesk
 from dehyst.workbench.session import WorkbenchSession
 
@@ -126,6 +128,8 @@ _SCRIPTS = '<script type="module"'
 # Records of a measured actuator to try, in the repository; an installed package makes the records of a virtual one.
 MEASURED = Path(__file__).resolve().parents[3] / "examples" / "measured" / "p885"
 _VIRTUAL = "virtual-loops.csv"
+_MEASURED_ON = "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
+_VIRTUAL_ON = "a record of a virtual actuator"
 # Not of the page: its worker, and what only reports have.
 _APART = ("keepalive.js", "path_trial.js", "report.css")
 
@@ -141,7 +145,8 @@ class PageFiles:
         texts |= {one.name: one.read_text(encoding="utf-8") for one in _PAGE.iterdir() if one.suffix in _TYPES}
         self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
         self._examples = {f"p885-{path.name}": path for path in sorted(measured.glob("*.csv"))}
-        examples = {"names": list(self._examples) or [_VIRTUAL], "measured": bool(self._examples)}
+        names, origin = (list(self._examples), _MEASURED_ON) if self._examples else ([_VIRTUAL], _VIRTUAL_ON)
+        examples = {"names": names, "origin": origin}
         self._files["declared.js"] = (_declared(examples).encode(), _TYPES[".js"])
         scripts = sorted(name for name in self._files if name.endswith(".js") and name not in _APART)
         links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
@@ -166,13 +171,13 @@ class PageFiles:
 
 
 def _declared(examples: Mapping[str, Any]) -> str:
-    """Return a module with the records to try, and the declaration of the named scans and their options."""
-    options = {
-        name: {**option._asdict(), "kind": option.kind.__name__ if isinstance(option.kind, type) else option.kind}
-        for name, option in OPTIONS.items()
+    """Return a module with the records to try, the fields of all forms, and the kinds of scans and exports."""
+    declared = {
+        "examples": examples,
+        "forms": {**forms.FORMS, "scan": forms.scan_form()},
+        "scans": forms.scan_kinds(),
+        "exports": forms.EXPORTS,
     }
-    scans = {name: {"needs": scan.needs, "may": scan.may} for name, scan in SCANS.items()}
-    declared = {"options": options, "scans": scans, "examples": examples}
     return f"export const DECLARED = {json.dumps(declared)};\n"
 
 
@@ -249,14 +254,19 @@ def json_of(text: bytes | str) -> dict[str, Any]:
     return value
 
 
-async def body_of(request: Request) -> dict[str, Any]:
-    """Return the JSON object that a request brings."""
+async def text_of(request: Request) -> bytes:
+    """Return what a request brings, unless it is too large."""
     text = b""
     async for part in request.stream():
         text += part
         if len(text) > _MOST_JSON:
-            raise TooLargeError(f"the request has more than {_MOST_JSON / 1e6:g} MB; draw a shorter path")
-    return json_of(text)
+            raise TooLargeError(f"the request has more than {_MOST_JSON / 1e6:g} MB; use a shorter path")
+    return text
+
+
+async def body_of(request: Request) -> dict[str, Any]:
+    """Return the JSON object that a request brings."""
+    return json_of(await text_of(request))
 
 
 async def archived(folder: Path) -> Response:
@@ -320,7 +330,7 @@ class Workbench:
                 "/api/jobs/{key}/cancel": self.cancel,
                 "/api/rig/{what}": self.drive,
             },
-            "PUT": {"/api/records": self.upload},
+            "PUT": {"/api/records": self.upload, "/api/models/{key}/points": self.points},
             "DELETE": {"/api/{kind:str}/{key}": self.delete},
         }
         routes: list[BaseRoute] = [WebSocketRoute("/api/events", self.news)]
@@ -405,11 +415,12 @@ class Workbench:
 
     @answered
     async def read(self, request: Request) -> Any:
-        """Read a record again, with options."""
-        options = (await body_of(request)).get("options", {})
-        if not isinstance(options, dict):
-            raise RequestError("options: need an object with a text for each option")
-        self.session.read_record(request.path_params["key"], options)
+        """Read a record again, with options or the values of its form."""
+        body, key = await body_of(request), request.path_params["key"]
+        options, values = body.get("options", {}), body.get("form")
+        if not isinstance(options, dict) or not isinstance(values, dict | None):
+            raise RequestError("options, form: need an object with a text for each option or field")
+        self.session.read_record(key, options if values is None else options_of(self.session.record(key), values))
 
     @answered
     async def record_data(self, request: Request) -> Any:
@@ -475,6 +486,16 @@ class Workbench:
     async def path(self, request: Request) -> Any:
         """Start the computation of a voltage."""
         return {"job": self.session.follow(request.path_params["key"], await body_of(request))}
+
+    @answered
+    async def points(self, request: Request) -> Any:
+        """Return the points of a path in a file."""
+        entry = self.session.model(request.path_params["key"], ready=True)
+        suffix = Path(request.query_params.get("name", "path.csv")).suffix[:10].replace("\0", "")
+        with tempfile.TemporaryDirectory(prefix="dehyst-") as place:
+            file = Path(place) / f"path{suffix}"
+            file.write_bytes(await text_of(request))
+            return {"points": await asyncio.to_thread(path_points, file, self.session.folder.path / entry.file)}
 
     @answered
     async def export(self, request: Request) -> Any:

@@ -21,7 +21,9 @@ from dehyst.operations.files import Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import voltage_columns, written_path
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.forms import EXPORTS, in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
+from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
@@ -35,8 +37,6 @@ _NO_RECORD = (
 _MICRO = 1e6
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
-# Suffixes of exports.
-_EXPORTS = {"c": "", "fmu": ".fmu", "wasm": ".wasm"}
 
 
 class SessionError(DehystError, ValueError):
@@ -96,7 +96,7 @@ class RecordEntry:
             self.words += [
                 f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
             ]
-            self.problems += [f"{prefix}{words}" for words in one["problems"]]
+            self.problems += [in_page(f"{prefix}{words}") for words in one["problems"]]
 
 
 @dataclass
@@ -153,7 +153,7 @@ class ModelEntry:
         if fit is None:
             stopped = self.early or finished.stopped
             self.status = "cancelled" if stopped else "failed"
-            self.error = "it was ended before there was a model" if stopped else finished.words
+            self.error = "it was ended before there was a model" if stopped else in_page(finished.words)
             return
         several = "fits" in fit
         fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
@@ -162,12 +162,13 @@ class ModelEntry:
             return
         verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
         remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
+        remarks = [in_page(one) for one in remarks]
         verdict = max(verdicts.values(), key=lambda one: one["largest_percent"])
         self.status, self.error = "ready", None
         self.verdict = {**verdict, "remarks": remarks}
         if several:
             self.coupling = {"matrix": fit["coupling"], "is_matrix": fit["is_matrix"], "verdicts": verdicts}
-            self.verdict["remarks"] = [*fit["remarks"], *remarks]
+            self.verdict["remarks"] = [*map(in_page, fit["remarks"]), *remarks]
             self.verdict["why"] = [fit["verdict"]]
             if not fit["good"]:
                 self.verdict["readiness"] = "NOT_USABLE"
@@ -220,7 +221,7 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
         **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
         "largest_um": verdict["largest_m"] * _MICRO,
         "goal": verdict["goal_percent"],
-        "why": verdict["reasons"],
+        "why": [in_page(one) for one in verdict["reasons"]],
     }
 
 
@@ -257,7 +258,7 @@ class VoltageEntry:
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
         errors = [one["largest_m"] for one in each("judgement")]
         self.largest_um = [None if one is None else one * _MICRO for one in errors]
-        self.words = [str(one) for one in result["warnings"]]
+        self.words = [in_page(str(one)) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
@@ -306,6 +307,7 @@ class WorkbenchSession:
                 "folder": self.folder.path.name,
                 "version": __version__,
                 **self._entries(),
+                "records": [{**asdict(one), "form": form_of(one)} for one in self.records.values()],
                 "jobs": [asdict(one) for one in self.jobs.entries.values()],
                 "files": list(self.folder.files()),
                 "log": self.folder.commands(),
@@ -371,7 +373,8 @@ class WorkbenchSession:
             if finished.result is None:
                 # A suggestion is in the form already.
                 words = finished.error.get("reason", finished.words)
-                entry.status, entry.error = "refused", words.replace(entry.source, Path(entry.source).name)
+                words = in_page(words.replace(entry.source, Path(entry.source).name))
+                entry.status, entry.error = "refused", words
                 hint = finished.error.get("suggestion")
                 entry.hint = {"options": hint} if hint else None
                 return
@@ -561,12 +564,13 @@ class WorkbenchSession:
             table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
             file = self.folder.new(places.VOLTAGES, f"{name}-cycle", ".csv")
             steps = self._path_steps(model, request, file, table=table)
-        elif kind in _EXPORTS:
-            target = self.folder.new(places.EXPORTS, name if _EXPORTS[kind] else f"{name}-c", _EXPORTS[kind])
+        elif kind in EXPORTS:
+            suffix = EXPORTS[kind][-1]
+            target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
             version = {"fmu": "3.0"} if kind == "fmu" else {}
             steps = [Step("export", {"model": model.file, "directory": target, **version})]
         else:
-            raise SessionError(f"kind: got {kind!r}, need wave_table, {', '.join(_EXPORTS)}")
+            raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         return self.jobs.start("export", model.id, steps, lambda _: None)
 
     def cancel(self, job: str) -> None:

@@ -6,7 +6,7 @@ import { pathView } from "./path_step.js";
 import { isSending, recordsView, sendAll } from "./records.js";
 import { rigView } from "./rig.js";
 import { buildRigBar, canMove } from "./rig_bar.js";
-import { connect, session, watch } from "./state.js";
+import { connect, session, watch } from "./server.js";
 import { buildSteps } from "./steps.js";
 import { trustView } from "./trust.js";
 
@@ -26,18 +26,16 @@ buildSteps({
   rig: rigView,
 });
 
-let depth = 0; // of elements that a file was dragged into
 const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
-const cover = (change) => {
-  depth = change === 0 ? 0 : Math.max(0, depth + change);
-  byId("drop-cover").hidden = depth === 0;
+const cover = (shown) => {
+  byId("drop-cover").hidden = !shown;
 };
-window.addEventListener("dragenter", (event) => holdsFiles(event) && cover(1));
-window.addEventListener("dragleave", (event) => holdsFiles(event) && cover(-1));
+window.addEventListener("dragenter", (event) => cover(holdsFiles(event)));
+window.addEventListener("dragleave", (event) => event.relatedTarget ?? cover(false));
 window.addEventListener("dragover", (event) => event.preventDefault());
 window.addEventListener("drop", (event) => {
   event.preventDefault();
-  cover(0);
+  cover(false);
   if (holdsFiles(event)) sendAll(event.dataTransfer.files);
 });
 

@@ -1,19 +1,11 @@
 // The fifth step: the model in other forms, all files of the folder, and the session as a script.
-import { announce, button, problem } from "./acts.js";
-import { workOn } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
-import { chosenModel, openJobs, session } from "./state.js";
+import { announce, button, chosenModel, openJobs, problem, session, workOn } from "./server.js";
 import { openStep } from "./steps.js";
 import { fileLink, jobCards, modelChoice } from "./verdict.js";
-
-const KINDS = [
-  ["c", "C99", "Sources, numbers and a test for firmware; the same code as Python runs."],
-  ["fmu", "FMU", "For co-simulation in Simulink, Modelica and others (FMI 3.0)."],
-  ["wasm", "WebAssembly", "For a browser or node, with a JavaScript module."],
-  ["wave_table", "Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV)."],
-];
 
 export function exportView({ files, log }, model) {
   const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
@@ -28,8 +20,8 @@ export function exportView({ files, log }, model) {
 
 function exportsOf(model) {
   // Coupled axes are exported as C alone.
-  const kinds = KINDS.filter(([kind]) => kind === "c" || !model.coupling);
-  const cards = kinds.map(([kind, title, text]) => {
+  const kinds = Object.entries(DECLARED.exports).filter(([kind]) => kind === "c" || !model.coupling);
+  const cards = kinds.map(([kind, [title, text]]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
     const act = button("Export", `export ${kind}`, () => exportAs(kind), about);
     return h("li.card", h("h3", title), h("p", text), problem(`export ${kind}`), act);

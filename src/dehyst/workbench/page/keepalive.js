@@ -1,5 +1,5 @@
 // A worker that gives signs of life while the browser asks whether to leave, which holds up the page: for some seconds.
-import { events } from "./api.js";
+import { events } from "./server.js";
 
 const LONGEST = 10_000; // milliseconds; then the rig's watchdog stops it
 const PERIOD = 150;

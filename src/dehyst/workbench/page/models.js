@@ -1,12 +1,11 @@
 // The second step: the identification as it runs, its verdict, its pictures, and all models side by side.
-import { cancelJob, endIdentification } from "./api.js";
 import { h, table } from "./dom.js";
-import { announce, button, problem, removeButton } from "./acts.js";
 import { duration, percent, range } from "./numbers.js";
-import { chooseModel, openJobs, readyModels, recordOf, redraw, session, watch } from "./state.js";
+import * as server from "./server.js";
 import { goTo, isOpen, needsModel } from "./steps.js";
 import { VERDICT_HEADS, axesBlock, fileLink, modelChoice, mounted, verdictBlock, verdictCells } from "./verdict.js";
 
+const { announce, button, problem, readyModels, redraw, session } = server;
 const began = new Map(); // when the server said how long an identification has run
 let known = null; // models that were ready when the page last looked
 
@@ -20,7 +19,7 @@ setInterval(() => {
 }, 500);
 
 // A model that has become ready is announced, and all steps speak of it.
-watch("state", ({ revision, models }) => {
+server.watch("state", ({ revision, models }) => {
   if (revision === undefined) return;
   for (const { id, seconds } of models) {
     if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
@@ -30,7 +29,7 @@ watch("state", ({ revision, models }) => {
   known = new Set(ready.map(({ id }) => id));
   if (!fresh) return;
   announce(`${fresh.name} is ready: largest error ${percent(fresh.verdict.largest_percent)} of the stroke.`);
-  chooseModel(fresh.id);
+  server.chooseModel(fresh.id);
 });
 
 export function modelView({ models }, model) {
@@ -55,7 +54,7 @@ function body(model) {
       goTo("trust", "How far to trust it"),
       fileLink(model.report, "Read the report", look),
     ),
-    h("p.muted", `${ranges} ${origin} `, removeButton("models", model)),
+    h("p.muted", `${ranges} ${origin} `, server.removeButton("models", model)),
     problem(`models ${model.id}`),
     comparison(readyModels(), model),
     problem(model.report),
@@ -66,7 +65,7 @@ function body(model) {
 function runningCard(model) {
   const { id, name, status, error, progress, provisional, train } = model;
   const running = status === "identifying";
-  const title = h("div.card-head", h("h3", name), !running && removeButton("models", model));
+  const title = h("div.card-head", h("h3", name), !running && server.removeButton("models", model));
   const place = `models ${id}`;
   if (!running) {
     const failed = `No model: ${error ?? "the identification failed."}`;
@@ -76,19 +75,20 @@ function runningCard(model) {
   }
   const { seconds, at } = began.get(id);
   const elapsed = duration(Math.round(seconds + (performance.now() - at) / 1000));
+  const end = () => server.workOn(id, "end");
   const cancel = () => {
-    const [job] = openJobs("identify", id);
-    return job ? cancelJob(job.id) : endIdentification(id);
+    const [job] = server.openJobs("identify", id);
+    return job ? server.cancelJob(job.id) : end();
   };
   return h("li.card.running", { key: id },
     title,
-    h("p.muted", `Identifying from ${train.map((one) => recordOf(one)?.name ?? one).join(", ")}`),
+    h("p.muted", `Identifying from ${train.map((one) => server.recordOf(one)?.name ?? one).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
     h("p.muted", MEANWHILE),
     h("div.row",
-      button("Finish with the best so far", place, () => endIdentification(id), { class: "quiet" }),
+      button("Finish with the best so far", place, end, { class: "quiet" }),
       button("Cancel", place, cancel, { class: "quiet" }),
     ),
     problem(place),

@@ -1,39 +1,27 @@
 // The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
-import { announce, button, complain, problem } from "./acts.js";
-import { remembered, scanColumns, wasmAddress, workOn } from "./api.js";
-import { AxesFigures, resting } from "./axes_figures.js";
+import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
+import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
-import { inPage } from "./labels.js";
-import { duration, length, limitsFrom, percent, plain, range, roundDown, short, whole } from "./numbers.js";
+import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
-import { PathFigures, judged, turnsOf, verdict } from "./path_figures.js";
-import { expected, parsedPaths } from "./path_file.js";
+import { PathFigures, curve, judged, turnsOf, verdict } from "./path_figures.js";
 import { isPlane } from "./report.js";
 import { ScanForm } from "./scans.js";
-import { chosenModel, modelOf, openJobs, redraw } from "./state.js";
-import { bandOf, fileLink, jobCards, lightOf, modelChoice, remarksOf, reportOf } from "./verdict.js";
+import * as server from "./server.js";
+import { fileLink, jobCards, lightOf, modelChoice, reportOf } from "./verdict.js";
+
+const { announce, button, chosenModel, complain, problem, redraw } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
-const form = new Form(
-  "path",
-  {
-    axis: { label: "Axis to draw", choices: [] },
-    low: { label: "Lowest voltage", unit: "V" },
-    high: { label: "Highest voltage", unit: "V" },
-    slew: { label: "Largest slew rate", unit: "V/s", placeholder: "none", optional: true, above: 0 },
-    rate: { label: "Samples a second", unit: "Hz", value: "1000", above: 0 },
-  },
-  (name) => {
-    if (name === "axis") view.points = firstPoints();
-    replan();
-  },
-);
+const form = new Form("path", DECLARED.forms.path, (name) => {
+  if (name === "axis") view.points = firstPoints();
+  replan();
+});
 const figures = new PathFigures(usePoints);
-const axesFigures = new AxesFigures(usePoints);
 // Of a model of several axes, whose path is of all of them.
 const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
 const drawnAxis = () => chosenModel().axes?.find((one) => one.name === form.values.axis) ?? chosenModel();
@@ -41,7 +29,7 @@ const drawnAxis = () => chosenModel().axes?.find((one) => one.name === form.valu
 export function pathView(state, model) {
   if (!model) return null;
   adopt(model);
-  if (model.coupling) axesFigures.show(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
+  if (model.coupling) drawWritten(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
   const { said } = view;
   const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
   return h("div.split", { key: "path-body" },
@@ -57,7 +45,7 @@ export function pathView(state, model) {
       ),
       voltages(state),
     ),
-    h("div.stage", said && verdict(said, more), (model.coupling ? axesFigures : figures).element),
+    h("div.stage", said && verdict(said, more), figures.element),
   );
 }
 
@@ -81,7 +69,7 @@ function fileField() {
     const [file] = event.target.files;
     if (!file) return;
     try {
-      view.file = parsedPaths(await file.text(), namesOf(chosenModel()));
+      view.file = await server.readPath(chosenModel(), file);
       const [points] = view.file;
       const steps = points.slice(1, 1000).map((one, k) => one[0] - points[k][0]);
       form.values.rate = short(1 / Math.min(...steps), 6);
@@ -93,8 +81,8 @@ function fileField() {
   };
   return h("div.field", { key: "file" },
     h("label", { for: "path-file" }, "Table of time and displacement"),
-    h("input", { type: "file", accept: ".csv,.txt,.dat,.tsv", id: "path-file", onchange: read }),
-    h("small.hint", `columns such as ${expected(namesOf(chosenModel())).join(",")}`),
+    h("input#path-file", { type: "file", onchange: read }),
+    h("small.hint", `columns such as time_s,${namesOf(chosenModel()).map((one) => `${one || "displacement"}_um`)}`),
   );
 }
 
@@ -102,7 +90,7 @@ function fileField() {
 function pointsField() {
   const typed = (event) => {
     try {
-      usePoints(parsedPaths(event.target.value)[0]);
+      usePoints(typedPoints(event.target.value));
     } catch (error) {
       cannotPlan(error.message);
     }
@@ -114,6 +102,16 @@ function pointsField() {
     h("textarea", { ...about, value, onchange: typed }),
     h("small.hint", "Drag the points in the picture, or type or paste here."),
   );
+}
+
+function typedPoints(text) {
+  const rows = text.split("\n").map((row) => row.trim()).filter(Boolean);
+  const points = rows.map((row) => row.split(/[\s;]/.test(row) ? /[\s;]+/ : ",").map(parsed));
+  const fits = (one, k) => one.length === 2 && one.every(Number.isFinite) && !(one[0] <= points[k - 1]?.[0]);
+  const wrong = points.findIndex((one, k) => !fits(one, k));
+  if (wrong >= 0) throw new Error(`Row ${wrong + 1}: got ${rows[wrong]}, need a time that rises and a displacement.`);
+  if (points.length < 2) throw new Error("Points: need two rows at least.");
+  return points;
 }
 
 function usePoints(points) {
@@ -137,8 +135,7 @@ function firstPoints() {
 // Begin with suggestions for a model that was not chosen before.
 function adopt(model) {
   if (view.model === model.id) return;
-  view.model = model.id;
-  view.file = null;
+  Object.assign(view, { model: model.id, file: null, written: null });
   form.offer("axis", namesOf(model).map((name) => [name, name]));
   if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
@@ -158,7 +155,7 @@ function replan() {
 }
 
 async function wantedPath(rate) {
-  return view.source === "scan" ? scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
+  return view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
 }
 
 // The points of each axis: of a file, or drawn for one while the others rest in the middle of their reach.
@@ -169,7 +166,9 @@ function chosenPaths() {
   }
   const { axes, coupling } = chosenModel();
   if (!coupling) return [view.points];
-  return axes.map((one) => (one === drawnAxis() ? view.points : resting(one, view.points)));
+  const middle = ({ range_um: [low, high] }, time) => [time, (low + high) / 2];
+  const rest = (axis) => [view.points[0], view.points.at(-1)].map(([time]) => middle(axis, time));
+  return axes.map((one) => (one === drawnAxis() ? view.points : rest(one)));
 }
 
 const modules = new Map(); // by model and period: compiled
@@ -180,34 +179,40 @@ async function planNow(model) {
     if (model.coupling) {
       view.said = planAxes(model);
       complain("path", "");
-      redraw();
       return;
     }
     const { limits, slew, rate } = choices();
     const period = 1 / rate;
-    const compiled = remembered(modules, `${model.id} ${period}`, () => load(wasmAddress(model, period)));
+    const compiled = server.remembered(modules, `${model.id} ${period}`, () => load(server.wasmAddress(model, period)));
     const [module, path, report] = await Promise.all([compiled, wantedPath(rate), reportOf(model.report)]);
     if (asked !== view.asked) return;
     const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
     const turned = turnsOf(report.figures.find(isPlane)?.spec, path.time, planned.voltage);
-    view.last = { path, planned, limits, reach: model.range_um, band: bandOf(model), points, turned };
+    view.last = { path, planned, limits, reach: model.range_um, band: model.verdict.largest_um, points, turned };
     figures.draw(view.last);
     view.took = performance.now() - began;
     view.said = described(model, view.last);
     complain("path", "");
   } catch (error) {
     if (asked === view.asked) cannotPlan(error.message);
+  } finally {
+    redraw();
   }
-  redraw();
 }
 
 // Of several axes, whose voltages depend on one another, only the path is drawn before they are written.
 function planAxes(model) {
+  const names = namesOf(model);
   const paths = chosenPaths();
-  const drawn = view.source === "points" ? { points: view.points, reach: drawnAxis().range_um } : null;
-  axesFigures.draw(namesOf(model), paths, drawn);
+  figures.handles.set(view.source === "points" ? view.points : [], drawnAxis().range_um);
+  const column = (k, at) => Float64Array.from(paths[k], (point) => point[at]);
+  const series = curves(names, (k) => column(k, 0), (k) => column(k, 1));
+  const { x, y } = figures.handles.ranges(series.map((one) => one.y));
+  const axes = { x: { ...SECONDS, range: x }, y: { ...MICROMETRES, range: y } };
+  const spoken = `Wanted displacement of ${names.join(", ")} over time.`;
+  figures.path.set({ ...axes, series }, { keep: true, spoken });
   const [light] = lightOf(model.verdict);
   const expected = model.axes.map(({ name }) => {
     const { largest_um: um, largest_percent: share } = model.coupling.verdicts[name];
@@ -217,8 +222,21 @@ function planAxes(model) {
     light,
     first: `Expect ${expected.join(", ")}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
-    remarks: remarksOf(model.verdict),
+    remarks: model.verdict.remarks,
   };
+}
+
+const curves = (names, x, y) => names.map((name, k) => curve(name, COLOURS[k % COLOURS.length], x(k), y(k)));
+
+// Of several axes, the voltages that were written last, if there are some.
+async function drawWritten(names, written) {
+  figures.show(written ? ["path", "voltage"] : ["path"]);
+  if (!written || written.id === view.written) return;
+  view.written = written.id;
+  const columns = await Promise.all(names.map((name) => server.voltageColumns(written, name)));
+  const series = curves(names, (k) => columns[k].time, (k) => columns[k].voltage);
+  const spoken = `Voltage of ${names.join(", ")} over time.`;
+  if (view.written === written.id) figures.voltage.set({ x: SECONDS, y: VOLTS, series }, { spoken });
 }
 
 // Without a plan there is no verdict either: that of the path before is not this one's.
@@ -239,13 +257,13 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach,
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
   const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, turned });
-  return { ...said, remarks: remarksOf(known) };
+  return { ...said, remarks: known.remarks };
 }
 
 // Limits, slew rate and sample rate as they are typed.
 function choices() {
   const { low, high } = form.values;
-  return { limits: limitsFrom(low, high), slew: form.number("slew"), rate: form.number("rate") };
+  return { limits: limitsFrom(low, high), slew: form.value("slew"), rate: form.value("rate") };
 }
 
 // The path as the server takes it.
@@ -254,7 +272,7 @@ export function currentRequest() {
   if (model.coupling) {
     const paths = chosenPaths();
     const points = Object.fromEntries(namesOf(model).map((name, k) => [name, paths[k]]));
-    return { points, rate: form.number("rate") };
+    return { points, rate: form.value("rate") };
   }
   const { slew, ...others } = choices();
   const path = view.source === "scan" ? { scan: scans.scan() } : { points: chosenPaths()[0] };
@@ -270,13 +288,13 @@ export function currentPlan() {
 export const lastPlan = () => view.took;
 
 async function write() {
-  await workOn(chosenModel().id, "path", currentRequest());
+  await server.workOn(chosenModel().id, "path", currentRequest());
   announce("The voltage is being computed.");
 }
 
 // The voltages that were written, with their downloads, and the jobs that write one.
 function voltages(state) {
-  const jobs = openJobs("compensate");
+  const jobs = server.openJobs("compensate");
   if (!state.voltages.length && !jobs.length) return null;
   return h("section", { "aria-labelledby": "voltages-title", id: "voltages", key: "voltages" },
     h("h3#voltages-title", "Voltages written"),
@@ -287,12 +305,12 @@ function voltages(state) {
 
 function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
   const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
-  const maker = modelOf(model)?.name ?? "a model that was removed";
+  const maker = server.modelOf(model)?.name ?? "a model that was removed";
   return h("li", { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
     h("div.card-head", h("h3", name), fileLink(file, "Download CSV", { class: "button main" })),
     h("p", `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
     errors.some(Boolean) && h("p", `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
     clamped > 0 && h("p.error", `${whole(clamped)} voltages are clamped: the path is missed there.`),
-    remarks(words.map(inPage)),
+    remarks(words),
   );
 }

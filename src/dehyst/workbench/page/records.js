@@ -1,87 +1,47 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
-import { announce, button, problem, removeButton } from "./acts.js";
-import { example, readRecord, recordColumns, upload } from "./api.js";
 import { DECLARED } from "./declared.js";
-import { h } from "./dom.js";
-import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { facts, fold, list, remarks, tick } from "./forms.js";
-import { identifyCard } from "./identify.js";
-import { inPage } from "./labels.js";
+import { byId, h } from "./dom.js";
+import { COLOURS, Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
+import { Form, card, facts, fold, list, remarks, tick } from "./forms.js";
 import { bytes, duration, percent, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
-import { readyRecords, redraw, session } from "./state.js";
+import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
 
-// Colours of curves; their values are in style.css.
-export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
+const { announce, button, problem, readyRecords, redraw, session } = server;
+// What stands on the page already.
+const [drop, journey, file, example] = ["drop", "journey", "file", "example"].map(byId);
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
 const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
-export const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
+const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
 const placeOf = (id) => Math.max(0, session.state.records.findIndex((one) => one.id === id));
 const colourOf = (id, axis = 0) => COLOURS[(placeOf(id) + axis) % COLOURS.length];
-
-const SAMPLE = "time_s,voltage_V,displacement_um\n0.000,0.00,0.01\n0.001,0.12,0.02";
-const EXAMPLES = DECLARED.examples;
-const ORIGIN = EXAMPLES.measured
-  ? "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
-  : "a record of a virtual actuator";
-const JOURNEY = [
-  ["Record", "Play loops of several heights and write down time, voltage and displacement."],
-  ["Identify", "One click. A first model exists within seconds; it comes with the error to expect, in words."],
-  ["Trust", "See where the records turned, what the model promises along your path, and what to record next."],
-  ["Voltage", "Draw a path or choose a scan: the voltage appears as you drag. Download it as CSV."],
-  ["Use", "Play it on a rig from here, or export C, an FMU, WebAssembly or a wave table."],
-];
-export const journey = (id, steps) =>
-  h("ol.journey", { id, key: id }, steps.map(([title, text]) => h("li", h("b", title), text)));
 
 export function recordsView({ records }) {
   // What is open comes first, the newest on top.
   const open = records.filter((one) => one.status !== "ready").reverse();
   const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
-  const cards = [...open, ...readyRecords()].map((one) => card(one, one.id === first));
+  const cards = [...open, ...readyRecords()].map((one) => recordCard(one, one.id === first));
   figure.draw(readyRecords().filter((one) => !unseen.has(one.id)));
   scrollToRefused(records);
+  drop.classList.toggle("small", records.length > 0);
   return [
-    dropPlace(records.length > 0),
+    drop,
+    problem("example"),
     h("ul#uploads.uploads", uploads.map(uploadRow)),
-    records.length === 0 && journey("journey", JOURNEY),
+    records.length === 0 && journey,
     records.length > 0 &&
       h("div#records-body.split", { key: "body" },
         h("div.side",
           h("ul#record-list.cards", { "aria-label": "Records" }, cards),
-          problem("records"),
           identifyCard(),
         ),
         h("div.stage", readyRecords().length > 0 && figure.element),
       ),
   ];
-}
-
-function dropPlace(small) {
-  const choose = (event) => {
-    sendAll(event.target.files);
-    event.target.value = "";
-  };
-  return h("div", { class: small ? "drop small" : "drop", id: "drop" },
-    h("p.big", "Drop a record here"),
-    h("p",
-      "A measurement of your actuator: time, voltage and displacement. CSV and other text, Excel, LabVIEW (LVM, " +
-        "TDMS), MATLAB, HDF5, NumPy, Parquet.",
-    ),
-    h("p", "Units stand in the names of the columns:"),
-    h("pre", SAMPLE),
-    h("p.row",
-      h("input", { type: "file", id: "file", multiple: true, class: "unseen", onchange: choose }),
-      h("label", { for: "file", class: "button main" }, "Choose a file"),
-      button("Try with an example", "example", tryExample, { id: "example" }),
-    ),
-    problem("example"),
-    h("p.muted", `Files stay on this computer. The example: ${ORIGIN}.`),
-  );
 }
 
 // Files on their way to the server.
@@ -92,7 +52,15 @@ export function sendAll(files) {
   for (const file of files) send(file);
 }
 
-const tryExample = async () => sendAll(await Promise.all(EXAMPLES.names.map(example)));
+file.onchange = () => {
+  sendAll(file.files);
+  file.value = "";
+};
+byId("origin").textContent = DECLARED.examples.origin;
+example.onclick = () => {
+  const names = DECLARED.examples.names.map(server.example);
+  Promise.all(names).then(sendAll, (error) => server.complain("example", error.message));
+};
 
 async function send(file) {
   const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size, share: 0 };
@@ -102,7 +70,7 @@ async function send(file) {
     if (limit && file.size > limit) {
       throw new Error(`it has ${bytes(file.size)}, and at most ${bytes(limit)} can be read`);
     }
-    await upload(file, (share) => {
+    await server.upload(file, (share) => {
       one.share = share;
       redraw();
     });
@@ -140,12 +108,12 @@ function scrollToRefused(records) {
   }
 }
 
-function card(record, first) {
+function recordCard(record, first) {
   const { id, name, status, usable } = record;
   const swatch = h("i.swatch", { style: `background:var(--${colourOf(id)})` });
   const content = { reading: readingCard, ready: readyCard, refused: refusedCard }[status];
   return h("li", { class: `card ${usable ? status : "refused"}`, key: id, id: `record-${id}` },
-    h("div.card-head", swatch, h("h3", name), removeButton("records", record)),
+    h("div.card-head", swatch, h("h3", name), server.removeButton("records", record)),
     problem(`records ${id}`),
     content(record, first),
   );
@@ -156,13 +124,12 @@ const readingCard = ({ name }) => [h("p.muted", "Reading\u2026"), h("progress", 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
   const { error, file_columns: columns, id } = record;
-  const summary = h("summary", "Say how to read it");
+  const again = () => server.readRecord(id, { options: record.options });
   return [
-    h("p.error", { role: "alert" }, inPage(error ?? "It could not be read.")),
-    columns?.length
-      ? h("details", { open: first }, summary, readingForm(record))
-      : button("Read again", `reading ${id}`, () => readRecord(id, record.options), { class: "quiet" }),
-    !columns?.length && problem(`reading ${id}`),
+    h("p.error", { role: "alert" }, error ?? "It could not be read."),
+    ...(columns?.length
+      ? [h("details", { open: first }, h("summary", "Say how to read it"), readingForm(record))]
+      : [button("Read again", `reading ${id}`, again, { class: "quiet" }), problem(`reading ${id}`)]),
   ];
 }
 
@@ -186,7 +153,7 @@ function readyCard(record) {
       ...Object.entries(others).map(([column, ends]) => [column, range(ends, "")]),
       ...(record.axes?.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
-    remarks(problems.map(inPage)),
+    remarks(problems),
     understood && fold("How the file was understood", list(words), readingForm(record)),
     h("div.row",
       role("Train", "train"),
@@ -194,6 +161,36 @@ function readyCard(record) {
       box("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
     ),
   ];
+}
+
+// The form that starts an identification.
+const form = new Form("identify", DECLARED.forms.identify);
+
+const withRole = (role) => readyRecords().filter((one) => roleOf(one) === role);
+
+function identifyCard() {
+  const [train, validate] = [withRole("train"), withRole("validate")];
+  const names = (records) => records.map((one) => one.name).join(", ");
+  let words = readyRecords().length ? "Mark a record to train with." : "A record has to be ready first.";
+  const held = validate.length ? `; validates with ${names(validate)}` : "";
+  if (train.length) words = `Trains with ${names(train)}${held}.`;
+  const about = { class: "main wide-button", id: "identify", "aria-describedby": "identify-words" };
+  return card("Identify", { class: "identify" },
+    h("p#identify-words.muted", words),
+    button("Identify a model", "identify", start, train.length ? about : { ...about, disabled: true }),
+    problem("identify"),
+    fold("Options", Object.keys(form.fields).map((name) => form.field(name))),
+  );
+}
+
+async function start() {
+  const options = form.collected();
+  const ids = (role) => withRole(role).map((one) => one.id);
+  const { id } = await server.identify({ train: ids("train"), validate: ids("validate"), options });
+  announce("The identification has begun.");
+  server.chooseModel(id);
+  openStep("model");
+  byId("main").focus({ preventScroll: true });
 }
 
 // How each view takes its axes from the columns of a record.
@@ -222,7 +219,7 @@ class RecordFigure extends Figure {
     try {
       const ofAxis = (one) => (axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) });
       const parts = records.flatMap((one) => axesOf(one).map(ofAxis(one)));
-      const data = await Promise.all(parts.map((one) => recordColumns(one, version(one), one.axis)));
+      const data = await Promise.all(parts.map((one) => server.recordColumns(one, version(one), one.axis)));
       if (this.stamp !== stamp) return;
       const series = parts.map(({ id, name, axis, colour }, k) => {
         const [x, y] = columns.map((column) => data[k][column]);

@@ -1,61 +1,22 @@
 // The sixth step: connect, look at the plan, confirm the limits, arm, calibrate or play, watch.
-import { button, problem } from "./acts.js";
-import { rig as request } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { h, table } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list, tick } from "./forms.js";
 import { duration, length, limitsFrom, percent, range, short, whole } from "./numbers.js";
-import { journey } from "./records.js";
 import { STATUS, canMove } from "./rig_bar.js";
-import { modelOf, redraw, watch } from "./state.js";
+import { button, modelOf, problem, redraw, rig as request, watch } from "./server.js";
 import { isOpen } from "./steps.js";
 
-const LIMITS = {
-  low: { label: "Lowest", unit: "V" },
-  high: { label: "Highest", unit: "V" },
-  slew: { label: "Slew rate", unit: "V/s", above: 0 },
-};
-const begin = { low: "0", high: "100", slew: "1000" };
-const connecting = new Form("connect", {
-  address: {
-    label: "Address",
-    value: "sim://play",
-    hint: "sim://play (simulated), pi://HOST:PORT, epics://PREFIX or ni://DEVICE",
-  },
-  ...Object.fromEntries(Object.entries(LIMITS).map(([name, one]) => [name, { ...one, value: begin[name] }])),
-});
-const planning = new Form("plan", {
-  frequency: { label: "Loops a second", unit: "Hz", value: "1", above: 0 },
-  rounds: { label: "Further rounds", value: "2", least: 0 },
-  goal: { label: "Goal", unit: "%", value: "1", above: 0 },
-});
-const arming = new Form("arm", LIMITS);
-const playing = new Form(
-  "play",
-  { voltage: { label: "Voltage", choices: [] }, cycles: { label: "Repetitions", value: "20", least: 1 } },
-  redraw,
-);
+const [connecting, planning, arming] = ["connect", "plan", "arm"].map((id) => new Form(id, DECLARED.forms[id]));
+const playing = new Form("play", DECLARED.forms.play, redraw);
+const LIMITS = Object.keys(arming.fields);
 let adapts = true;
 
-const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.number("slew") });
-const calibration = () =>
-  Object.fromEntries(Object.keys(planning.fields).map((name) => [name, planning.number(name)]));
+const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.value("slew") });
 const act = (text, work, properties) => button(text, "rig", work, { class: "main", ...properties });
 
-const STEPS = [
-  [
-    "Connect",
-    "The controller is opened and asked for its range. Nothing moves. A stop appears above and stays in sight; " +
-      "Escape presses it from anywhere.",
-  ],
-  ["Look at the plan", "What a calibration would play: voltages, rates, time. Nothing is sent."],
-  [
-    "Arm",
-    "You type the limits again. From then on a watchdog in a process of its own ramps to the safe voltage if this " +
-      "page, the server or the network is lost.",
-  ],
-  ["Calibrate or play", "You watch the loop as it is measured. Each sample is written to disk as it arrives."],
-];
+const journey = document.getElementById("rig-steps");
 
 export function rigView({ rig, voltages }) {
   const here = !["none", "lost"].includes(rig.status);
@@ -73,7 +34,7 @@ export function rigView({ rig, voltages }) {
         rig.status === "armed" && voltages.length > 0 && playCard(voltages),
       ),
       h("div.stage.rig-stage", { "data-moving": String(moving) },
-        !here && journey("rig-steps", STEPS),
+        !here && journey,
         h("div#rig-result", rig.result && resultBlock(rig.result, rig.known?.cycles)),
         h("div#rig-live", { hidden: live.count === 0 }, live.view()),
         h("div#rig-run.figures", rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
@@ -87,11 +48,9 @@ export function rigView({ rig, voltages }) {
 function connectCard() {
   const { values } = connecting;
   const connect = () => request("connect", { address: values.address.trim(), ...limits(connecting) });
-  return card(
-    "1. Connect",
-    { id: "rig-connect", key: "connect" },
+  return card("1. Connect", { id: "rig-connect", key: "connect" },
     connecting.field("address"),
-    connecting.row(Object.keys(LIMITS), "fields three"),
+    connecting.row(LIMITS, "fields three"),
     h("p.muted", "Nothing moves before you arm. No voltage leaves these limits."),
     act("Connect", connect),
   );
@@ -105,9 +64,7 @@ function connectedCard(rig) {
     ["Largest slew rate", `${short(rig.slew)} V/s`],
     ["Safe voltage", `${short(rig.safe)} V`],
   ];
-  return card(
-    "Connected",
-    { id: "rig-connected", key: "connected" },
+  return card("Connected", { id: "rig-connected", key: "connected" },
     facts(about),
     h("p.row",
       canMove(rig) && act("Disarm", () => request("disarm"), { class: "" }),
@@ -121,12 +78,10 @@ function planCard(rig) {
   if (rig.status === "connected") missing = "Calibrating needs an armed rig: look at the plan, then arm.";
   else if (rig.status === "armed" && !rig.plan) missing = "Look at the plan first.";
   const ready = rig.status === "armed" && rig.plan;
-  const calibrate = act("Calibrate", () => request("calibrate", calibration()), ready ? {} : { disabled: true });
-  return card(
-    "2. Plan a calibration",
-    { id: "rig-calibration", key: "calibration" },
+  const calibrate = act("Calibrate", () => request("calibrate", planning.collected()), ready ? {} : { disabled: true });
+  return card("2. Plan a calibration", { id: "rig-calibration", key: "calibration" },
     planning.row(Object.keys(planning.fields), "fields three"),
-    h("p.row", act("Show the plan", () => request("plan", calibration()), { class: "" }), calibrate),
+    h("p.row", act("Show the plan", () => request("plan", planning.collected()), { class: "" }), calibrate),
     h("p.muted", missing),
   );
 }
@@ -136,13 +91,11 @@ function armCard({ identity, limits: ends, slew, safe }) {
   const check = `Check the actuator and the amplifier first. Safe voltage: ${short(safe)} V.`;
   const arm = async () => {
     await request("arm", { identity, ...limits(arming) });
-    for (const name of Object.keys(LIMITS)) arming.values[name] = "";
+    for (const name of LIMITS) arming.values[name] = "";
   };
-  return card(
-    "3. Arm",
-    { class: "danger", id: "rig-arm", key: "arm" },
+  return card("3. Arm", { class: "danger", id: "rig-arm", key: "arm" },
     h("p", `Rig: ${identity}. ${confirm} ${check}`),
-    arming.row(Object.keys(LIMITS), "fields three"),
+    arming.row(LIMITS, "fields three"),
     act("Arm with these limits", arm, { class: "main armed" }),
   );
 }
@@ -153,14 +106,12 @@ function playCard(voltages) {
   playing.offer("voltage", voltages.map((one) => [one.id, words(one)]));
   const { voltage } = playing.values;
   const { path, model } = voltages.find((one) => one.id === voltage);
-  const follow = () => request("run", { voltage, cycles: playing.number("cycles"), adapt: adapts });
+  const follow = () => request("run", { voltage, cycles: playing.value("cycles"), adapt: adapts });
   const onchange = (event) => {
     adapts = event.target.checked;
   };
   const leader = modelOf(model);
-  return card(
-    "4. Play a voltage, or follow its path",
-    { id: "rig-play", key: "play" },
+  return card("4. Play a voltage, or follow its path", { id: "rig-play", key: "play" },
     playing.field("voltage"),
     act("Play", () => request("play", { voltage })),
     path &&

@@ -1,11 +1,9 @@
 // The bar that stays in sight while a rig is connected: what it does, and the stop. The stop goes to the listener of
 // the process that holds the rig and to the server, both at once. Either is enough. Both answer when that process
 // confirms it.
-import { announce } from "./acts.js";
-import { stopRequests } from "./api.js";
 import { byId, fill, h } from "./dom.js";
 import { percent, short } from "./numbers.js";
-import { session, watch } from "./state.js";
+import { announce, session, stopRequests, watch } from "./server.js";
 
 export const STATUS = {
   connecting: "connecting",

@@ -1,7 +1,7 @@
 // The steps from a record to a rig, as tabs that show how far each is, and the one that is open.
 import { byId, fill, h } from "./dom.js";
 import { percent } from "./numbers.js";
-import { chosenModel, readyRecords, session, watch } from "./state.js";
+import { chosenModel, readyRecords, session, watch } from "./server.js";
 
 const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 // Title and state of each step, and what it says while there is no model that it needs; a mark colours its number.

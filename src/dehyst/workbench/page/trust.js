@@ -1,7 +1,6 @@
 // The third step: how far to trust a model. Where its records turned, with the path of the next step and what is
 // promised along it; and the assessment.
-import { announce, button, problem } from "./acts.js";
-import { workOn } from "./api.js";
+import { DECLARED } from "./declared.js";
 import { fill, h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS } from "./figure.js";
 import { Form, card, list } from "./forms.js";
@@ -9,7 +8,7 @@ import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { isPlane } from "./report.js";
-import { openJobs, readyRecords } from "./state.js";
+import { announce, button, openJobs, problem, readyRecords, workOn } from "./server.js";
 import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
@@ -65,9 +64,7 @@ function assessed({ element, figures }) {
 }
 
 const invitation = ({ id }, running) =>
-  card(
-    "What do the records leave open?",
-    { key: "invitation" },
+  card("What do the records leave open?", { key: "invitation" },
     h("p",
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
         "model the records determine. It takes seconds to minutes.",
@@ -80,7 +77,7 @@ async function start(id) {
   announce("The assessment has begun.");
 }
 
-const checking = new Form("check", { record: { label: "New record" } });
+const checking = new Form("check", DECLARED.forms.check);
 
 // Whether a model still holds, by a record that it was not identified from; and its update by that record.
 function checkCard(model) {
@@ -96,9 +93,7 @@ function checkCard(model) {
     return button(text, "check", work, { ...look, hidden: jobs.some((one) => one.status === "running") });
   };
   const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
-  return card(
-    "Is it still true?",
-    { id: "check", key: "check" },
+  return card("Is it still true?", { id: "check", key: "check" },
     records.length === 0 && h("p", measure),
     records.length > 0 && checking.field("record"),
     records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),

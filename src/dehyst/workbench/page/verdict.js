@@ -1,12 +1,11 @@
 // What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
-import { button, complain, problem } from "./acts.js";
-import { cancelJob, fileAddress, remembered, textOfFile } from "./api.js";
 import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
-import { inPage } from "./labels.js";
 import { length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
-import { chooseModel, chosenModel, readyModels, redraw } from "./state.js";
+import * as server from "./server.js";
+
+const { button, problem, readyModels, redraw } = server;
 
 const LIGHTS = {
   ready: ["green", "Ready for use"],
@@ -24,12 +23,6 @@ export function verdictCells(verdict, write = (name) => percent(verdict[name])) 
   return [light, write("largest_percent"), length(verdict.largest_um), write("rms_percent")];
 }
 
-// What the records did not show: it limits what the verdict holds for.
-export const remarksOf = (verdict) => (verdict.remarks ?? []).map(inPage);
-
-// Half the width of the trust band, in micrometres: the largest error to expect.
-export const bandOf = (model) => model?.verdict?.largest_um ?? 0;
-
 export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
@@ -39,8 +32,8 @@ export function verdictBlock({ verdict }) {
     h("strong", words),
     h("b", percent(largest), " ", told),
     h("p", `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
-    why.length > 0 && fold(things, list(why.map(inPage))),
-    list(remarksOf(verdict), "remarks"),
+    why.length > 0 && fold(things, list(why)),
+    list(verdict.remarks, "remarks"),
   );
 }
 
@@ -65,8 +58,8 @@ export function axesBlock({ axes, coupling }) {
 export function modelChoice() {
   const models = readyModels();
   if (models.length < 2) return null;
-  const onchange = (event) => chooseModel(event.target.value);
-  const about = { "aria-label": "Model", class: "model-choice", value: chosenModel().id, onchange };
+  const onchange = (event) => server.chooseModel(event.target.value);
+  const about = { "aria-label": "Model", class: "model-choice", value: server.chosenModel().id, onchange };
   const select = h("select", about, options(models.map((one) => [one.id, one.name])));
   return h("p.row.model-row", h("span", "Model "), select);
 }
@@ -74,7 +67,7 @@ export function modelChoice() {
 // The parts of a report that is a file of the folder; each `copy` has elements of its own.
 const reports = new Map();
 export const reportOf = (path, copy = "") =>
-  remembered(reports, `${path} ${copy}`, async () => reportParts(await textOfFile(path)));
+  server.remembered(reports, `${path} ${copy}`, async () => reportParts(await server.textOfFile(path)));
 
 // The same as soon as they are there; an error is shown in the place that is called like the file.
 const parts = new Map();
@@ -83,25 +76,25 @@ export function mounted(path, copy = "") {
   if (!parts.has(key)) {
     parts.set(key, null);
     const arrived = (report) => parts.set(key, report) && redraw();
-    reportOf(path, copy).then(arrived, (error) => complain(path, error.message));
+    reportOf(path, copy).then(arrived, (error) => server.complain(path, error.message));
   }
   return parts.get(key);
 }
 
 export const fileLink = (path, text, attributes = {}) =>
-  h("a", { href: fileAddress(path), download: path.split("/").at(-1), ...attributes }, text);
+  h("a", { href: server.fileAddress(path), download: path.split("/").at(-1), ...attributes }, text);
 
 // Running and failed jobs, with the way to end them.
 export const jobCards = (jobs) =>
   jobs.map(({ id, status, error, progress }) => {
     if (status === "failed") {
-      const alert = h("p.error", { role: "alert" }, inPage(error ?? "It failed."));
+      const alert = h("p.error", { role: "alert" }, error ?? "It failed.");
       return h("li.card.refused", { key: id }, alert);
     }
     return h("li.card", { key: id },
       h("p", { role: "status" }, progress || "Computing\u2026"),
       h("progress", { "aria-label": "Job" }),
-      button("Cancel", `job ${id}`, () => cancelJob(id), { class: "quiet" }),
+      button("Cancel", `job ${id}`, () => server.cancelJob(id), { class: "quiet" }),
       problem(`job ${id}`),
     );
   });

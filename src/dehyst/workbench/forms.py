@@ -1,0 +1,182 @@
+"""The forms of the page as data: labels, units, choices, hints; and sentences in the words of the page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from dehyst.waveforms.named import OPTIONS, SCANS
+
+Field = dict[str, Any]
+Form = dict[str, Field]
+
+_LIMITS: Form = {
+    "low": {"label": "Lowest", "unit": "V"},
+    "high": {"label": "Highest", "unit": "V"},
+    "slew": {"label": "Slew rate", "unit": "V/s", "above": 0},
+}
+_NORMS = {"l1": "Sum of absolute errors (robust)", "l2": "Sum of squares", "linf": "Largest error"}
+_STRUCTURES = {
+    "auto": "Automatic: select the parts by cross-validation",
+    "maxwell_slip": "Maxwell-slip: slip elements and a spring (seconds)",
+}
+# Axes of which a record's form offers as many; quantities of each; and fields of a record's form that are no columns.
+AXES, QUANTITIES = ("x", "y", "z"), ("voltage", "displacement")
+PLAIN = {
+    "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100 V/V"},
+    "displacement_scale": {"label": "Scale of the displacement", "hint": "of a sensor's voltage, e.g. 10 um/V"},
+    "sample_rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
+    "decimal": {"label": "Decimal sign", "hint": "a comma or a point, if the numbers do not show it"},
+}
+_COLUMNS = {
+    "time": ("Column of the time", ("s", "ms", "us", "ns", "min")),
+    "voltage": ("Column of the voltage", ("V", "mV", "kV")),
+    "displacement": ("Column of the displacement", ("um", "nm", "mm", "m", "pm")),
+}
+
+
+def _reading() -> Form:
+    """Return the fields of a record's form; the choices of its columns are those of the file."""
+    counts = [(str(k), f"{k}, coupled" if k > 1 else "1") for k in range(1, len(AXES) + 1)]
+    found: Form = {"axes": {"label": "Axes", "choices": counts}}
+    columns = ["time", *(f"{quantity}_{k}" for k in range(1, len(AXES) + 1) for quantity in QUANTITIES)]
+    for name in columns:
+        label, units = _COLUMNS[name.partition("_")[0]]
+        found[name] = {"label": label, "column": True}
+        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "as named"), *((one, one) for one in units)]}
+    names = {f"name_{k}": {"label": f"Name of axis {k}"} for k in range(1, len(AXES) + 1)}
+    return {**found, **names, **PLAIN}
+
+
+# A field: "above" or "least" and "optional" hold for its number, "many" for several numbers in it.
+FORMS: dict[str, Form] = {
+    "reading": _reading(),
+    "identify": {
+        "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},
+        "goal": {
+            "label": "Goal: largest error",
+            "unit": "% of the stroke",
+            "value": "1",
+            "above": 0,
+            "optional": True,
+            "hint": "With an error below it the model is ready for use.",
+        },
+        "time_limit": {
+            "label": "Time limit",
+            "unit": "s",
+            "placeholder": "none",
+            "above": 0,
+            "optional": True,
+            "hint": "Then the best model so far is completed.",
+        },
+        "sensor_lag": {
+            "label": "Lag of the sensor",
+            "unit": "s",
+            "placeholder": "unknown",
+            "least": 0,
+            "optional": True,
+            "hint": "Time constant of its filter; 0 if it has none.",
+        },
+        "norm": {"label": "Norm of the error", "choices": [*_NORMS.items()], "value": "l1"},
+        "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
+    },
+    "path": {
+        "axis": {"label": "Axis to draw"},
+        "low": {"label": "Lowest voltage", "unit": "V"},
+        "high": {"label": "Highest voltage", "unit": "V"},
+        "slew": {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0},
+        "rate": {"label": "Samples a second", "unit": "Hz", "value": "1000", "above": 0},
+    },
+    "check": {"record": {"label": "New record"}},
+    "connect": {
+        "address": {
+            "label": "Address",
+            "value": "sim://play",
+            "text": True,
+            "hint": "sim://play (simulated), pi://HOST:PORT, epics://PREFIX or ni://DEVICE",
+        },
+        **{
+            name: {**_LIMITS[name], "value": value} for name, value in (("low", "0"), ("high", "100"), ("slew", "1000"))
+        },
+    },
+    "plan": {
+        "frequency": {"label": "Loops a second", "unit": "Hz", "value": "1", "above": 0},
+        "rounds": {"label": "Further rounds", "value": "2", "least": 0},
+        "goal": {"label": "Goal", "unit": "%", "value": "1", "above": 0},
+    },
+    "arm": _LIMITS,
+    "play": {"voltage": {"label": "Voltage"}, "cycles": {"label": "Repetitions", "value": "20", "least": 1}},
+}
+# Kinds of exports: title, text and, of a file, its suffix.
+EXPORTS = {
+    "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
+    "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 3.0).", ".fmu"),
+    "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
+    "wave_table": ("Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV).", ".csv"),
+}
+# Of scans: units as they are shown, options of several numbers with their hints, and first values.
+_UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}
+_MANY = {
+    "levels": "with spaces or semicolons between them; it returns to the first",
+    "ratio": "two whole numbers, e.g. 3 2",
+}
+_FIRST = {"lines": "16", "revolutions": "5", "ratio": "3 2", "dwell": "0.2"}
+
+
+def scan_form() -> Form:
+    """Return the fields of all named scans, as the library declares their options."""
+    found: Form = {
+        "kind": {"label": "Scan", "choices": [(name, name.capitalize()) for name in SCANS], "value": "triangle"},
+        "cycles": {"label": "Cycles", "hint": "default: 1", "optional": True},
+        "axis": {"label": "Axis that the model moves", "choices": [("", "x"), ("y", "y")]},
+    }
+    for name, option in OPTIONS.items():
+        found[name] = {
+            "label": option.help,
+            "unit": _UNITS.get(option.unit, option.unit),
+            "hint": _MANY.get(name) or (f"default: {option.default}" if option.default else ""),
+            "value": _FIRST.get(name, ""),
+            "many": name in _MANY,
+            "optional": True,
+        }
+        if isinstance(option.kind, tuple):
+            # The first one is the default.
+            found[name]["choices"] = [("" if k == 0 else word, word) for k, word in enumerate(option.kind)]
+    return found
+
+
+def scan_kinds() -> dict[str, dict[str, list[str]]]:
+    """Return, for each named scan, the fields that it needs, and those that it may have."""
+    kinds = {}
+    for name, scan in SCANS.items():
+        needs = [*scan.needs, *(["ratio"] if "ratio" in scan.may else [])]
+        played = ["axis"] * ("y_low" in scan.may) + ["cycles"] * (name != "steps")
+        kinds[name] = {"needs": needs, "may": [one for one in (*played, *scan.may) if one not in needs]}
+    return kinds
+
+
+def _flags() -> Iterator[tuple[re.Pattern[str], str]]:
+    """Yield what options look like in a sentence, as --sensor-lag SECONDS or sensor_lag=SECONDS, and their labels."""
+    labels = {name: label for name, (label, _) in _COLUMNS.items()}
+    labels |= {name: field["label"] for name, field in {**PLAIN, **FORMS["identify"]}.items() if name != "name"}
+    for name, label in labels.items():
+        keyword = rf"\b{name}\b=?" if "_" in name else rf'\b{name}(?:=| (?="))'
+        option = rf"--{name.replace('_', '-')}(?![-\w])[ =]?"
+        value = r'"NAME"|NAMES?\b|HZ\b|SCALE\b|SECONDS\b'
+        yield re.compile(f"({option}|{keyword})({value})?(?=(.?))"), label
+
+
+_FLAGS = tuple(_flags())
+
+
+def in_page(sentence: str) -> str:
+    """Return a sentence of dehyst with the labels of fields in place of options."""
+    for flag, label in _FLAGS:
+
+        def named(found: re.Match[str], label: str = label) -> str:
+            apart = found[1][-1] in " =" and not found[2] and found[3] not in ("", ")", ",")
+            return f"\u201c{label}\u201d{' ' * apart}"
+
+        sentence = flag.sub(named, sentence)
+    return sentence

@@ -1,0 +1,221 @@
+// The server of this page: requests, the state as last heard, and buttons that act, with what went wrong.
+import { byId, h } from "./dom.js";
+
+async function request(path, options) {
+  const gone = () => {
+    throw new Error("The server does not answer. Is `dehyst workbench` still running in its terminal?");
+  };
+  const response = await fetch(path, { cache: "no-store", ...options }).catch(gone);
+  if (response.ok) return response;
+  const body = await response.json().catch(() => ({}));
+  throw new Error(body.error ?? `The server answered with status ${response.status} ${response.statusText}.`);
+}
+
+const getBuffer = async (path) => (await request(path)).arrayBuffer();
+const TYPE = { "Content-Type": "application/json" };
+const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(body) });
+const post = async (path, body = {}) => (await request(path, json(body))).json();
+
+// With { options } or the values of its { form }.
+export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
+export const identify = (body) => post("/api/models", body);
+// "end" of its identification, or a job on it: "insight", "check", "update", "path", "export".
+export const workOn = (id, what, body) => post(`/api/models/${id}/${what}`, body);
+export const cancelJob = (id) => post(`/api/jobs/${id}/cancel`);
+export const rig = (what, body) => post(`/api/rig/${what}`, body);
+
+export const wasmAddress = (model, period) => `/api/models/${model.id}/wasm?period=${period}`;
+export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComponent).join("/")}`;
+export const textOfFile = async (path) => (await request(fileAddress(path))).text();
+export const example = async (name) => new File([await getBuffer(`/page/${name}`)], name);
+
+// The points (s, um) of each axis of a model in a table of any kind that records may have.
+export async function readPath({ id }, file) {
+  const path = `/api/models/${id}/points?name=${encodeURIComponent(file.name)}`;
+  return (await (await request(path, { method: "PUT", body: file })).json()).points;
+}
+
+// Send a file as it is; `progress` is called with the share that was sent.
+export function upload(file, progress) {
+  return new Promise((resolve, reject) => {
+    const sending = new XMLHttpRequest();
+    sending.open("PUT", `/api/records?name=${encodeURIComponent(file.name)}`);
+    sending.responseType = "json";
+    sending.upload.onprogress = (event) => progress(event.total ? event.loaded / event.total : 0);
+    sending.onerror = () => reject(new Error("The server does not answer; the file was not sent."));
+    sending.onload = () => {
+      if (sending.status < 300) resolve(sending.response);
+      else reject(new Error(sending.response?.error ?? `The server answered with status ${sending.status}.`));
+    };
+    sending.send(file);
+  });
+}
+
+// What `create` promises, once a key; the last few are kept, and none that failed.
+export function remembered(kept, key, create, most = 12) {
+  const found = kept.get(key) ?? create();
+  kept.delete(key);
+  kept.set(key, found);
+  found.catch(() => kept.delete(key));
+  if (kept.size > most) kept.delete(kept.keys().next().value);
+  return found;
+}
+
+// Columns of equal length, little-endian 32-bit floats, by path and version.
+const columns = new Map();
+
+function getColumns(path, names, version = "") {
+  const split = (buffer) => {
+    const length = Math.floor(buffer.byteLength / (4 * names.length));
+    return Object.fromEntries(names.map((name, k) => [name, new Float32Array(buffer, 4 * k * length, length)]));
+  };
+  return remembered(columns, `${path} ${version}`, () => getBuffer(path).then(split));
+}
+
+export const recordColumns = ({ id }, version, axis) =>
+  getColumns(`/api/records/${id}/data?axis=${encodeURIComponent(axis)}`, ["time", "voltage", "displacement"], version);
+
+export const voltageColumns = ({ id }, axis) =>
+  getColumns(`/api/voltages/${id}/data?axis=${encodeURIComponent(axis)}`, ["time", "voltage", "wanted", "expected"]);
+
+export const scanColumns = (scan) =>
+  getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, ["time", "wanted"]);
+
+// Request a stop of the server and of the process that drives the rig; the answers to come, of either.
+export function stopRequests(emergency, patience) {
+  const signal = AbortSignal.timeout(patience);
+  const ways = [["the server", fetch("/api/rig/stop", { ...json({}), signal })]];
+  if (emergency) {
+    const headers = { "X-Dehyst-Stop": emergency.key };
+    const address = `http://127.0.0.1:${emergency.port}/stop`;
+    ways.unshift(["the rig's own process", fetch(address, { method: "POST", headers, keepalive: true, signal })]);
+  }
+  return ways;
+}
+
+// The state that the server holds, as this page last heard it. Views watch it.
+const NOTHING = { records: [], models: [], voltages: [], jobs: [], files: [], rig: { status: "none" }, log: [] };
+export const session = { state: NOTHING, connected: false };
+const watchers = { state: [], live: [] };
+
+// Call `watcher` with each new state, which may have to be drawn anew, or with each live message.
+export const watch = (kind, watcher) => watchers[kind].push(watcher);
+
+function tell(kind, value) {
+  for (const watcher of watchers[kind]) {
+    try {
+      watcher(value);
+    } catch (error) {
+      console.error(error);
+    }
+  }
+}
+
+// Draw anew soon: what this page alone knows has changed.
+let asked;
+export function redraw() {
+  asked ??= setTimeout(() => {
+    asked = undefined;
+    tell("state", session.state);
+  });
+}
+
+const [FIRST_WAIT, LONGEST_WAIT] = [300, 5000]; // milliseconds
+
+// News of the server; both ends of a WebSocket.
+export const events = (location) =>
+  new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
+
+export function connect(wait = FIRST_WAIT) {
+  const socket = events(location);
+  let next = Math.min(2 * wait, LONGEST_WAIT);
+  socket.onopen = () => {
+    next = FIRST_WAIT;
+    linked(true);
+  };
+  socket.onmessage = ({ data }) => receive(socket, JSON.parse(data));
+  socket.onclose = () => {
+    linked(false);
+    setTimeout(connect, wait, next);
+  };
+}
+
+function linked(connected) {
+  if (session.connected === connected) return;
+  session.connected = connected;
+  redraw();
+}
+
+// The rig's watchdog waits for an answer to each live message and ping: it comes before anything is drawn.
+function receive(socket, message) {
+  if (message.kind !== "state" && socket.readyState === WebSocket.OPEN) socket.send('{"kind":"alive"}');
+  if (message.kind === "live") tell("live", message);
+  if (message.kind === "state") {
+    session.state = { ...NOTHING, ...message.state };
+    tell("state", session.state);
+  }
+}
+
+const among = (items, id) => items.find((one) => one.id === id);
+export const recordOf = (id) => among(session.state.records, id);
+export const modelOf = (id) => among(session.state.models, id);
+export const readyModels = () => session.state.models.filter((one) => one.status === "ready");
+export const readyRecords = () => session.state.records.filter((one) => one.status === "ready");
+// The jobs of a kind that are to be shown: those that run, and the last one if it failed.
+export function openJobs(kind, subject) {
+  const all = session.state.jobs.filter((one) => one.kind === kind && (!subject || one.subject === subject));
+  return all.filter((one, k) => one.status === "running" || (one.status === "failed" && k === all.length - 1));
+}
+
+// What this page alone knows: which model the person looks at. It survives a reload, and is no secret.
+const CHOSEN = "dehyst-model";
+export const chosenModel = () =>
+  among(readyModels(), sessionStorage.getItem(CHOSEN)) ?? readyModels().at(-1) ?? null;
+
+export function chooseModel(id) {
+  sessionStorage.setItem(CHOSEN, id);
+  redraw();
+}
+
+// What went wrong, by the place where it is shown; and the buttons whose work goes on.
+const problems = new Map();
+const busy = new Set();
+
+export const problem = (place) =>
+  problems.get(place) && h("p.error", { role: "alert", key: `problem ${place}` }, problems.get(place));
+
+export function complain(place, sentence) {
+  if ((problems.get(place) ?? "") === sentence) return;
+  problems.set(place, sentence);
+  redraw();
+}
+
+// A button that works: it is disabled meanwhile, and an error is shown in full in its place.
+export function button(text, place, work, properties = {}) {
+  const key = `${place} ${text}`;
+  const onclick = async () => {
+    busy.add(key);
+    complain(place, "");
+    redraw();
+    try {
+      await work();
+    } catch (error) {
+      complain(place, error.message);
+    }
+    busy.delete(key);
+    redraw();
+  };
+  return h("button", { type: "button", disabled: busy.has(key), onclick, ...properties }, text);
+}
+
+// Takes a record or a model ("records", "models") from the list; an error stands in the place `KIND ID`.
+export const removeButton = (kind, { id, name }) =>
+  button("Remove", `${kind} ${id}`, () => request(`/api/${kind}/${id}`, { method: "DELETE" }), {
+    class: "quiet",
+    "aria-label": `Remove ${name} from the list`,
+  });
+
+// Text for the screen reader alone.
+export function announce(text) {
+  byId("announcer").textContent = text;
+}

@@ -1,0 +1,159 @@
+"""The data of the page's forms, paths that are read for it, and sentences in its words."""
+
+import pytest
+
+from dehyst import Actuator, MaxwellSlip, Spring, Stage
+from dehyst.operations.registry import find
+from dehyst.waveforms.named import SCANS
+from dehyst.workbench.data import RequestError, path_points
+from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
+from dehyst.workbench.reading import form_of, options_of
+from dehyst.workbench.session import RecordEntry
+
+ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
+
+
+def test_forms_offer_what_the_operations_declare():
+    for form, operation in (("identify", "identify"), ("plan", "calibrate"), ("play", "run")):
+        for name, field in FORMS[form].items():
+            parameter = find(operation).parameter(name)
+            if parameter is None:
+                assert (form, name) in {("identify", "name"), ("play", "voltage")}
+            elif "choices" in field:
+                offered = {value for value, _ in field["choices"]}
+                assert offered <= {*parameter.kind.choices}
+                assert field["value"] == parameter.default
+            else:
+                assert parameter.kind.type in (int, float)
+
+
+def test_a_scan_has_a_field_for_each_of_its_options():
+    fields, kinds = scan_form(), scan_kinds()
+    for name, scan in SCANS.items():
+        own = [*kinds[name]["needs"], *kinds[name]["may"]]
+        assert len(own) == len({*own})
+        assert {*scan.takes} <= {*own} <= {*fields}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "shown"),
+    [
+        ('By --time "NAME" or --sample-rate HZ.', "By <Column of the time> or <Sample rate in Hz>."),
+        ("give --voltage-scale '100 V/V'", "give <Scale of the voltage> '100 V/V'"),
+        ("--time-limit=5 or time_limit=5", "<Time limit> 5 or <Time limit> 5"),
+        ("give it as sensor_lag=SECONDS (0 if none)", "give it as <Lag of the sensor> (0 if none)"),
+        ("sensor_lag. (voltage=, time=)", "<Lag of the sensor>. (<Column of the voltage>, <Column of the time>)"),
+        ('Select one with displacement "NAME". A name', "Select one with <Column of the displacement>. A name"),
+        ("the goal, at any time; --other NAME", "the goal, at any time; --other NAME"),
+    ],
+)
+def test_options_in_sentences_are_the_fields_of_the_page(sentence, shown):
+    assert in_page(sentence) == shown.replace("<", "\u201c").replace(">", "\u201d")
+
+
+@pytest.fixture
+def points(tmp_path):
+    def read(text, model=ACTUATOR):
+        model.save(tmp_path / "model.json")
+        (tmp_path / "path.csv").write_text(text)
+        return path_points(tmp_path / "path.csv", tmp_path / "model.json")
+
+    return read
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,displacement_um\n0,1\n0.5,2\n1,1.5\n",
+        "# a comment\ntime_ms;weg_nm\n0;1000\n500;2000\n1000;1500\n",
+        '"Time [ms]";"Position (um)"\n1000,0;1,0\n1500,0;2,0\n2000,0;1,5\n',
+        "0 1\n0.5 2\n1 1.5",
+        "voltage_V,time_s,displacement_m\r\n9,0,1e-6\r\n9,0.5,2e-6\r\n9,1,1.5e-6\r\n",
+    ],
+)
+def test_a_path_is_read_from_text(points, text):
+    assert points(text) == [[pytest.approx(row) for row in [[0, 1], [0.5, 2], [1, 1.5]]]]
+
+
+def test_a_path_of_several_axes_is_read_by_their_names(points):
+    stage = Stage([ACTUATOR, ACTUATOR], axes=("x", "y"))
+    found = points("time_s,y_um,x_um\n0,1,2\n1,3,4\n", stage)
+    assert found == [[[0, 2], [1, 4]], [[0, 1], [1, 3]]]
+    with pytest.raises(RequestError, match="time_s,x_um,y_um"):
+        points("time_s,y_um\n0,1\n1,3\n", stage)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("time,displacement\n0,1\n1,3\n", "time_s,displacement_um"),
+        ("a,b\n1,2\n", "time_s,displacement_um"),
+        ("time_s,displacement_um\n0,1\n0,2\n", "do not rise"),
+        ("time_s,displacement_um\n0,1\n1,x\n", "which is no number"),
+        ("time_s,displacement_um\n0,1\n", "two rising times"),
+    ],
+)
+def test_a_text_that_is_no_path_is_refused_with_the_reason(points, text, words):
+    with pytest.raises(RequestError, match=words) as refused:
+        points(text)
+    assert "path.csv" not in str(refused.value)
+
+
+COLUMNS = [{"name": name, "unit": unit, "range": [0, 1]} for name, unit in (("t", "s"), ("U", "V"), ("s:um", "um"))]
+PAIRS = [*COLUMNS, {"name": "V2", "unit": "V", "range": []}, {"name": "y_um", "unit": "um", "range": []}]
+
+
+def record(columns=COLUMNS, **about):
+    return RecordEntry("r1", "loops", "uploads/loops.csv", file_columns=columns, **about)
+
+
+def test_a_form_that_is_sent_as_it_is_means_the_options_it_was_made_from():
+    for options in (
+        {},
+        {"voltage": "U:mV", "displacement": "s:um:nm", "decimal": ","},
+        {"time": "t", "sample_rate": 100.0},
+    ):
+        one = record(options=options)
+        assert options_of(one, form_of(one)["values"]) == options
+
+
+def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
+    one = record(status="refused", hint={"options": {"voltage": "U:V?", "displacement": "s:um:um"}})
+    form = form_of(one)
+    assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
+    assert options_of(one, form["values"]) == {"voltage": "U:V?", "displacement": "s:um:um"}
+    assert options_of(one, {**form["values"], "voltage_1_unit": "mV"})["voltage"] == "U:mV"
+    one = record(status="refused", hint={"options": {"columns": "time:s,-,displacement:um?"}})
+    form = form_of(one)
+    assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
+    assert options_of(one, form["values"]) == {"time": "t:s", "displacement": "s:um:um?"}
+
+
+def test_columns_of_coupled_axes_are_paired_by_their_units():
+    one = record(PAIRS, status="refused")
+    form = form_of(one)
+    assert form["values"]["axes"] == "2" and "pairs" in form["help"]
+    options = options_of(one, form["values"])
+    assert options == {"columns": "time,vs,s,vy,y", "axes": {"s": "vs:s", "y": "vy:y"}}
+    again = form_of(record(PAIRS, options=options))
+    assert {name: again["values"][name] for name in form["pairs"]} == form["pairs"]
+    with pytest.raises(RequestError, match="all their columns"):
+        options_of(one, {**form["values"], "voltage_2": ""})
+    with pytest.raises(RequestError, match="letters and digits"):
+        options_of(one, {**form["values"], "name_2": "1 x"})
+
+
+def test_a_form_that_contradicts_itself_is_refused():
+    alike = record([*COLUMNS[:2], {**COLUMNS[1]}])
+    assert options_of(alike, {"time": "0", "voltage_1": "1", "displacement_1": "2"}) == {
+        "columns": "time,voltage,displacement"
+    }
+    for values, words in (
+        ({"voltage_1": "1", "displacement_1": "1"}, "two fields"),
+        ({"voltage_1": "1"}, "the same name"),
+        ({"voltage_1": "9"}, "two fields"),
+        ({"sample_rate": "fast"}, "above 0"),
+    ):
+        with pytest.raises(RequestError, match=words):
+            options_of(alike, values)
