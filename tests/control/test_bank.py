@@ -159,7 +159,7 @@ def test_what_has_no_lane_is_computed_alone_and_the_reason_said(threads):
         4: "a mass",
         5: "an amplifier that lags",
     }
-    assert "4 of them" in repr(bank)
+    assert "4 of them" in repr(bank) and f"every {PERIOD:g} s" in repr(bank)
     wanted = 5e-6 + 4e-6 * np.sin(np.arange(300)[:, None] / 20 + np.arange(7))
     voltage = np.vstack([bank.compensate(wanted[:150]), [bank.step(row) for row in wanted[150:]]])
     state = bank.state

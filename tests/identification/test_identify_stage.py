@@ -96,6 +96,13 @@ def test_axes_together_only():
     assert np.abs(result.matrix - coupled_stage.COUPLING)[OFF].max() < 0.003
 
 
+def test_other_zeros_of_the_voltages_give_the_same_matrix():
+    training, _ = coupled_stage.excited()
+    found = coupling_by_plays(PlayColumns.of([training])).matrix
+    middle = replace(training, voltage=training.voltage - 0.5 * (training.voltage.min(0) + training.voltage.max(0)))
+    assert np.allclose(found, coupling_by_plays(PlayColumns.of([middle])).matrix, rtol=0, atol=1e-9)
+
+
 def test_other_order_of_the_axes_gives_the_same_matrix():
     training, _ = coupled_stage.excited()
     found = coupling_by_plays(PlayColumns.of([training])).matrix

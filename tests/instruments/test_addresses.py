@@ -1,5 +1,7 @@
 """Rigs by their addresses."""
 
+import sys
+
 import pytest
 
 from dehyst._errors import DehystError
@@ -72,6 +74,27 @@ def test_addresses_that_are_none(tmp_path):
     )
     rig = open_rig(f"{own}:make", limits=(1.0, 7.0), slew_rate=3.0)
     assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (1.0, 7.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        "from plant_of_mine import PLANT",
+        "from dataclasses import dataclass\n\n@dataclass\nclass Asked:\n    gain: float",
+    ],
+)
+def test_a_rig_of_ones_own_is_a_module_like_others(tmp_path, monkeypatch, begin):
+    """It imports from its folder as a script does, and dataclasses find their module."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    (tmp_path / "plant_of_mine.py").write_text("from dehyst.virtual import PlayActuator\nPLANT = PlayActuator()\n")
+    (tmp_path / "rig_of_mine.py").write_text(
+        f"from __future__ import annotations\n{begin}\n"
+        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
+        "def make(**asked):\n    return SimulatedRig(PlayActuator(), limits=asked['limits'])\n"
+    )
+    with open_rig(f"{tmp_path / 'rig_of_mine.py'}:make", limits=(0.0, 5.0)) as rig:
+        assert rig.limits.high == 5.0
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,8 @@ def test_it_says_that_it_was_not_tried(card):
 def test_limits_are_the_cards_widest_range_by_the_gain(card):
     assert (opened(card).limits.low, opened(card).limits.high) == (-20.0, 100.0)
     assert opened(card, gain=3.0).limits.words == "-6 to 30 V"
+    with installed(ranges=(-10.0, 10.0)) as other:
+        assert opened(other, gain=3.0).limits.words == "-30 to 30 V"
 
 
 def test_each_sample_is_of_the_end_of_its_voltage(card):

@@ -10,7 +10,8 @@ from laboratory_files import FILES, RATE, UM, N, T, V, Y, assert_measured, optio
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.records import read, read_table
 from dehyst.records.formats.timestamps import clock_of, is_moment, moment
-from dehyst.records.tables import Choice, ColumnsError, joined
+from dehyst.records.tables import GAIN, GUESS, Choice, ColumnsError, joined, notes_on
+from dehyst.records.tables import RATE as RATE_WANTED
 
 
 def tried(path, options):
@@ -91,6 +92,17 @@ def test_a_hint_names_a_plausible_unit(tmp_path, values, unit):
     assert record.stroke == pytest.approx(np.ptp(Y), rel=1e-6)
     assert record.meta["guesses"].keys() == {"displacement"}
     assert "guesses" not in read(path, displacement=f"y:{unit}").meta
+
+
+@pytest.mark.parametrize(
+    ("value", "explained"), [(RATE_WANTED, RATE_WANTED), (f"y:{GAIN}", GAIN), (f"y:um{GUESS}", ""), ("y:um", "")]
+)
+def test_each_placeholder_of_a_hint_is_explained_and_no_other(value, explained):
+    notes = notes_on({"time": "t", "displacement": value})
+    assert [mark for mark in (RATE_WANTED, GAIN) if f"Replace {mark} " in " ".join(notes)] == [explained] * bool(
+        explained
+    )
+    assert any(f"A {GUESS} " in note for note in notes) == value.endswith(GUESS)
 
 
 def test_no_hint_where_no_unit_is_plausible(tmp_path):

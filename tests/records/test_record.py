@@ -1,5 +1,6 @@
 """Record: what is refused, what is measured on it, and that its turning points are the right ones."""
 
+import html
 import pickle
 import time
 
@@ -281,7 +282,9 @@ def test_problems():
     )
     uneven = np.cumsum(1e-3 * rng.uniform(0.9, 1.1, len(record)))
     assert "Sampling is uneven" in Record(uneven, record.voltage, record.displacement).problems()[0]
-    assert lagging(n=100).problems()[0].startswith("Only 20 samples a cycle")
+    coarse = lagging(n=100)
+    assert coarse.problems()[0].startswith("Only 20 samples a cycle")
+    assert coarse.problems()[0] in html.unescape(coarse._repr_html_())
     coarse = Record(record.time, 2 * np.round(record.voltage / 2), record.displacement).problems()
     assert coarse == ("The voltage moves in steps of 2 V, 2 % of its range: quantised.",)
     coarse = with_displacement(record, 1e-7 * np.round(record.displacement / 1e-7)).problems()

@@ -88,3 +88,33 @@ def test_the_settled_path_leads_from_one_level_to_the_other():
     outside = np.ones(len(record), dtype=bool)
     outside[inside] = False
     assert np.array_equal(path[outside], record.displacement[outside])
+
+
+def test_a_step_of_several_samples_is_replaced_by_what_its_voltage_does():
+    """From one level to the other in proportion to the voltage."""
+    record = stepped(noise=1e-10)
+    voltage = record.voltage.copy()
+    voltage[6000] = -20.0
+    over = 1e-7 * voltage
+    over[6001:] -= 2e-6 * np.exp(-np.arange(5999) / 30)
+    slow = Record(record.time, voltage, over)
+    (found,) = transients(slow)
+    assert (found.start, found.jump) == (5999, 6001)
+    path = settled(slow, (found,))
+    assert path[6001] == pytest.approx(-8.7e-6, abs=0.02 * 2e-6)
+    share = (path[6000] - path[5999]) / (path[6001] - path[5999])
+    assert share == pytest.approx(20 / 87, rel=1e-6)
+
+
+@pytest.mark.parametrize("away", [-50e-6, 1e-3])
+def test_transients_do_not_depend_on_the_zero_of_the_sensor(away):
+    record = stepped()
+    over = record.displacement.copy()
+    over[6000:] -= 2e-6 * np.exp(-np.arange(6000) / 30)
+    found = transients(Record(record.time, record.voltage, over))
+    assert found
+    shifted = Record(record.time, record.voltage, over + away)
+    again = transients(shifted)
+    assert [(one.start, one.jump, one.stop) for one in again] == [(one.start, one.jump, one.stop) for one in found]
+    path = settled(Record(record.time, record.voltage, over), found)
+    assert settled(shifted, again) == pytest.approx(path + away, abs=1e-12)

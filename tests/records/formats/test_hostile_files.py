@@ -161,6 +161,10 @@ def with_declared(path, kind):
         scipy.io.savemat(path, {"note": "x", **NAMED})
         zeros = zlib.compress(bytes(600_000_000), 1)
         path.write_bytes(path.read_bytes() + b"\x0f\0\0\0" + len(zeros).to_bytes(4, "little") + zeros)
+    elif kind == "mat bomb of a big-endian machine":
+        zeros = zlib.compress(bytes(600_000_000), 1)
+        head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+        path.write_bytes(head + b"\0\0\0\x0f" + len(zeros).to_bytes(4, "big") + zeros)
     elif kind == "parquet rows":
         values = pa.array(np.zeros(70_000_000, "i1")).cast(pa.int8())
         pq.write_table(pa.table({"time_s": values}), path, row_group_size=70_000_000)
@@ -199,6 +203,7 @@ def test_a_sheet_has_no_more_rows_than_a_spreadsheet(tmp_path):
         ("hdf5 chunk", "a.h5", "a chunk of dataset 'time_s' declares 2147 MB"),
         ("mat dimensions", "a.mat", "variable 'time_s' declares 8000 MB"),
         ("mat bomb", "a.mat", "its compressed variables declares 5.* MB"),
+        ("mat bomb of a big-endian machine", "a.mat", "its compressed variables declares 5.* MB"),
         ("parquet rows", "a.parquet", "column 'time_s' declares 560 MB"),
         ("text", "a.csv", "the number of its lines declares 720.* MB"),
     ],

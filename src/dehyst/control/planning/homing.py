@@ -539,7 +539,7 @@ def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterat
         voltage, rate = homing.played.voltage, homing.played.sample_rate
         # No more often than a host can follow, but always at turns and at both ends of a hold.
         bends = np.flatnonzero(np.diff(np.sign(np.diff(voltage)))) + 1
-        kept = np.unique([0, voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
+        kept = np.unique([voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
         corners = list(zip(voltage[kept].tolist(), (np.diff(kept, prepend=0) / rate).tolist(), strict=True))
     for (start, _), (end, seconds) in pairwise(corners):
         count = max(1, math.ceil(abs(end - start) / limits.largest_step(period) * (1 - 1e-12)))
