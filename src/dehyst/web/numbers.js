@@ -12,8 +12,7 @@ export function written(value, decimals) {
   return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
 }
 
-// At most about `most` round values of a range, as [value, text]: exponents of ten of an axis with `log`, whole numbers of
-// a `counted` one.
+// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten, with `counted` whole ones.
 export function ticks([low, high], most, { log, counted } = {}) {
   const values = [];
   if (log) {
