@@ -7,7 +7,8 @@ the true ones, in % of the reach of the model.
 
     python benchmarks/adaptation.py [--only PART ...] [--cycles N] [--lives N] [--jobs J]
 
-Parts: life (the scenarios), update (`dehyst.update` from one record), lives (random limits, paths and sensors that lie:
+Parts: life (the scenarios), unseen (some of them, of other truths), update (`dehyst.update` from one record), lives
+(random limits, paths and sensors that lie:
 voltages outside limits and slew rate are counted), cost (of a step). Parts that were not run keep their figures.
 """
 
@@ -29,6 +30,7 @@ from dehyst.model.states import looped
 from dehyst.virtual import PlayActuator
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
+from strangers.newest_truths import NEWEST
 from strangers.protocols import PROTOCOLS, through
 from strangers.truths import TRUTHS, Bench
 
@@ -36,6 +38,11 @@ OUTPUT = Path(__file__).with_suffix(".json")
 GAIN, WIDTH, BEND = -0.07, 0.25, 0.04
 # Samples of a period of the truth, and of a leg over the whole reach.
 SAMPLES, LEG = 200, 100
+
+
+# Arrays of a mechanism that are as large as its loop is wide.
+WIDENED = {"StribeckSlip": ("friction",), "RandomField": ("half",), "Cascade": ("width_1", "width_2")}
+ALL = TRUTHS | NEWEST
 
 
 class Ageing:
@@ -67,8 +74,11 @@ class Ageing:
             one.up_at, one.down_at = centre + wider * half, centre - wider * half
         elif kind.__name__ == "Domains":
             one.pinning = tuple(wider * pinning for pinning in kind.pinning)
-        elif kind.__name__ == "StribeckSlip":
-            one.friction = wider * self.new["friction"]
+        elif kind.__name__ in WIDENED:
+            for name in WIDENED[kind.__name__]:
+                setattr(one, name, wider * self.new[name])
+        elif kind.__name__ == "Softening":
+            one.compliance = wider * kind.compliance
         elif kind.__name__ == "Rayleigh":
             one.strength = wider * kind.strength
             one.reversible = kind.reversible - 0.9 * (wider - 1) * kind.strength
@@ -87,7 +97,7 @@ class Ageing:
 
 def aged_bench(name: str) -> Bench:
     """Return a bench whose mechanism is `Ageing`."""
-    truth = TRUTHS[name]
+    truth = ALL[name]
     return Bench(replace(truth, mechanism=lambda: Ageing(truth.mechanism)))
 
 
@@ -105,7 +115,7 @@ def recorded(bench: Bench, parts, now: float, noise: float = 2e-4, seed: int = 1
 def training(name: str) -> list[np.ndarray]:
     """Return descending tops, and of a truth that creeps a staircase too."""
     rng = np.random.default_rng(1)
-    kinds = ("tops", "staircase") if "creep" in TRUTHS[name].parts else ("tops",)
+    kinds = ("tops", "staircase") if "creep" in ALL[name].parts else ("tops",)
     return [PROTOCOLS[kind].parts(rng, 1.0)[0].u for kind in kinds]
 
 
@@ -151,6 +161,7 @@ SCENARIOS = {
     "sensor inverted": (False, lambda y, k, n, rng: 1 - y),
     "sensor stuck": (False, lambda y, k, n, rng: 0.4),
 }
+UNSEEN = ("ages", "does not age", "ages, noise 0.5 %", "noise 0.5 %", "sensor drifts by 2 %")
 
 
 def life(name: str, scenario: str, cycles: int, *, adaptive: bool, late: int = 0) -> dict:
@@ -358,24 +369,26 @@ def updated(name: str) -> dict:
 def main() -> None:
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=("life", "update", "lives", "cost"))
+    every = ("life", "unseen", "update", "lives", "cost")
+    parser.add_argument("--only", nargs="+", choices=every)
     parser.add_argument("--scenarios", nargs="+", help="some of them; the file is not written then")
     parser.add_argument("--cycles", type=int, default=200)
     parser.add_argument("--lives", type=int, default=10_000)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    parts = options.only or ("life", "update", "lives", "cost")
+    parts = options.only or every
     data = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
     with ProcessPoolExecutor(options.jobs) as pool:
-        if "life" in parts:
-            late = [f"sensor late by {n} samples" for n in (2, 10)]
-            scenarios = options.scenarios or (*SCENARIOS, *late)
-            cases = [(name, one, options.cycles) for one in scenarios for name in TRUTHS]
-            data["life"] = []
+        late = [f"sensor late by {n} samples" for n in (2, 10)]
+        for part, truths, scenarios in (("life", TRUTHS, (*SCENARIOS, *late)), ("unseen", NEWEST, UNSEEN)):
+            if part not in parts:
+                continue
+            cases = [(name, one, options.cycles) for one in options.scenarios or scenarios for name in truths]
+            data[part] = []
             for one in pool.map(compared, cases):
-                data["life"].append(one)
+                data[part].append(one)
                 print(
-                    f"{one['truth']:9s} {one['scenario']:30s} end {one['adaptive_end'][0]:.2f} of "
+                    f"{one['truth']:12s} {one['scenario']:30s} end {one['adaptive_end'][0]:.2f} of "
                     f"{one['frozen_end'][0]:.2f} = {one['end_ratio']:.3f}, life {one['life_ratio']:.2f}, "
                     f"mean {one['mean_ratio']:.2f}, cycle "
                     f"{one['worst_cycle_ratio']:.2f} ({one['worst_cycle_ratio_raw']:.2f}), {one['exchanges']} of "

@@ -15,6 +15,7 @@ extern unsigned char __heap_base;
 static dehyst_model model;
 static dehyst_loop *loop;
 static dehyst_real *memory;
+static dehyst_follow *sensor;
 static dehyst_real *inputs, *voltages, *displacements;
 static unsigned char *offers;
 static unsigned reserved, state_begin, state_end;
@@ -62,6 +63,7 @@ static dehyst_status place_memory(void)
     state_begin = (unsigned)top;
     loop = room(sizeof *loop);
     memory = reals(dehyst_memory_size(&model));
+    sensor = room(sizeof *sensor);
     state_end = (unsigned)top;
     return memory_fits() ? DEHYST_OK : DEHYST_ERR_ROOM;
 }
@@ -94,6 +96,17 @@ EXPORT(dehyst_status, limit)(dehyst_real low, dehyst_real high, dehyst_real chan
 
 /* Begin from the model's own start. */
 EXPORT(dehyst_status, begin)(void) { return dehyst_loop_begin(&model, loop, memory); }
+
+EXPORT(dehyst_status, scale)(dehyst_real gain, dehyst_real offset) { return dehyst_loop_scale(loop, gain, offset); }
+EXPORT(dehyst_real, gain)(void) { return loop->gain; }
+EXPORT(dehyst_real, offset)(void) { return loop->offset; }
+/* Begin to learn gain and offset from a sensor, within bounds; `follow` learns from a reading. */
+EXPORT(dehyst_status, follow_begin)(dehyst_real rate, dehyst_real gain, dehyst_real offset)
+{
+    return dehyst_follow_begin(&model, loop, memory, rate, gain, offset, sensor);
+}
+EXPORT(int, follow)(dehyst_real reading) { return dehyst_loop_follow(&model, loop, memory, sensor, reading); }
+
 EXPORT(dehyst_real, displacement)(void) { return dehyst_loop_displacement(&model, loop, memory); }
 
 /* Return the voltage for u; not a number if u is refused, and then nothing is on offer. */

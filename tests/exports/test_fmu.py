@@ -1,6 +1,7 @@
 """FMUs of both versions: what Python does, to the last bit, through the functions of the standard alone."""
 
 import itertools
+import warnings
 import zlib
 
 import numpy as np
@@ -8,10 +9,12 @@ import plain_records
 import pytest
 from fmu_runner import (
     ALL,
+    GAIN,
     INPUT,
     KINDS,
     LIMITED,
     MODELS,
+    OFFSET,
     OUTPUT,
     PATH,
     PERIOD,
@@ -24,6 +27,7 @@ from fmu_runner import (
     wanted,
 )
 
+import dehyst
 from dehyst import Compensator
 from dehyst.exports import export_fmu
 from examples import spanning
@@ -47,6 +51,32 @@ def test_the_actuator_is_pythons(fmus, model, version):
         y = slave.run(volts)
     np.testing.assert_allclose(y, displacements(model, volts), rtol=0, atol=1e-12 * plain_records.STROKE)
     assert np.ptp(y) > 0.5 * plain_records.STROKE
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_gain_and_offset_are_pythons(fmus, version):
+    loop, (before, after) = ALL["plain"].clone(), np.split(PATH[:400], 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dehyst.ClampWarning)
+        expected = [loop.run(before)]
+        loop.scale(1.07, 3e-7)
+        expected.append(loop.run(after))
+    with Slave(fmus(version=version, model="plain", kind="compensator")[1]) as slave:
+        found = [slave.run(before)]
+        slave.write([GAIN, OFFSET], [1.07, 3e-7])
+        kept = slave.fmu.getFMUState()
+        for _ in range(2):
+            np.testing.assert_array_equal(np.concatenate([*found, slave.run(after)]), np.concatenate(expected))
+            with pytest.raises(FMICallException):
+                slave.write([GAIN], [-1.0])
+            assert slave.read([GAIN, OFFSET]) == [1.07, 3e-7]
+            slave.fmu.setFMUState(kept)
+            slave.time -= PERIOD * after.size
+        slave.fmu.freeFMUState(kept)
+    with Slave(fmus(version=version, model="plain", kind="actuator")[1]) as slave:
+        (y,) = slave.run([60.0])
+        slave.write([GAIN, OFFSET], [2.0, 1e-6])
+        assert slave.run([60.0]) == [pytest.approx(1e-6 + 2 * y, rel=1e-14)]
 
 
 @pytest.mark.parametrize("version", VERSIONS)

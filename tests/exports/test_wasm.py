@@ -92,6 +92,45 @@ def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
     assert counts[3] == loop.clamps.limited
 
 
+FOLLOW = """
+const wanted = read("wanted"), measured = read("measured"), voltage = new Float64Array(wanted.length);
+const compensator = new Compensator(module), learnt = new Float64Array(3);
+for (let i = 0; i < wanted.length; i++) {
+    learnt[2] += compensator.followSensor(measured[i], { rate: 0.05, offset: 1e-6 });
+    voltage[i] = compensator.step(wanted[i]);
+}
+learnt.set(Object.values(compensator.scaling));
+compensator.scale(1.1, -2e-7);
+write("voltage", [...voltage, compensator.step(wanted[0])]);
+write("learnt", learnt);
+for (const wrong of [() => compensator.scale(-1), () => compensator.followSensor(0, { rate: 2 })]) {
+    try { wrong(); } catch (error) { console.log(error.name); }
+}
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "slewing"])
+def test_a_sensor_is_followed_as_in_python(tmp_path, kind):
+    compensator = KINDS[kind]()
+    folder = exported(tmp_path / kind, compensator)
+    low, high = compensator.reach
+    wanted = low + (high - low) * (0.5 - 0.4 * np.cos(np.arange(4000) / 60))
+    # A sensor of an actuator with less gain than the model.
+    measured = low + 0.95 * (np.roll(wanted, 1) - low)
+    said = node(folder, FOLLOW, wanted=wanted, measured=measured)
+    assert said.split() == ["RangeError", "RangeError"]
+    loop, voltage, news = compensator.clone("m"), [], 0
+    for y, seen in zip(wanted.tolist(), measured.tolist(), strict=True):
+        news += loop.follow_sensor(seen, rate=0.05, offset=1e-6)
+        voltage.append(loop.step(y))
+    learnt = [*loop.scaling, float(news)]
+    loop.scale(1.1, -2e-7)
+    voltage.append(loop.step(wanted[0]))
+    assert learnt[2] > 40 and 0.8 <= learnt[0] < 0.95
+    assert np.array_equal(column(folder, "learnt"), np.array(learnt).view(np.uint64))
+    assert np.array_equal(column(folder, "voltage"), np.array(voltage).view(np.uint64))
+
+
 LEAD = """
 const compensator = new Compensator(module), [target] = read("wanted");
 const present = compensator.voltage, steps = compensator.lead(target), before = compensator.voltage;

@@ -18,7 +18,7 @@ if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shu
     pytest.skip("an FMU's binary is built by a C compiler on Linux x86-64", allow_module_level=True)
 
 PERIOD = 1 / structured_records.RATE
-INPUT, OUTPUT, LIMITED, SLEWED = 1, 2, 3, 4
+INPUT, OUTPUT, GAIN, OFFSET, LIMITED, SLEWED = 1, 2, 3, 4, 5, 6
 VERSIONS = ("2.0", "3.0")
 KINDS = ("compensator", "actuator")
 # Resonance [rad/s] that a period of 5 ms can follow.

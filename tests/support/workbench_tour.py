@@ -68,7 +68,8 @@ def played(folder, browser):
         ):
 
             def shot(name):
-                visitor.page.evaluate("() => { document.activeElement?.blur(); window.scrollTo(0, 0); }")
+                top = "window.scrollTo({ top: 0, behavior: 'instant' })"
+                visitor.page.evaluate(f"() => {{ document.activeElement?.blur(); {top}; }}")
                 # A frame later all is drawn.
                 visitor.page.wait_for_timeout(300)
                 visitor.page.screenshot(path=str(Path(folder) / f"{name}.png"))

@@ -283,8 +283,9 @@ def test_numbers_are_written_for_people(run):
         assert.deepEqual(extent([[1, 3], [NaN, 2]]), [1, 3]);
         assert.deepEqual(extent([[5, 5]]), [4, 6]);
         assert.deepEqual(ticks([0, 1], 5).map(([, text]) => text), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
-        assert.deepEqual(ticks([-3, 1], 4, true).map(([, text]) => text), ["0.001", "0.01", "0.1", "1", "10"]);
-        assert.equal(ticks([0, 1], 5, true).length, 4);
+        assert.deepEqual(ticks([-3, 1], 4, { log: true }).map(([, text]) => text), ["0.001", "0.01", "0.1", "1", "10"]);
+        assert.equal(ticks([0, 1], 5, { log: true }).length, 4);
+        assert.deepEqual(ticks([0.8, 4.2], 9, { counted: true }).map(([, text]) => text), ["1", "2", "3", "4"]);
         assert.equal(numberFrom("", "Goal", { optional: true }), null);
         assert.equal(numberFrom("0", "Rounds", { least: 0 }), 0);
         assert.throws(() => numberFrom("0", "Goal", { above: 0 }), /Goal: got 0, need a number above 0/);

@@ -31,6 +31,9 @@ _FIRST, _BETTER, _SURE, _EVIDENCE = 5, 0.95, 2.0, 0.7
 _RECENT = 0.5
 # Part of the sensor's noise below which an error is not known.
 _UNKNOWN = 0.2
+# Slopes of the drive over the path differ from the mean by this factor at most; samples that move less than this part
+# of the fastest have none.
+_UNEVEN, _MOVES = 8.0, 0.05
 # An offset that differs from the explained one by this part of the usual error is corrected.
 _OFFSET = 0.5
 # Largest change of the displacement that one exchange makes, as a part of the reach.
@@ -109,7 +112,7 @@ class _Sums(NamedTuple):
 
     centred: Array
     mean: Array
-    samples: float
+    samples: int
     noise: float
     datum: float
 
@@ -186,7 +189,9 @@ class Estimator:
         """
         path, left, noise, counted, reason = self._signal(cycle)
         yield None
-        drive, speed = self._drive(cycle) - self._slope * left, self._slope * np.gradient(path)
+        drive = self._drive(cycle)
+        local = self._local(drive, cycle.wanted)
+        drive, speed, weight = drive - local * left, local * np.gradient(path), self._slope / local
         sums = np.zeros((self.factors.size + 3,) * 2)
         for begin in range(0, path.size, _CHUNK):
             span = slice(begin, begin + _CHUNK)
@@ -195,13 +200,14 @@ class Estimator:
                 which = counted[span]
                 columns = self.weights.columns(path[span][which], carts[which], internal[which])
                 rows = np.column_stack([columns, speed[span][which], drive[span][which], np.ones(len(columns))])
+                rows *= weight[span][which, None]
                 sums += rows.T @ rows
             yield None
         if reason:
             self._note(cycle, reason)
             return
-        count, mean = sums[-1, -1], sums[-1] / sums[-1, -1]
-        centred = (sums - count * np.outer(mean, mean))[:-1, :-1] / count
+        samples, mean = int(np.count_nonzero(counted)), sums[-1] / sums[-1, -1]
+        centred = (sums - sums[-1, -1] * np.outer(mean, mean))[:-1, :-1] / samples
         late = self._lateness(centred)
         if late:
             reason = f"the sensor is late by {late:.2g} samples, or the given period is wrong"
@@ -215,7 +221,7 @@ class Estimator:
                 yield self.weights.model(self.factors, self.constant)
             return
         kept = np.delete(np.arange(len(sums)), -3)
-        found = _Sums(centred[np.ix_(kept[:-1], kept[:-1])], mean[kept][:-1], count, noise, self.datum)
+        found = _Sums(centred[np.ix_(kept[:-1], kept[:-1])], mean[kept][:-1], samples, noise, self.datum)
         yield from self._judged(cycle, found)
         if not self._odd:
             yield None
@@ -367,6 +373,13 @@ class Estimator:
             acting = acting - late[:, 0]
         drive = acting if actuator.transformer is None else actuator.transformer(acting)
         return drive - actuator.dynamics.series * self._lead(cycle) if actuator.dynamics else drive
+
+    def _local(self, drive: Array, wanted: Array) -> Array:
+        """Return the slope (n,) [V/m] of the drive over the path: what an error of the drive divides by."""
+        moved = np.gradient(wanted)
+        moves = np.abs(moved) > _MOVES * float(np.abs(moved).max())
+        local: Array = np.divide(np.gradient(drive), moved, out=np.full(drive.size, self._slope), where=moves)
+        return local.clip(self._slope / _UNEVEN, self._slope * _UNEVEN)
 
     def _lead(self, cycle: PathCycle) -> Array:
         """Return w - y (n,) [m], the lead for inertia along the wanted path."""

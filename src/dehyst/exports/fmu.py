@@ -234,6 +234,10 @@ def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable
     """Return the description of an FMU in a sentence or two, and its variables: time, the input, and outputs."""
     words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
     period, (low, high), ahead = compensator.period, compensator.limits, compensator.samples_ahead
+    scaling = (
+        Variable("gain", "input", "1", "Factor on the displacement, for another temperature or an aged actuator", 1.0),
+        Variable("offset", "input", "m", "Added to the displacement", 0.0),
+    )
     time = Variable("time", "independent", "s", "Simulation time")
     pace = f" One step every {period!r} s." if period else " It does not depend on time: any step is one sample."
     if kind == "actuator":
@@ -242,6 +246,7 @@ def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable
             time,
             Variable("voltage", "input", "V", reached, begin.voltage),
             Variable("displacement", "output", "m", "Displacement"),
+            *scaling,
         ]
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
     if compensator.slew_rate is not None:
@@ -251,6 +256,7 @@ def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable
         time,
         Variable("displacement", "input", "m", wanted, begin.displacement),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
+        *scaling,
         Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
         Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
     ]

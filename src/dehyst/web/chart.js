@@ -20,7 +20,7 @@ for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
 }
 
 // What a chart shows:
-//     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
+//     x, y    { label, unit, range, log, counted }: with `log` the numbers are exponents of ten, `counted` ones whole
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
 //     series  [{ name, colour, x, y, kind, ... }], each of a kind
 //             "line"    width, dash, opacity; `rising` if x rises; `around` is half the height of a band about it
@@ -111,14 +111,14 @@ export class Chart {
     }
     const height = Math.max(clientHeight - MARGIN.top - MARGIN.bottom, 20);
     const { y, right } = this.spec;
-    this.up = ticks(this.view.y, height / 45, y.log);
+    this.up = ticks(this.view.y, height / 45, y);
     this.upRight = right ? ticks(this.view.y.map((one) => one * right.factor), height / 45) : [];
     const pen = this.pen(this.base);
     const room = (values) => Math.max(0, ...values.map(([, text]) => pen.measureText(text).width)) + TITLE;
     const left = Math.max(MARGIN.left, room(this.up));
     const width = Math.max(clientWidth - left - (right ? room(this.upRight) : MARGIN.right), 20);
     this.area = { left, top: MARGIN.top, width, height };
-    this.across = ticks(this.view.x, width / 80, this.spec.x.log);
+    this.across = ticks(this.view.x, width / 80, this.spec.x);
   }
 
   pen(canvas) {

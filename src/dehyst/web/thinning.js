@@ -60,21 +60,29 @@ export function nearest({ x, y, rising }, { x0, kx, y0, ky }, at, reach) {
 }
 
 // Long curves are inked here: the browser's path machinery takes seconds for 1e5 vertices without a graphics card.
-const NEAR = 0.25; // pixels: shorter steps are joined
+const [NEAR, SHORT] = [0.75, 3]; // pixels: shorter steps are joined, or left out between pixels that are inked
 
 // Ink a curve, cut where it is not finite, on columns x rows pixels, `scale` of them for one of the frame: 0 to 255 for
 // each, the coverage by a line `width` wide.
 export function inked({ px, py }, columns, rows, scale, width) {
   const ink = new Uint8Array(columns * rows);
   const half = Math.max(0.5, 0.5 * scale * width);
-  let [x0, y0] = [NaN, NaN];
+  let [x0, y0, before] = [NaN, NaN, false];
   for (let i = 0; i < px.length; i += 1) {
-    const [x1, y1] = [px[i] * scale, py[i] * scale];
-    const [level, upright] = [Math.abs(x1 - x0), Math.abs(y1 - y0)];
+    const x1 = px[i] * scale;
+    const y1 = py[i] * scale;
+    const level = Math.abs(x1 - x0);
+    const upright = Math.abs(y1 - y0);
     if (level + upright < NEAR) continue;
-    if (level >= upright) inkStep(ink, x0, y0, x1, y1, columns, rows, 1, columns, half);
-    else if (upright > level) inkStep(ink, y0, x0, y1, x1, rows, columns, columns, 1, half);
-    [x0, y0] = [x1, y1];
+    const full = ink[(y1 | 0) * columns + (x1 | 0)] === 255;
+    // A short step between two pixels that are inked changes nothing.
+    if (level + upright > SHORT || !full || !before) {
+      if (level >= upright) inkStep(ink, x0, y0, x1, y1, columns, rows, 1, columns, half);
+      else if (upright > level) inkStep(ink, y0, x0, y1, x1, rows, columns, columns, 1, half);
+    }
+    x0 = x1;
+    y0 = y1;
+    before = full;
   }
   return ink;
 }
@@ -105,12 +113,10 @@ export function paintCurve(pen, curve, area, scale) {
   const cover = inked(curve, columns, rows, scale, pen.lineWidth);
   if (plane?.width !== columns || plane?.height !== rows) plane = new OffscreenCanvas(columns, rows);
   const picture = new ImageData(columns, rows);
-  for (let i = 0; i < cover.length; i += 1) picture.data[4 * i + 3] = cover[i];
-  const painter = plane.getContext("2d");
-  painter.putImageData(picture, 0, 0);
-  painter.globalCompositeOperation = "source-in";
-  painter.fillStyle = pen.strokeStyle;
-  painter.fillRect(0, 0, columns, rows);
-  painter.globalCompositeOperation = "source-over";
+  const words = new Uint32Array(picture.data.buffer);
+  const [red, green, blue] = [1, 3, 5].map((at) => Number.parseInt(pen.strokeStyle.slice(at, at + 2), 16));
+  const colour = (blue << 16) | (green << 8) | red;
+  for (let i = 0; i < words.length; i += 1) if (cover[i]) words[i] = (cover[i] << 24) | colour;
+  plane.getContext("2d").putImageData(picture, 0, 0);
   pen.drawImage(plane, 0, 0, columns / scale, rows / scale);
 }

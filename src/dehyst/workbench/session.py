@@ -511,7 +511,8 @@ class WorkbenchSession:
                 # Of another actuator, or in other units.
                 "foreign": any(one["mismatch"] for one in parts.values()),
                 "sentences": [f"{axis}: {one['sentence']}" if axis else one["sentence"] for axis, one in parts.items()],
-                "why": [words for one in parts.values() for words in (*one["change_sentences"], *one["remarks"])],
+                "why": [words for one in parts.values() for words in one["change_sentences"]],
+                "remarks": [in_page(words) for one in parts.values() for words in one["remarks"]],
             }
             if model.coupling:
                 model.check["why"] += found["changes"]

@@ -63,10 +63,19 @@ export class Compensator {
   readonly displacement: number;
   /** Numbers of samples that were cut at a limit, held back by the slew rate, or refused. */
   readonly clamps: Clamps;
+  /** Gain and offset [m] of the displacement; 1 and 0 after a reset. */
+  readonly scaling: { gain: number; offset: number };
 
   constructor(module: WebAssembly.Module, options?: Options);
   /** Begin again from the model's start; counts restart at 0. */
   reset(): void;
+  /** Set gain and offset [m] of the displacement between two steps, for another temperature or an aged actuator. */
+  scale(gain: number, offset?: number): void;
+  /**
+   * Learn gain and offset from a sensor [m] between two steps; return whether they are new. NaN: not measured. `rate`:
+   * weight of a sample, 0.01. `gain`, `offset` [m]: how far they may go from 1 and 0, by default 0.2 and 0.
+   */
+  followSensor(measured: number, options?: { rate?: number; gain?: number; offset?: number }): boolean;
   /** Return the voltage [V] to send for a displacement [m], which then counts as sent. */
   step(displacement: number): number;
   /** Return the voltage [V] for a displacement [m]; nothing moves until a voltage is committed. */

@@ -42,6 +42,7 @@ export class Compensator {
   #core;
   #views;
   #memory;
+  #followed;
 
   constructor(module, { limits, slewRate, period } = {}) {
     const numbers = section(module, "dehyst.model");
@@ -76,6 +77,22 @@ export class Compensator {
   /** Begin again from the model's start; counts restart at 0. */
   reset() {
     demand(this.#core, this.#core.begin());
+    this.#followed = undefined;
+  }
+
+  /** Set gain and offset of the displacement between two steps. */
+  scale(gain, offset = 0) {
+    if (this.#core.scale(gain, offset)) throw new RangeError(`gain: got ${gain}, offset ${offset}`);
+  }
+
+  /** Learn gain and offset from a sensor, between two steps; return whether they are new. */
+  followSensor(measured, { rate = 0.01, gain = 0.2, offset = 0 } = {}) {
+    const options = [rate, gain, offset];
+    if (String(options) !== String(this.#followed)) {
+      if (this.#core.follow_begin(...options)) throw new RangeError(`rate, gain, offset: got ${options}`);
+      this.#followed = options;
+    }
+    return Boolean(this.#core.follow(measured));
   }
 
   /** Return the voltage to send for a displacement, which then counts as sent. */
@@ -122,6 +139,11 @@ export class Compensator {
   /** Return the displacements of the actuator alone under voltages. */
   simulate(voltages) {
     return this.#path("simulate", voltages, true).displacement;
+  }
+
+  /** Gain and offset [m] of the displacement. */
+  get scaling() {
+    return { gain: this.#core.gain(), offset: this.#core.offset() };
   }
 
   /** The last voltage [V]. */

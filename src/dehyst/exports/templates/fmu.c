@@ -49,8 +49,17 @@ int fmu_enter(fmu *f, fmu_phase from, fmu_phase to, const char *function)
     return 1;
 }
 
+static int scale(fmu *f, double gain, double offset)
+{
+    if (dehyst_loop_scale(&f->now.loop, gain, offset) == DEHYST_OK) return 1;
+    return REFUSE(f, "gain and offset: got %g and %g m, need a positive and a finite number; the last ones stay", gain,
+                  offset);
+}
+
 int fmu_set(fmu *f, uint32_t reference, double value)
 {
+    if (reference == FMU_GAIN) return scale(f, value, f->now.loop.offset);
+    if (reference == FMU_OFFSET) return scale(f, f->now.loop.gain, value);
     if (reference != FMU_INPUT) return REFUSE(f, "variable %u: it is no input of real numbers", (unsigned)reference);
     if (!fmu_finite(value))
         return REFUSE(f, "%s: got %g, need a finite number of %s; the last one stays", FMU_INPUT_NAME, value,
@@ -67,6 +76,10 @@ int fmu_get(fmu *f, uint32_t reference, double *value)
         *value = f->input;
     else if (reference == FMU_OUTPUT)
         *value = f->output;
+    else if (reference == FMU_GAIN)
+        *value = f->now.loop.gain;
+    else if (reference == FMU_OFFSET)
+        *value = f->now.loop.offset;
     else
         return REFUSE(f, "variable %u: it is no real number", (unsigned)reference);
     return 1;

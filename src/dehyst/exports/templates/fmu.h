@@ -9,7 +9,7 @@
 #include <stdint.h>
 
 /* Value references. */
-enum { FMU_TIME, FMU_INPUT, FMU_OUTPUT, FMU_LIMITED, FMU_SLEWED };
+enum { FMU_TIME, FMU_INPUT, FMU_OUTPUT, FMU_GAIN, FMU_OFFSET, FMU_LIMITED, FMU_SLEWED };
 
 typedef enum fmu_phase { FMU_MADE, FMU_BEGINNING, FMU_RUNNING, FMU_ENDED } fmu_phase;
 

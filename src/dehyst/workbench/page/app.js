@@ -18,12 +18,7 @@ watch("state", ({ folder }) => {
 });
 buildRigBar();
 buildSteps({
-  records: recordsView,
-  model: modelView,
-  trust: trustView,
-  path: pathView,
-  export: exportView,
-  rig: rigView,
+  records: recordsView, model: modelView, trust: trustView, path: pathView, export: exportView, rig: rigView,
 });
 
 const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");

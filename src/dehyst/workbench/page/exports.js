@@ -43,8 +43,7 @@ async function exportAs(kind) {
     }
     Object.assign(body, request);
   }
-  await workOn(chosenModel().id, "export", body);
-  announce("The export has begun.");
+  await workOn(chosenModel().id, "export", body, "The export has begun.");
 }
 
 function modelLinks({ file, report }) {

@@ -12,7 +12,7 @@ import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
 import { fileLink, jobCards, lightOf, modelChoice, reportOf } from "./verdict.js";
 
-const { announce, button, chosenModel, complain, problem, redraw } = server;
+const { button, chosenModel, complain, problem, redraw } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
@@ -287,10 +287,9 @@ export function currentPlan() {
 // For measurements: how long the last plan and its pictures took (ms).
 export const lastPlan = () => view.took;
 
-async function write() {
-  await server.workOn(chosenModel().id, "path", currentRequest());
-  announce("The voltage is being computed.");
-}
+// An error of the request is one of the button.
+const write = async () =>
+  server.workOn(chosenModel().id, "path", currentRequest(), "The voltage is being computed.");
 
 // The voltages that were written, with their downloads, and the jobs that write one.
 function voltages(state) {

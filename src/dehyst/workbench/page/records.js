@@ -56,6 +56,8 @@ file.onchange = () => {
   sendAll(file.files);
   file.value = "";
 };
+// One may be chosen before this script is loaded.
+setTimeout(() => file.files.length > 0 && file.onchange());
 byId("origin").textContent = DECLARED.examples.origin;
 example.onclick = () => {
   const names = DECLARED.examples.names.map(server.example);

@@ -4,7 +4,7 @@ import { h, table } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list, tick } from "./forms.js";
 import { duration, length, limitsFrom, percent, range, short, whole } from "./numbers.js";
-import { STATUS, canMove } from "./rig_bar.js";
+import { canMove, statusOf } from "./rig_bar.js";
 import { button, modelOf, problem, redraw, rig as request, watch } from "./server.js";
 import { isOpen } from "./steps.js";
 
@@ -58,7 +58,7 @@ function connectCard() {
 
 function connectedCard(rig) {
   const about = [
-    ["Status", STATUS[rig.status] ?? rig.status],
+    ["Status", statusOf(rig)],
     ["Address", rig.address ?? ""],
     ["Limits", range(rig.limits, "V")],
     ["Largest slew rate", `${short(rig.slew)} V/s`],
@@ -183,7 +183,7 @@ class RunFigures {
   draw(cycles) {
     const x = cycles.map((_, k) => k + 1);
     const curve = ([name, colour, key]) => ({ name, colour, x, y: cycles.map((one) => one[key]), rising: true });
-    const axes = (label) => ({ x: { label: "Repetition" }, y: { label, unit: "%" } });
+    const axes = (label) => ({ x: { label: "Repetition", counted: true }, y: { label, unit: "%" } });
     const errors = [["largest", "simulated", "largest_percent"], ["RMS", "measured", "rms_percent"]];
     this.error.set({ ...axes("Error (% of the stroke)"), series: errors.map(curve) });
     const { offset_um: offset } = cycles.at(-1);

@@ -5,15 +5,7 @@ import { byId, fill, h } from "./dom.js";
 import { percent, short } from "./numbers.js";
 import { announce, session, stopRequests, watch } from "./server.js";
 
-export const STATUS = {
-  connecting: "connecting",
-  connected: "connected, not armed",
-  armed: "armed",
-  playing: "playing",
-  calibrating: "calibrating",
-  stopping: "stopping",
-  lost: "lost",
-};
+export const statusOf = ({ status }) => (status === "connected" ? "connected, not armed" : status);
 const MOVING = new Set(["armed", "playing", "calibrating", "stopping"]);
 export const canMove = (rig) => MOVING.has(rig.status);
 
@@ -80,7 +72,8 @@ function draw() {
   fill(bar, rig.status === "none" ? [] : contents(rig));
 }
 
-function contents({ name, axis, address, status, step, silent, progress, words = [] }) {
+function contents(rig) {
+  const { name, axis, address, step, silent, progress, words = [] } = rig;
   const title = [name, axis && `axis ${axis}`].filter(Boolean).join(", ") || address || "Rig";
   let gone = "";
   if (!session.connected) gone = " (the server does not answer; STOP still works)";
@@ -96,7 +89,7 @@ function contents({ name, axis, address, status, step, silent, progress, words =
   return [
     h("div.rig-words",
       h("b", { title: name }, title),
-      h("span.rig-status", { role: "status" }, `${STATUS[status] ?? status}${doing}${gone}`),
+      h("span.rig-status", { role: "status" }, `${statusOf(rig)}${doing}${gone}`),
       h("span.rig-values", values.join(" \u00b7 ")),
       h("progress", { max: "1", "aria-label": "Progress of the rig", ...share }),
     ),

@@ -19,8 +19,9 @@ const post = async (path, body = {}) => (await request(path, json(body))).json()
 // With { options } or the values of its { form }.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
-// "end" of its identification, or a job on it: "insight", "check", "update", "path", "export".
-export const workOn = (id, what, body) => post(`/api/models/${id}/${what}`, body);
+// "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "path", "export".
+export const workOn = (id, what, body, words = "") =>
+  post(`/api/models/${id}/${what}`, body).then(() => announce(words));
 export const cancelJob = (id) => post(`/api/jobs/${id}/cancel`);
 export const rig = (what, body) => post(`/api/rig/${what}`, body);
 

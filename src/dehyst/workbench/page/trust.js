@@ -3,12 +3,12 @@
 import { DECLARED } from "./declared.js";
 import { fill, h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS } from "./figure.js";
-import { Form, card, list } from "./forms.js";
+import { Form, card, fold, list } from "./forms.js";
 import { length } from "./numbers.js";
 import { turnsPicture, wantedCurves } from "./path_figures.js";
 import { currentPlan } from "./path_step.js";
 import { isPlane } from "./report.js";
-import { announce, button, openJobs, problem, readyRecords, workOn } from "./server.js";
+import { button, openJobs, problem, readyRecords, workOn } from "./server.js";
 import { goTo } from "./steps.js";
 import { axesBlock, jobCards, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
@@ -69,13 +69,11 @@ const invitation = ({ id }, running) =>
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
         "model the records determine. It takes seconds to minutes.",
     ),
-    button("Assess the model", "trust", () => start(id), { class: "main", hidden: running }),
+    button("Assess the model", "trust", () => workOn(id, "insight", {}, "The assessment has begun."), {
+      class: "main",
+      hidden: running,
+    }),
   );
-
-async function start(id) {
-  await workOn(id, "insight");
-  announce("The assessment has begun.");
-}
 
 const checking = new Form("check", DECLARED.forms.check);
 
@@ -85,24 +83,21 @@ function checkCard(model) {
   const records = readyRecords().filter((one) => !model.train.includes(one.id));
   checking.offer("record", records.map((one) => [one.id, one.name]));
   const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
-  const act = (text, what, record, begun, look) => {
-    const work = async () => {
-      await workOn(model.id, what, { record });
-      announce(begun);
-    };
-    return button(text, "check", work, { ...look, hidden: jobs.some((one) => one.status === "running") });
-  };
+  const running = jobs.some((one) => one.status === "running");
+  const act = (text, what, record, begun, look) =>
+    button(text, "check", () => workOn(model.id, what, { record }, begun), { ...look, hidden: running });
   const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
   return card("Is it still true?", { id: "check", key: "check" },
     records.length === 0 && h("p", measure),
     records.length > 0 && checking.field("record"),
-    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun.", {}),
+    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun."),
     h("ul.cards", jobCards(jobs)),
     problem("check"),
     check &&
       h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
         check.sentences.map((one) => h("p.first", one)),
         list(check.why),
+        check.remarks.length > 0 && fold("What limits this check", list(check.remarks)),
         !check.good &&
           !check.foreign &&
           act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),

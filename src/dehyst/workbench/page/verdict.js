@@ -8,12 +8,11 @@ import * as server from "./server.js";
 const { button, problem, readyModels, redraw } = server;
 
 const LIGHTS = {
-  ready: ["green", "Ready for use"],
-  usable: ["amber", "Usable, with care"],
-  "not usable": ["red", "Not usable"],
+  READY: ["green", "Ready for use"],
+  USABLE: ["amber", "Usable, with care"],
+  NOT_USABLE: ["red", "Not usable"],
 };
-const readiness = (verdict) => String(verdict.readiness).toLowerCase().replaceAll("_", " ");
-export const lightOf = (verdict) => LIGHTS[readiness(verdict)] ?? ["amber", String(verdict.readiness)];
+export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readiness];
 
 // The cells of a verdict in a table, and their heads; `write` writes a cell of a share in percent.
 export const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
