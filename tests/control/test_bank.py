@@ -1,6 +1,7 @@
 """A bank gives each actuator the bits of its own compensator, whatever it is computed beside, and in."""
 
 import pickle
+import re
 import warnings
 from dataclasses import replace
 
@@ -232,12 +233,14 @@ def test_it_writes_into_an_array_that_is_given():
     np.testing.assert_array_equal(out, bank.step(row))
 
 
-def test_clamping_is_said_once_of_a_kind_and_counted():
-    bank = Bank(mixed(2, 12), period=PERIOD, slew_rate=slews(mixed(2, 12), 0.1))
+@pytest.mark.parametrize(("actuators", "share"), [(mixed(2, 12), 0.1), (classes(), 0.3)])
+def test_clamping_is_said_once_of_a_kind_and_counted(actuators, share):
+    bank = Bank(actuators, period=PERIOD, slew_rate=slews(actuators, share))
     wanted = paths(bank.actuators, 60, 2, beyond=0.2)
     with pytest.warns(ClampWarning, match=r"actuator \d+") as said:
         bank.compensate(wanted)
-    assert len(said) == 2
+    counts = [int(re.search(r"(-?\d+) of", str(each.message))[1]) for each in said]
+    assert counts == [bank.clamps.limited.sum(), bank.clamps.slewed.sum()]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         bank.compensate(wanted)

@@ -166,6 +166,16 @@ def test_the_approach_is_smooth_and_keeps_the_limits_of_the_scan(seed, kind, sca
     assert rate is None or np.abs(np.diff(voltage)).max() * path.sample_rate <= rate * (1 + 1e-9)
 
 
+def test_the_approach_takes_as_long_from_above_as_from_below():
+    path, compensator = TRIANGLE.path(), Compensator(PLAIN, (-1e4, 1e4))
+    ways = [
+        approach_to(path, compensator, PLAIN.turned(path.first.displacement + far), MotionLimits())
+        for far in (-1 * UM, 1 * UM, 4 * UM)
+    ]
+    assert len(ways[0]) == len(ways[1]) < len(ways[2])
+    assert ways[0].displacement + ways[1].displacement == pytest.approx(2 * path.first.displacement, abs=1e-15)
+
+
 def test_the_axes_of_a_scan_can_be_kept_together():
     scan = SCANS["lissajous"]
     tables = [wave_table(PLAIN, scan, axis=axis, state=PLAIN.relaxed(20.0), approach=0.05, cycles=2) for axis in "xy"]

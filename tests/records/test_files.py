@@ -173,6 +173,7 @@ TEXTS = {
     "quoted": '"time (s)","voltage [V]","displacement_um"\n0,1,2.5\n0.5,3,4\n',
     "quoted cells": 'time_s,voltage_V,"displacement_um"\n"0","1","2.5"\n"0.5",3,4\n',
     "quoted delimiter": '"voltage, sent; whole_mV",time_s,voltage_V,y_um\n9,0,1,2.5\n9,0.5,3,4\n',
+    "quoted after a blank": 'time_s, "voltage, sent; whole_mV", voltage_V, y_um\n0, 9, 1, 2.5\n0.5, 9, 3, 4\n',
     "blank behind commas": "time_s, voltage_V, displacement_um\n0, 1, 2.5\n0.5, 3, 4\n",
     "trailing": "time_s,voltage_V,displacement_um,\n0,1,2.5,\n0.5,3,4,\n",
     "trailing in rows": "time_s;voltage_V;displacement_um\n0;1;2.5;\n0.5;3;4;\n",

@@ -159,6 +159,18 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
     assert samples_of(glitches(time, v, unmoved)) == set(range(650, 650 + width))
 
 
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("width", [1, 3])
+def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
+    v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
+    plant = plain_records.plant(10)
+    still = plant.simulate(v, state=plant.turned(0.0)).displacement
+    v[:width] = 60.0
+    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    assert glitches(np.arange(1200.0), v, y[np.maximum(np.arange(1200) - lag, 0)]) == ()
+    assert samples_of(glitches(np.arange(1200.0), v, still)) == set(range(width))
+
+
 @pytest.mark.parametrize(
     "samples",
     [[1100], [50], [0], [1700], [100], [200], [301, 302], [600, 700, 1400]],
