@@ -526,10 +526,11 @@ def rules() -> list[str]:
 
 
 def lives() -> list[str]:
-    """Errors of five truths over 200 cycles, with a model that adapts and with one that stays as it is."""
+    """Errors of truths over 200 cycles, with a model that adapts and with one that stays as it is."""
     found: dict[str, list[dict]] = {}
-    for row in data("adaptation")["life"]:
-        found.setdefault(row["scenario"], []).append(row)
+    for part, prefix in (("life", ""), ("unseen", "three others: ")):
+        for row in data("adaptation")[part]:
+            found.setdefault(prefix + row["scenario"], []).append(row)
 
     def errors(rows: list[dict], key: str) -> str:
         values = [row[key][0] for row in rows]
