@@ -7,7 +7,7 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import Actuator, IdentifyError, MaxwellSlip, Spring
+from dehyst import Actuator, Creep, IdentifyError, MaxwellSlip, Spring
 
 TRAINED = (1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0)
 ONE_LOOP = (0, 1, 0, 1, 0)
@@ -64,6 +64,25 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert len(known.validity.legs) > len(old.identification.validity.legs)
     assert made.actuator.provenance["updated_from"] == old.name
     assert made.actuator.limits == old.limits
+
+
+def test_one_loop_of_a_creeping_actuator_is_enough_too():
+    """What creeps from before the record could take the place of a change of gain, if it could be any size."""
+    creep = Creep([0.5, 5.0, 50.0], np.full(3, 0.03 * TRUE.spring.slopes.mean()))
+    model, stage = replace(TRUE, creep=creep), replace(aged(-0.07, 0.25), creep=creep)
+
+    def played(turns, seed, samples):
+        voltage = plain_records.VOLTS / plain_records.STROKE * plain_records.path(turns)
+        time, start = 0.02 * np.arange(voltage.size), stage.turned(0.0, rising=False)
+        y = stage.simulate(voltage, time=time, state=start, extrapolate=True).displacement
+        y = y + np.random.default_rng(seed).normal(0, 2e-9, y.size)
+        return dehyst.Record(time[-samples:], voltage[-samples:], y[-samples:])
+
+    made = dehyst.update(model, played((0, 1, 0, 1, 0, 1, 0), 1, 200))
+    test = played(TEST, 2, 1201)
+    assert made.used
+    assert np.all(error(made.actuator, test) < [0.002, 0.0005])
+    assert np.all(error(model, test) > 0.04)
 
 
 def test_a_stage_that_has_not_changed_keeps_its_model(old):

@@ -31,6 +31,9 @@ _FOLDS, _PROMISED = 8, 3
 _BETTER = 0.95
 # A part of the voltages that is not visited counts from here on; an element moves if twice its breakaway is reached.
 _NOT_VISITED = 0.02
+# Size of the strain of a branch of creep before a record, as a part of the reach, and of an error that is not noise, of
+# the stroke.
+_STRAINED, _DOUBT = 0.3, 5e-4
 # Steps of the program.
 _STEPS = 2000
 
@@ -194,7 +197,7 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     with one_thread():
         rows = _Rows(actuator, record, recheck, datum)
         strength = rows.strength()
-        if not rows.constant(rows.factors(rows.sums.sum(axis=0), strength))[1]:
+        if not rows.constant(rows.factors(rows.whole, strength))[1]:
             # The sensor kept its zero: the record lies on the model's axis as it is.
             rows = _Rows(actuator, record, recheck, 0.0)
             strength = rows.strength()
@@ -244,18 +247,28 @@ class _Rows:
         columns = self.weights.columns(regression.axis, regression.carts, internal) * weight[:, None]
         voltage = regression.rows.voltage
         target = (voltage if actuator.transformer is None else actuator.transformer(voltage)) * weight
-        free = np.hstack([regression.nuisances(), regression.start_columns]) * weight[:, None]
-        basis = np.linalg.qr(free[:, np.any(free != 0, axis=0)])[0]
+        nuisances, starts = regression.nuisances(), regression.start_columns
+        free = np.hstack([nuisances, starts]) * weight[:, None]
         whole = np.column_stack([columns, target])
-        self.rows = whole - basis @ (basis.T @ whole)
+        # A branch of creep was strained before the record by a part of the reach: the prior is one row for each.
+        stiffness = np.zeros(0) if actuator.creep is None else actuator.creep.stiffness
+        strained = _STRAINED * float(np.ptp(actuator.reach)) * np.resize(stiffness, starts.shape[1])
+        doubt = max(recheck.noise, _DOUBT * recheck.stroke) / np.maximum(strained, 1e-9 * strained.max(initial=0.0))
+        prior = np.hstack([np.zeros((doubt.size, nuisances.shape[1])), np.diag(doubt)])
+        known = np.any(free != 0, axis=0)
+        basis = np.linalg.qr(np.vstack([free, prior])[:, known])[0]
+        rows = np.vstack([whole, np.zeros((doubt.size, whole.shape[1]))])
+        rows -= basis @ (basis.T @ rows)
+        self.rows, self.before = np.split(rows, [len(whole)])
         self.slope = float(1 / np.mean(weight))
         self.folds: NDArray[np.intp] = np.arange(len(whole)) * _FOLDS // len(whole)
         self.sums = np.array([own.T @ own for own in (self.rows[self.folds == k] for k in range(_FOLDS))])
+        self.whole = self.sums.sum(axis=0) + self.before.T @ self.before
         self.mean = np.average(whole / weight[:, None], axis=0, weights=weight)
 
     def update(self, strength: float) -> Update:
         """Update with a strength of the prior, and judge."""
-        factors = self.factors(self.sums.sum(axis=0), strength)
+        factors = self.factors(self.whole, strength)
         constant, datum = self.constant(factors)
         made = self.weights.model(factors, constant)
         before = self._errors(self.recheck.trace)
@@ -298,7 +311,7 @@ class _Rows:
         if not strength < np.inf:
             return weights.initial
         gram, image = sums[:-1, :-1], sums[:-1, -1]
-        prior = weights.prior(np.diag(self.sums.sum(axis=0))[:-1], _SMALL * strength, strength)
+        prior = weights.prior(np.diag(self.whole)[:-1], _SMALL * strength, strength)
         program = StepwiseProgram(weights.least, *weights.limits, weights.initial)
         program.begin(gram + prior, image + prior @ weights.initial)
         for _ in range(_STEPS):
@@ -308,7 +321,7 @@ class _Rows:
 
     def strength(self) -> float:
         """Return the prior strength with the least cross-validation error; infinite if no update helps."""
-        whole, errors = self.sums.sum(axis=0), []
+        whole, errors = self.whole, []
         for strength in (*_STRENGTHS, np.inf):
             left = 0.0
             for fold in self.sums:
@@ -351,7 +364,7 @@ class _Rows:
         parts = []
         for k in range(_PROMISED):
             own = rows == k
-            others = self.rows[~own]
+            others = np.vstack([self.rows[~own], self.before])
             factors = self.factors(others.T @ others, strength)
             trace = self._trace(self.weights.model(factors, self.constant(factors)[0]))
             error = trace.residual - trace.residual.mean()
@@ -373,7 +386,7 @@ class _Rows:
             coarse = common @ np.append(np.linalg.lstsq(small[:2, :2], small[:2, 2], rcond=None)[0], -1.0)
             return float(np.sqrt(max(coarse @ sums @ coarse - fine @ sums @ fine, 0.0) / count))
 
-        whole, count = self.sums.sum(axis=0), len(self.rows)
+        whole, count = self.whole, len(self.rows)
         without = np.array([size(whole - one, count - int(np.sum(self.folds == k))) for k, one in enumerate(self.sums)])
         spread = float(np.sqrt((_FOLDS - 1) * np.mean((without - without.mean()) ** 2)))
         return size(whole, count), spread

@@ -32,12 +32,10 @@ for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
 export class Chart {
   // `readout` is called with a sentence about the sample under the pointer, or ""; `moved` when the view does.
   constructor(holder, { label, readout = () => {}, moved = () => {} }) {
-    this.holder = holder;
+    Object.assign(this, { holder, readout, moved });
     this.base = make(h("canvas", { "aria-hidden": "true" }));
     this.top = make(h("canvas", { tabindex: "0", role: "img", "aria-label": label }));
     holder.append(this.base, this.top);
-    this.readout = readout;
-    this.moved = moved;
     this.drawn = () => {}; // called after each drawing
     this.double = () => false; // asked first at a double click
     this.spec = { x: {}, y: {}, series: [] };

@@ -29,13 +29,6 @@ export class Figure {
     this.write();
   }
 
-  pick(name) {
-    if (this.view === name) return;
-    this.view = name;
-    this.choose(name);
-    this.write();
-  }
-
   // Show curves; those that the person took out of the legend stay out. `spoken` is a sentence for those who do not see
   // the picture.
   set(spec, { spoken, ...options } = {}) {
@@ -54,7 +47,11 @@ export class Figure {
     };
     const view = ([name, text]) => {
       const pressed = String(name === this.view);
-      const onclick = () => this.pick(name);
+      const onclick = () => {
+        this.view = name;
+        this.choose(name);
+        this.write();
+      };
       return h("button", { type: "button", class: "view", "aria-pressed": pressed, onclick }, text);
     };
     const views = this.views.map(view);

@@ -61,7 +61,7 @@ export function bindGestures(chart) {
     chart.show(view);
   };
   // Over a chart that nobody clicked at, the wheel moves the page.
-  const turn = (event) => {
+  const turned = (event) => {
     if (!chart.area || document.activeElement !== top) return;
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 20 : 1;
@@ -73,7 +73,7 @@ export function bindGestures(chart) {
       y: event.shiftKey ? view.y : scaled(view.y, factor, chart.vy(at.y)),
     });
   };
-  top.addEventListener("wheel", turn, { passive: false });
+  top.addEventListener("wheel", turned, { passive: false });
 }
 
 // The box that a drag marks: all heights if it is nearly level, all of the abscissa if it is nearly upright.

@@ -12,7 +12,7 @@ export function written(value, decimals) {
   return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
 }
 
-// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten, with `counted` whole ones.
+// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten, if `counted` whole ones.
 export function ticks([low, high], most, { log, counted } = {}) {
   const values = [];
   if (log) {

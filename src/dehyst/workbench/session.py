@@ -441,7 +441,9 @@ class WorkbenchSession:
 
     def add_adapted(self, file: str, before: str, cycles: Sequence[Mapping[str, Any]]) -> ModelEntry:
         """List the model that the one in the file `before` became in repetitions of a path on a rig."""
-        model = next(one for one in self.models.values() if one.file == before)
+        model = next((one for one in self.models.values() if one.file == before), None)
+        if model is None:
+            raise SessionError(f"{before}: its model is no longer listed")
         *_, last = cycles
         errors = last["largest_percent"], last["rms_percent"]
         verdict = _measured(model, errors, last["stroke_m"], "the last repetition of a path on the rig", [])

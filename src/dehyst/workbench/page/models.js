@@ -9,10 +9,6 @@ const { announce, button, problem, readyModels, redraw, session } = server;
 const began = new Map(); // when the server said how long an identification has run
 let known = null; // models that were ready when the page last looked
 
-const MEANWHILE =
-  "A first model exists within seconds; the search for a better structure takes minutes with long records. You can " +
-  "go on with other steps meanwhile.";
-
 // The time that has passed is written between two states of the server, too.
 setInterval(() => {
   if (isOpen("model") && session.state.models.some((one) => one.status === "identifying")) redraw();
@@ -76,17 +72,18 @@ function runningCard(model) {
   const { seconds, at } = began.get(id);
   const elapsed = duration(Math.round(seconds + (performance.now() - at) / 1000));
   const end = () => server.workOn(id, "end");
-  const cancel = () => {
-    const [job] = server.openJobs("identify", id);
-    return job ? server.cancelJob(job.id) : end();
-  };
+  const [job] = server.openJobs("identify", id);
+  const cancel = () => (job ? server.cancelJob(job.id) : end());
   return h("li.card.running", { key: id },
     title,
     h("p.muted", `Identifying from ${train.map((one) => server.recordOf(one)?.name ?? one).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${elapsed} elapsed${provisional ? "; a first model exists" : ""}`),
-    h("p.muted", MEANWHILE),
+    h("p.muted",
+      "A first model exists within seconds; the search for a better structure takes minutes with long records. You " +
+        "can go on with other steps meanwhile.",
+    ),
     h("div.row",
       button("Finish with the best so far", place, end, { class: "quiet" }),
       button("Cancel", place, cancel, { class: "quiet" }),

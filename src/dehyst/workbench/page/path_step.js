@@ -154,10 +154,6 @@ function replan() {
   redraw();
 }
 
-async function wantedPath(rate) {
-  return view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
-}
-
 // The points of each axis: of a file, or drawn for one while the others rest in the middle of their reach.
 function chosenPaths() {
   if (view.source === "file") {
@@ -184,7 +180,9 @@ async function planNow(model) {
     const { limits, slew, rate } = choices();
     const period = 1 / rate;
     const compiled = server.remembered(modules, `${model.id} ${period}`, () => load(server.wasmAddress(model, period)));
-    const [module, path, report] = await Promise.all([compiled, wantedPath(rate), reportOf(model.report)]);
+    const wanted =
+      view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
+    const [module, path, report] = await Promise.all([compiled, wanted, reportOf(model.report)]);
     if (asked !== view.asked) return;
     const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);

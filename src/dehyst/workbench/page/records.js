@@ -17,8 +17,8 @@ const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
 const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
-const placeOf = (id) => Math.max(0, session.state.records.findIndex((one) => one.id === id));
-const colourOf = (id, axis = 0) => COLOURS[(placeOf(id) + axis) % COLOURS.length];
+const colourOf = (id, axis = 0) =>
+  COLOURS[(Math.max(0, session.state.records.findIndex((one) => one.id === id)) + axis) % COLOURS.length];
 
 export function recordsView({ records }) {
   // What is open comes first, the newest on top.
@@ -153,7 +153,7 @@ function readyCard(record) {
       ["Voltage", range(voltage, "V")],
       ["Displacement", range(displacement, "\u00b5m")],
       ...Object.entries(others).map(([column, ends]) => [column, range(ends, "")]),
-      ...(record.axes?.length ? [["Coupled axes", record.axes.join(", ")]] : []),
+      ...(record.axes.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
     remarks(problems),
     understood && fold("How the file was understood", list(words), readingForm(record)),
@@ -202,8 +202,6 @@ const VIEWS = {
   voltage: { x: SECONDS, y: VOLTS, columns: ["time", "voltage"] },
 };
 
-const axesOf = ({ axes }) => (axes?.length ? axes : [""]);
-
 class RecordFigure extends Figure {
   constructor() {
     const views = [["loops", "Loops"], ["time", "Displacement over time"], ["voltage", "Voltage over time"]];
@@ -220,7 +218,7 @@ class RecordFigure extends Figure {
     const { x, y, columns } = VIEWS[this.view];
     try {
       const ofAxis = (one) => (axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) });
-      const parts = records.flatMap((one) => axesOf(one).map(ofAxis(one)));
+      const parts = records.flatMap((one) => (one.axes.length ? one.axes : [""]).map(ofAxis(one)));
       const data = await Promise.all(parts.map((one) => server.recordColumns(one, version(one), one.axis)));
       if (this.stamp !== stamp) return;
       const series = parts.map(({ id, name, axis, colour }, k) => {

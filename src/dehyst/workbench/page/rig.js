@@ -219,15 +219,12 @@ class LiveFigures {
   add(message) {
     const { t = [] } = message;
     if (this.count > 0 && t.length && t[0] < this.kept.t[this.count - 1]) this.count = 0;
-    if (this.count + t.length > ROOM) this.halve();
+    if (this.count + t.length > ROOM) {
+      for (const values of Object.values(this.kept)) values.copyWithin(0, this.count - ROOM / 2, this.count);
+      this.count = ROOM / 2;
+    }
     for (const name of NAMES) this.kept[name].set(t.map((_, i) => message[name]?.[i] ?? NaN), this.count);
     this.count += t.length;
-  }
-
-  halve() {
-    const half = ROOM / 2;
-    for (const values of Object.values(this.kept)) values.copyWithin(0, this.count - half, this.count);
-    this.count = half;
   }
 
   draw() {

@@ -80,7 +80,6 @@ function contents(rig) {
   else if (Number.isFinite(silent)) {
     gone = ` (the rig's process does not answer since ${silent} s: switch the amplifier off by hand)`;
   }
-  const doing = step ? `: ${step}` : "";
   const units = ["V", "\u00b5m"];
   const values = last.values.map((one, k) => Number.isFinite(one) && `${short(one, 4)} ${units[k]}`).filter(Boolean);
   const answer = (!last.moved && words.slice(-2).join(" ")) || last.answer;
@@ -89,7 +88,7 @@ function contents(rig) {
   return [
     h("div.rig-words",
       h("b", { title: name }, title),
-      h("span.rig-status", { role: "status" }, `${statusOf(rig)}${doing}${gone}`),
+      h("span.rig-status", { role: "status" }, `${[statusOf(rig), step].filter(Boolean).join(": ")}${gone}`),
       h("span.rig-values", values.join(" \u00b7 ")),
       h("progress", { max: "1", "aria-label": "Progress of the rig", ...share }),
     ),

@@ -3,14 +3,18 @@ import { byId, fill, h } from "./dom.js";
 import { percent } from "./numbers.js";
 import { chosenModel, readyRecords, session, watch } from "./server.js";
 
-const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
+const counted = ({ length }, noun) => `${length} ${noun}${length === 1 ? "" : "s"}`;
+// The state of a step: done with these words, or not begun.
+const reached = (words, before) => (words ? { text: words, mark: "done" } : { text: before });
+const trustState = () => reached(chosenModel().insight?.report && "assessed", "not assessed yet");
+const pathState = ({ voltages }) => reached(voltages.length > 0 && counted(voltages, "voltage"), "no voltage yet");
 // Title and state of each step, and what it says while there is no model that it needs; a mark colours its number.
 const STEPS = {
   records: ["Records", recordsState],
   model: ["Model", modelState],
   trust: ["Trust", trustState, "There is no model to assess yet."],
   path: ["Path and voltage", pathState, "A path needs a model that is ready."],
-  export: ["Export", ({ files }) => ({ text: counted(files.length, "file") }), "An export needs a model."],
+  export: ["Export", ({ files }) => ({ text: counted(files, "file") }), "An export needs a model."],
   rig: ["Rig", rigState],
 };
 const IDS = Object.keys(STEPS);
@@ -80,23 +84,13 @@ function recordsState({ records }) {
   if (records.some((one) => one.status === "reading")) return { text: "reading\u2026", mark: "busy" };
   const refused = records.filter((one) => one.status === "refused").length;
   if (refused) return { text: refused === 1 ? "1 needs help" : `${refused} need help`, mark: "bad" };
-  const count = readyRecords().length;
-  return count ? { text: `${count} ready`, mark: "done" } : { text: "none yet" };
+  return reached(readyRecords().length > 0 && `${readyRecords().length} ready`, "none yet");
 }
 
 function modelState({ models }) {
   if (models.some((one) => one.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
   const model = chosenModel();
-  if (!model) return { text: "none yet" };
-  return { text: `${percent(model.verdict.largest_percent)} largest error`, mark: "done" };
-}
-
-function trustState() {
-  return chosenModel().insight?.report ? { text: "assessed", mark: "done" } : { text: "not assessed yet" };
-}
-
-function pathState({ voltages }) {
-  return voltages.length ? { text: counted(voltages.length, "voltage"), mark: "done" } : { text: "no voltage yet" };
+  return reached(model && `${percent(model.verdict.largest_percent)} largest error`, "none yet");
 }
 
 function rigState({ rig: { status } }) {

@@ -28,11 +28,11 @@ def path(request: Request, name: str) -> Path:
     return Path(value)
 
 
-def number(request: Request, name: str, default: float | None = None) -> float | None:
-    """Return the field `name` of a `request`, or `default` if it is null; raise `RigError` if it is no number."""
+def number(request: Request, name: str) -> float | None:
+    """Return the field `name` of a `request`, which may be null; raise `RigError` if it is no number."""
     value = request.get(name)
     if value is None:
-        return default
+        return None
     with suppress(OverflowError):  # a whole number beyond all floats
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)

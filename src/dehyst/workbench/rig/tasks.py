@@ -156,6 +156,7 @@ class RigRun(Run):
 
     def __init__(self, rig: AbstractRig, working: AbstractContextManager[LiveFeed], show: Callable[..., None]) -> None:
         self._working, self._show = working, show
+        self.notes: list[str] = []
         super().__init__()
         self.held = nullcontext(rig)
 
@@ -170,8 +171,8 @@ class RigRun(Run):
         self._show(known=values)
 
     def note(self, sentence: object) -> None:
-        """Show a warning."""
-        self._show(words=[str(sentence)])
+        """Keep a warning for the result."""
+        self.notes.append(str(sentence))
 
     def watch(self, steps: Sequence[str]) -> AbstractContextManager[LiveFeed]:
         """Return the context in which voltages are sent."""
@@ -187,15 +188,11 @@ def performed(run: RigRun, request: Request, **more: Any) -> dict[str, Any]:
     result = perform(operation, operation.of_json({**given, **more}), run)
     # A fit is long, and in a file; repetitions are known already.
     fields = {name: value for name, value in result.fields.items() if name not in ("fit", "cycles")}
-    outcome = {"good": result.good, "warnings": [*result.warnings], "command": run.command}
+    outcome = {"good": result.good, "warnings": [*run.notes, *result.warnings], "command": run.command}
     return {"kind": operation.name, **fields, **outcome}
 
 
-# Sends voltages; returns the result for the state.
-Task = Callable[[], dict[str, Any]]
-
-
-def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) -> Task:
+def playing(rig: AbstractRig, request: Request, feed: LiveFeed, *, first: bool) -> Callable[[], dict[str, Any]]:
     """Return a function that plays the file of a `request` on `rig` and writes its record.
 
     If it is the `first` one since the connection, the voltage is brought to the safe value before, because the wave of
