@@ -606,7 +606,8 @@ def followed(sensor, *, gain=0.93, cycles=30, **options):
 
 
 def test_gain_and_offset_follow_a_sensor():
-    assert Compensator(PLANT, (0, 200)).scaling == (1.0, 0.0)
+    unused = Compensator(PLANT, (0, 200))
+    assert unused.scaling == (1.0, 0.0) and unused.samples_ahead == 0
     errors, loop = followed(lambda y, k, n: y)
     assert errors[-1] < 0.05 * errors[0]
     assert loop.scaling == (pytest.approx(0.93, abs=2e-3), 0)

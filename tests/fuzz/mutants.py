@@ -5,9 +5,10 @@
 A mutant differs from the package in one place: a comparison, an arithmetic operator, a constant, a statement that is
 removed, two arguments that are swapped. The work is done in a copy of the repository, in the folder given. At first
 the tests of `TESTS` run there once, and each block of statements of the rooms notes the tests that enter it, in child
-processes too (`entered.jsonl`, made when it is missing). Then the tests that enter the block of a mutant run, the
-fastest first, until one fails or the time limit is reached. Of the C core nothing is noted: the fastest of `CORE_TESTS`
-run. Each mutant has a process of its own, a fork of this one, which has loaded NumPy and pytest.
+processes too (`entered.jsonl`, made when it is missing). Then tests that enter the block of a mutant run, those near
+its file and the fast ones first, until one fails or the time limit is reached. Of the C core nothing is noted: tests of
+`CORE_TESTS` run. Each mutant has a process of its own, a fork of this one, which has loaded NumPy and pytest; its last
+words are in `repository.log`. With `--unchanged` nothing is changed, and nothing may be caught.
 
 `mutants.jsonl` has a line for each mutant; its outcome is "caught", "survived", or "not tried" where no test enters the
 block. A mutant may change nothing that matters: those that survive are to be read.
@@ -56,8 +57,12 @@ LOADED = (
 )
 # The module of the copy by which its blocks note themselves, once a process and test.
 NOTES = """
-import os
-seen, file, write = set(), os.open({!r}, os.O_WRONLY | os.O_APPEND), os.write
+import fcntl, os
+# Far from the numbers of the standard streams, which a test may have closed.
+opened = os.open({!r}, os.O_WRONLY | os.O_APPEND)
+file = fcntl.fcntl(opened, fcntl.F_DUPFD_CLOEXEC, 500)
+os.close(opened)
+seen, write = set(), os.write
 
 def note(block):
     if block not in seen:

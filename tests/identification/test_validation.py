@@ -98,6 +98,24 @@ def test_an_actuator_with_inertia_meets_its_own_record(delay):
     assert missed(replace(actuator, dynamics=None), record) > 100 * got
 
 
+@pytest.mark.parametrize("delay", [0, 40])
+def test_an_oversampled_record_is_compared_by_means_of_its_samples(delay):
+    """As without the means, but for the corner of each reversal; and the noise is less."""
+    actuator = replace(plain_records.plant(20, seed=2), delay=1e-4 * delay)
+    v = plain_records.VOLTS * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(40_000) / 10_000))
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    y = actuator.simulate(late).displacement
+    noise = 1e-3 * plain_records.STROKE
+    noisy = Record(1e-4 * np.arange(v.size), v, y + noise * np.random.default_rng(1).normal(size=y.size))
+    whole, means = prepare(noisy), prepare(noisy).with_block(25)
+    assert means.block == 25 and len(means.reduced.record) == v.size // 25
+    assert means.reduced.noise == pytest.approx(noise / 5, rel=0.2)
+    assert whole.reduced is whole
+    (one, _), (other, _) = (compared(actuator, each) for each in (whole, means))
+    assert other.offset == pytest.approx(one.offset, abs=1e-3 * plain_records.VOLTS)
+    assert other.rms_percent < one.rms_percent * 1.01
+
+
 @pytest.mark.parametrize("norm", ["l1", "l2"])
 @pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "graded, transformer", "all"])
 def test_a_given_structure_that_an_actuator_has_is_identified(name, norm):

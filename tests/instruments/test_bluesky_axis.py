@@ -342,7 +342,7 @@ def test_a_step_that_may_have_been_done_is_not_repeated(homed, engine, ioc, monk
 def test_the_iocs_slew_rate_is_kept(actuator, engine, tmp_path):
     actuator.save(tmp_path / "model.json")
     with IocProcess(model=str(tmp_path / "model.json"), slew_rate=400.0) as slow:
-        axis = made(slow, actuator, slew_rate=None)
+        axis = made(slow, actuator, slew_rate=4000.0)
         began = time.monotonic()
         engine(homing(axis))
         assert time.monotonic() - began > 2 * VOLTS / 400.0

@@ -159,6 +159,13 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
     assert samples_of(glitches(time, v, unmoved)) == set(range(650, 650 + width))
 
 
+@pytest.mark.parametrize(("sample", "beside"), [(0, [1]), (1, [0, 2]), (1700, [1699])])
+def test_a_glitch_is_reported_with_the_voltages_beside_it(sample, beside):
+    (found,) = glitches(CLEAN.time, with_voltage(CLEAN, [sample], -500.0).voltage, CLEAN.displacement)
+    assert (found.voltage, found.time) == (-500.0, CLEAN.time[sample])
+    assert found.neighbours == tuple(CLEAN.voltage[beside])
+
+
 @pytest.mark.parametrize("lag", [0, 1])
 @pytest.mark.parametrize("width", [1, 3])
 def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
 from dehyst.records import Record
-from dehyst.records.signals import white_noise
+from dehyst.records.signals import resolution, white_noise
 
 DATA = places.DATA
 rng = np.random.default_rng(885)
@@ -270,6 +270,15 @@ def test_delayed_does_not_overshoot():
 
 def test_no_problems_in_good_data():
     assert lagging().problems() == ()
+
+
+@pytest.mark.parametrize("digit", [2e-8, 1e-7])
+def test_the_resolution_of_a_signal_is_its_last_digit(digit):
+    smooth = 1e-5 * np.sin(np.linspace(0, 12, 20_000))
+    step, share = resolution(digit * np.round(smooth / digit))
+    assert step == pytest.approx(digit, rel=1e-6)
+    assert share == pytest.approx(digit / 2e-5, rel=1e-2)
+    assert resolution(smooth) == (0.0, 0.0)
 
 
 def test_problems():

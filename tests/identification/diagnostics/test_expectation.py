@@ -110,6 +110,8 @@ def test_held_out_legs_are_new_by_their_turning_points():
     assert new_legs(legs(0, 50, 0), legs(0, 100, 0)) == pytest.approx((0.0, 0.5))
     # From wherever voltages are counted.
     assert new_legs(legs(0, 50, 0) + 70, legs(0, 100, 0) + 70) == pytest.approx((0.0, 0.5))
+    # Up to their ends all count: the fall from 100 V is a known one, the rise from 50 V begins 50 V above the only one.
+    assert new_legs(legs(50, 100, 0), legs(0, 100, 0)) == pytest.approx((0.5, 0.0))
     # Beyond the others nothing is known.
     assert new_legs(legs(0, 150, 0), legs(0, 100, 0)) == (0.0, 0.0)
 

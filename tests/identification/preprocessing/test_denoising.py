@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification.preprocessing.denoising import monotone, remove_jitter
+from dehyst.identification.preprocessing.denoising import disturbs, monotone, remove_jitter
 from dehyst.records.signals import turning_points
 from dehyst.virtual import PlayActuator
 
@@ -88,6 +88,21 @@ def test_jitter_falls_without_a_bias(samples, kept):
     # Kinks, where a leg turns or an inner loop closes, are rounded off; all else is chance.
     assert np.abs(bias).max() < 0.5
     assert bias.std() < 1.25 * chance
+
+
+@pytest.mark.parametrize(("samples", "width"), [(100, 7), (200, 13)])
+def test_of_loud_noise_a_turn_is_the_mean_of_what_both_legs_show(samples, width):
+    """The end of a parabola through w samples has 3 (3 w^2 - 3 w + 2) / (w (w + 1) (w + 2)) of their variance."""
+    record, true = made(0, samples=samples)
+    noise = 0.05 * plain_records.STROKE
+    assert disturbs(noise, plain_records.STROKE)
+    turns = turning_points(record.voltage, 0.01 * plain_records.VOLTS)
+    errors = []
+    for seed in range(20):
+        noisy = replace(record, displacement=true + noise * np.random.default_rng(seed).normal(size=true.size))
+        errors.append((remove_jitter(noisy, noise, plain_records.STROKE).displacement - true)[turns])
+    kept = 3 * (3 * width**2 - 3 * width + 2) / (width * (width + 1) * (width + 2))
+    assert np.std(errors) == pytest.approx(noise * (kept / 2) ** 0.5, rel=0.05)
 
 
 def test_creep_in_a_hold_goes_one_way():

@@ -56,15 +56,17 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
 
 
 def _steady_behind(actuator: Actuator, creep: DisplacementCreep, cycle: ScanPath, state: State) -> State:
-    """Return the state at the first sample of a periodic path, with creep in displacement: that of its steady cycle."""
+    """Return the state at the first sample of a periodic path, with creep in displacement: that of its steady cycle.
+
+    While creep settles, the path before it drifts. If it drifts one way, the carts keep its extremes as after a jump.
+    """
     before, begun = creep.steady(cycle.time, cycle.displacement)
     strains = creep.strains(cycle.time, before, begun)
     slow = strains / creep.time_constants
     velocity = cycle.velocity - slow @ creep.gains
     acceleration = cycle.acceleration - (velocity[:, None] - slow) @ (creep.gains / creep.time_constants)
     closed = ScanPath(before, velocity, acceleration, cycle.sample_rate)
-    plain, shift = actuator.before_creep, float(before[0]) - state.displacement
-    inner = replace(state, displacement_creep=EMPTY).shifted(shift)
+    plain, inner = actuator.before_creep, replace(state, displacement_creep=EMPTY)
     for _ in range(2):
         inner = plain.compensate(before, **timed(closed), state=inner, extrapolate=True).state
     once = ScanPath(before[:-1], velocity[:-1], acceleration[:-1], cycle.sample_rate)
