@@ -7,6 +7,7 @@ import pytest
 from command_line import run
 
 import dehyst
+from dehyst import Actuator, Spring
 from dehyst.records import write_columns
 from dehyst.virtual import PlayActuator
 
@@ -68,3 +69,36 @@ def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):
     status, _, err = run("run", "sim://play", "--model", "model.json", "--path", "untimed.csv", cwd=folder)
     assert status == 2
     assert "rate" in err
+
+
+@pytest.mark.parametrize("name", ["run.json", "run.h5", "run"])
+def test_a_record_that_cannot_be_written_is_refused_before_anything_moves(folder, name):
+    (folder / "never.py").write_text("def make(**options):\n    raise SystemError\n")
+    words = ("run", "never.py:make", "--model", "model.json", "--path", "path.csv", "-o", name)
+    status, _, err = run(*words, cwd=folder)
+    assert status == 2
+    assert ".csv" in err
+
+
+def test_a_model_of_another_actuator_ends_the_run_and_the_record_is_kept(folder):
+    model = dehyst.Actuator.load(folder / "model.json")
+    spring = model.spring
+    other = Spring.of_slopes(spring.displacement + 20e-6, spring.slopes, float(spring.voltage[0]))
+    Actuator(model.slip, other, limits=model.limits).save(folder / "other.json")
+    phase = 2 * np.pi * np.arange(200) / 200
+    write_columns(folder / "far.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 27 - 5 * np.cos(phase)})
+    words = ("run", "rig.py:make", "--model", "other.json", "--path", "far.csv", "--cycles", "5", "-o", "one.csv")
+    status, _, err = run(*words, cwd=folder)
+    assert status == 2
+    assert "--model" in err
+    assert len(dehyst.read(folder / "one.csv")) == 200
+
+
+def test_an_offset_that_is_not_corrected_is_mentioned(folder):
+    old = RIG.replace("seconds=15", "seconds=0.1")
+    (folder / "old.py").write_text(old)
+    words = ("run", "old.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "20", "--adapt")
+    held, trusted = (run(*words, *more, cwd=folder) for more in ((), ("--options", '{"zero_drifts": false}')))
+    assert "zero_drifts" in held[1] and "zero_drifts" not in trusted[1]
+    largest = [float(out.split("largest")[1].split("%")[0]) for _, out, _ in (held, trusted)]
+    assert largest[1] < 0.5 * largest[0]

@@ -19,9 +19,12 @@ from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
 from dehyst.operations.paths import Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
+from dehyst.records.files import demand_text
 
 # Repetitions that are printed: the first, the last, and some between them.
 _PRINTED = 12
+# Error [%] above which the model is of another actuator; part of the stroke from which on an offset is mentioned.
+_FOREIGN, _OFFSET = 50.0, 0.005
 # Part by which a rate may differ without a remark.
 _RATES = 0.01
 _adapting = beside("adapt")
@@ -75,6 +78,8 @@ def run_path(
     """
     columns.demand(PATH, "on a path")
     check.between(cycles, "cycles", 1, 1_000_000)
+    if output is not None:
+        demand_text(output)
     if is_stage(model):
         raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
     actuator = read_model(run, model)
@@ -97,6 +102,7 @@ def run_path(
                 for repetition in follower.play(cycles, watcher):
                     done.append(repetition)
                     run.known = {"cycles": [_fields(one) for one in done]}
+                    _demand_same_actuator(done)
         except BaseException as error:
             for line in _written(done, follower.actuator, output, updated):
                 error.add_note(f"{line}, until then")
@@ -113,13 +119,38 @@ def run_path(
     head = f"The last repetition: {_errors(last)} of the stroke"
     if last.clamped:
         head += f"; {last.clamped} samples were clamped at a limit or by the slew rate"
+    offset = _offset(last, follower.stroke) if zero_drifts else []
     ends = _written(done, follower.actuator, output, updated)
     return Result(
         fields,
-        [head, *(rows[k] for k in picked), *ends],
-        [head, *(f"{row}  {one.reason}" for row, one in zip(rows, done, strict=True)), *ends],
+        [head, *offset, *(rows[k] for k in picked), *ends],
+        [head, *offset, *(f"{row}  {one.reason}" for row, one in zip(rows, done, strict=True)), *ends],
         good=not last.clamped,
     )
+
+
+def _demand_same_actuator(done: list[Repetition]) -> None:
+    """Raise `ModelError` if a repetition missed the path by so much that the model cannot be of this actuator."""
+    last = done[-1]
+    largest = last.path.largest_percent
+    # A clamped voltage explains any error.
+    if largest > _FOREIGN and not last.clamped:
+        raise ModelError(
+            argument="model",
+            got=f"an error of {largest:.3g} % of the stroke in repetition {len(done)}",
+            need="a model of this actuator, whose zero is that of the sensor",
+            hint="check the unit of the path, the zero, and that the model is of this rig",
+        )
+
+
+def _offset(last: Repetition, stroke: float) -> list[str]:
+    """Return a line on an offset that is not corrected, if there is one."""
+    if last.drift is None or abs(last.drift.offset) < _OFFSET * stroke:
+        return []
+    return [
+        f"Attributed to the sensor's zero, and not corrected: {1e6 * last.drift.offset:+.4f} um. If that zero has not "
+        "moved: --options '{\"zero_drifts\": false}'"
+    ]
 
 
 def _written(done: list[Repetition], actuator: Actuator, output: Path | None, updated: Path | None) -> list[str]:

@@ -301,10 +301,15 @@ def write_columns(
     write_atomically(path, "\n".join([*head, *_lines(path, columns, digits), ""]))
 
 
-def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:
-    """Return a table as lines of text, the header first."""
+def demand_text(path: PathLike) -> None:
+    """Raise `FileFormatError` if the suffix of an output is not one of text."""
     if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
         raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
+
+
+def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:
+    """Return a table as lines of text, the header first."""
+    demand_text(path)
     if any(set(name) & set(',;\t\n"') for name in columns):
         raise FileFormatError(f"{path}: column names {listed(tuple(columns))} hold a separator or a quote; rename them")
     arrays = [np.asarray(values, dtype=np.float64) for values in columns.values()]

@@ -359,7 +359,10 @@ class Workbench:
             return
         with suppress(DehystError):
             if place.startswith(f"{places.MODELS}/"):
-                self.session.add_adapted(place, asked["model"], self.rig.state["known"]["cycles"])
+                cycles = self.rig.state["known"]["cycles"]
+                # Where nothing was learnt, the model is the old one.
+                if any(one["used"] for one in cycles):
+                    self.session.add_adapted(place, asked["model"], cycles)
             else:
                 self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
 
