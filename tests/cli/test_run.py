@@ -49,6 +49,9 @@ def test_the_model_is_kept_true_and_written(folder):
     new, old = (dehyst.Actuator.load(folder / name) for name in ("new.json", "model.json"))
     assert new.slip.breakaway.tolist() == old.slip.breakaway.tolist()
     assert new.slip.stiffness.tolist() != old.slip.stiffness.tolist()
+    # It promises no less than what its last repetition reached.
+    reached = 0.01 * adapted["cycles"][-1]["largest_percent"] * 1e-6 * adapted["stroke_um"]
+    assert new.identification.expected_largest >= max(reached, old.identification.expected_largest)
 
 
 def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):

@@ -144,6 +144,14 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 
 
 @played
+async def test_what_followed_a_path_is_not_suggested_for_training(stage):
+    await stage.record()
+    stage.session.add_record("uploads/path-followed.csv", "path-followed.csv", trains=False)
+    await stage.next(Finished(SHOWN))
+    assert [one["trains"] for one in stage.session.state()["records"]] == [True, False]
+
+
+@played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     await stage.next(Finished(error={"message": "no voltage", "suggestion": {"voltage": "U:V"}}))

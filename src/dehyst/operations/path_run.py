@@ -19,6 +19,7 @@ from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
 from dehyst.operations.paths import Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
+from dehyst.records import largest, rms
 from dehyst.records.files import demand_text
 
 # Repetitions that are printed: the first, the last, and some between them.
@@ -132,12 +133,12 @@ def run_path(
 def _demand_same_actuator(done: list[Repetition]) -> None:
     """Raise `ModelError` if a repetition missed the path by so much that the model cannot be of this actuator."""
     last = done[-1]
-    largest = last.path.largest_percent
+    missed = last.path.largest_percent
     # A clamped voltage explains any error.
-    if largest > _FOREIGN and not last.clamped:
+    if missed > _FOREIGN and not last.clamped:
         raise ModelError(
             argument="model",
-            got=f"an error of {largest:.3g} % of the stroke in repetition {len(done)}",
+            got=f"an error of {missed:.3g} % of the stroke in repetition {len(done)}",
             need="a model of this actuator, whose zero is that of the sensor",
             hint="check the unit of the path, the zero, and that the model is of this rig",
         )
@@ -168,8 +169,19 @@ def _written(done: list[Repetition], actuator: Actuator, output: Path | None, up
         }
         write_table(output, columns)
     if updated is not None:
-        actuator.save(updated)
+        _judged(actuator, done).save(updated)
     return files(Record=output, Model=updated)
+
+
+def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:
+    """Return an adapted model with the errors of the last repetition in its promise."""
+    known, last = actuator.identification, done[-1]
+    if known is None or known.validity is None or not any(one.used for one in done):
+        return actuator
+    errors = {"rms": rms(last.path.error), "largest": largest(last.path.error)}
+    validity = known.validity.with_record(last.record.time, last.record.voltage, **errors)
+    expected = {"expected_largest": validity.anywhere.largest, "expected_rms": validity.anywhere.rms}
+    return actuator.with_identification(largest_error=errors["largest"], validity=validity, validated=False, **expected)
 
 
 def _errors(one: Repetition) -> str:

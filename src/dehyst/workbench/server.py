@@ -355,7 +355,8 @@ class Workbench:
         if place.startswith(f"{places.RECORDS}/"):
             # A journal beside its file is that of a listed record.
             if all(record.source != place for record in self.session.records.values()):
-                self.session.add_record(place, Path(place).name)
+                # What followed a path with a model tests that model.
+                self.session.add_record(place, Path(place).name, trains="model" not in asked)
             return
         with suppress(DehystError):
             if place.startswith(f"{places.MODELS}/"):

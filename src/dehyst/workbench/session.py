@@ -48,7 +48,8 @@ class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
     `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `options`: options with
-    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes.
+    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes. `trains`:
+    whether the page suggests it for training.
     """
 
     id: str
@@ -71,6 +72,7 @@ class RecordEntry:
     words: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     usable: bool = True
+    trains: bool = True
 
     @property
     def reading(self) -> dict[str, str]:
@@ -338,9 +340,9 @@ class WorkbenchSession:
             {} if model is None else {"model": model.file}
         )
 
-    def add_record(self, source: str, name: str) -> RecordEntry:
-        """Read an uploaded file, `source` relative to the folder, as a record."""
-        entry = RecordEntry(self._id("r"), Path(name).stem[:200] or "record", source)
+    def add_record(self, source: str, name: str, *, trains: bool = True) -> RecordEntry:
+        """Read a file, `source` relative to the folder, as a record; `trains`: whether to suggest it for training."""
+        entry = RecordEntry(self._id("r"), Path(name).stem[:200] or "record", source, trains=trains)
         self.records[entry.id] = entry
         self.read_record(entry.id, {})
         return entry
