@@ -277,9 +277,7 @@ class _Rows:
         used = strength < np.inf and held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
         shape, spread = self._shape(strength)
         old = self.weights.actuator
-        tested = self._validity(after[0], held_out[1])
-        expected = {"expected_largest": tested.anywhere.largest, "expected_rms": tested.anywhere.rms}
-        made = made.with_identification(largest_error=after[0], validity=tested, validated=False, **expected)
+        made = made.with_validity(self._validity(after[0], held_out[1]), after[0])
         source = {"updated_from": old.name, "updated_with": self.record.name}
         return Update(
             replace(made, provenance={**old.provenance, **source}) if used else old,

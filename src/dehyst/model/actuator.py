@@ -23,6 +23,7 @@ from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, T
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
+from dehyst.model.promise import Validity
 from dehyst.model.python_control import actuator_block
 from dehyst.model.serialization import JsonFile
 from dehyst.records import Record
@@ -456,6 +457,17 @@ class Actuator(JsonFile, AbstractModel):
     def with_identification(self, **entries: Any) -> Actuator:
         """Return a copy whose identification holds `entries`, fields of `Identification`."""
         return replace(self, identification=replace(self.identification or Identification(), **entries))
+
+    def with_validity(self, validity: Validity, largest_error: float) -> Actuator:
+        """Return a copy that promises what a new `validity` says; `largest_error` [m] is that on the last record."""
+        anywhere = validity.anywhere
+        return self.with_identification(
+            largest_error=largest_error,
+            validity=validity,
+            validated=False,
+            expected_largest=anywhere.largest,
+            expected_rms=anywhere.rms,
+        )
 
     def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.

@@ -180,8 +180,7 @@ def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:
         return actuator
     errors = {"rms": rms(last.path.error), "largest": largest(last.path.error)}
     validity = known.validity.with_record(last.record.time, last.record.voltage, **errors)
-    expected = {"expected_largest": validity.anywhere.largest, "expected_rms": validity.anywhere.rms}
-    return actuator.with_identification(largest_error=errors["largest"], validity=validity, validated=False, **expected)
+    return actuator.with_validity(validity, errors["largest"])
 
 
 def _errors(one: Repetition) -> str:

@@ -73,7 +73,7 @@ def options_of(record: RecordEntry, values: Mapping[str, Any]) -> dict[str, Any]
     if count > 1 and len(used) < 2 * count + (not given.get("sample_rate")):
         raise RequestError("Several axes: choose all their columns, and that of the time.")
     if twice or count > 1:
-        # Only its place tells a column from another of the same name.
+        # Columns of the same name differ by their places only.
         options = {"columns": ",".join(used.get(place, "-") for place in range(len(names)))}
     others = {name: given[name] for name in PLAIN if given.get(name)}
     if rate := others.pop("sample_rate", None):
@@ -118,7 +118,7 @@ def _values(record: RecordEntry, suggested: Mapping[str, Any], names: Sequence[s
     axes = list(record.options.get("axes") or ())
     words = [re.match(r"[A-Za-z][A-Za-z0-9]*", names[k]) for k in _of_unit(record, "displacement")[: len(AXES)]]
     usual = [one[0] for one in words if one]
-    # By the columns, if that tells them apart.
+    # Axes have the names of their columns, if these differ.
     own = usual if len({*usual}) == len(words) > 1 else AXES
     values |= {f"name_{k}": name for k, name in enumerate(axes or own, 1)}
     return values | {"axes": str(len(axes) or 1)}

@@ -231,8 +231,8 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
 class VoltageEntry:
     """A voltage that follows a path with a model, and remarks on it in `words`.
 
-    `largest_um`: the largest error to expect of each axis, None if it is not known. `path`: the file of the path, in
-    which `columns` tell the displacement from others.
+    `largest_um`: the largest error to expect of each axis, None if it is not known. `path`: the file of the path.
+    `columns`: the option with which its displacements are read.
     """
 
     id: str
