@@ -7,9 +7,10 @@ import subprocess
 import sys
 
 import numpy as np
+import places
 import pytest
-from command_line import run
-from plugged_in import plugged_in, write_distribution
+from command_line import DEHYST, run
+from plugged_in import describe, plugged_in, write_distribution
 
 import dehyst
 from dehyst._errors import FileFormatError, ModelError, PluginError, RigError
@@ -225,6 +226,22 @@ def test_a_target_of_a_plug_in_is_exported_to(tmp_path):
         assert (tmp_path / "b.st").read_text() == "mine"
         assert exports()[".st"] == ("a line", "Nothing but a line.", ".st")
     assert ".st" not in exports()
+
+
+@pytest.mark.slow
+def test_the_example_of_a_plug_in_passes_its_tests(tmp_path):
+    """Its own tests are the contracts; its lines are few enough to read."""
+    project = places.EXAMPLES / "plugin"
+    describe(project, tmp_path)
+    given = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, project / "src", *sys.path)))}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", str(project)]
+    done = subprocess.run(command, cwd=project, env=given, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    listed = subprocess.run([*DEHYST, "--version"], env=given, capture_output=True, text=True, timeout=60, check=True)
+    rows = ["reader of .wav", "rig line", "baseline polynomial", "export to .st"]
+    assert listed.stdout.splitlines()[1:] == [f"{row} of dehyst_example 0.1.0" for row in rows]
+    sources = [path.read_text() for path in (project / "src").rglob("*.py")]
+    assert sum(bool(line.strip()) for text in sources for line in text.split("\n")) <= 150
 
 
 def test_an_error_of_a_plug_ins_own_class_arrives(tmp_path):

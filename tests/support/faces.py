@@ -57,6 +57,10 @@ FACES = {
         "studies.paper": """
             Paper
         """,
+        "testing": """
+            FakeInstrument ModelCandidate ModelContract ReaderCandidate ReaderContract RigCandidate RigContract
+            TargetCandidate TargetContract
+        """,
         "trust": """
             Change CheckHistory Insight Recheck check
             check_stage insight judge stage_insight

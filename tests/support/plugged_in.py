@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import tomllib
 from unittest.mock import patch
 
 from dehyst.baselines import BASELINES
@@ -19,6 +20,17 @@ def write_distribution(folder, name, groups, code="", version="1.0"):
     lines = [f"[dehyst.{group}]\n{text}\n" for group, text in groups.items()]
     (info / "entry_points.txt").write_text("\n".join(lines))
     (folder / f"{name}.py").write_text(code)
+
+
+def describe(project, folder):
+    """Write what an installation writes of a project with a pyproject.toml into a folder; its `src` is imported."""
+    about = tomllib.loads((project / "pyproject.toml").read_text())["project"]
+    groups = {
+        name.removeprefix("dehyst."): "\n".join(f"{key} = {value}" for key, value in points.items())
+        for name, points in about["entry-points"].items()
+    }
+    write_distribution(folder, about["name"].replace("-", "_"), groups, version=about["version"])
+    (folder / f"{about['name'].replace('-', '_')}.py").unlink()
 
 
 @contextlib.contextmanager
