@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, isnan, nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -126,9 +126,25 @@ class AdaptiveCompensator:
         zero_drifts: bool = True,
         integral_time: float | None = None,
     ) -> None:
-        self._compensator = Compensator(
-            actuator, limits, slew_rate, period=period, state=state, units=units, warns=warns
-        )
+        compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, units=units, warns=warns)
+        self._begin_in(compensator, memory, time_constant, zero_drifts, integral_time)
+
+    @classmethod
+    def within(cls, compensator: Compensator, memory: float, time_constant: float | None, *, zero_drifts: bool) -> Self:
+        """Return an adaptive loop that changes the model of a `compensator` which others step: see `took`."""
+        made = cls.__new__(cls)
+        made._begin_in(compensator, memory, time_constant, zero_drifts, None)
+        return made
+
+    def _begin_in(
+        self,
+        compensator: Compensator,
+        memory: float,
+        time_constant: float | None,
+        zero_drifts: bool,
+        integral_time: float | None,
+    ) -> None:
+        self._compensator, period = compensator, compensator.period
         for name, value, least in (
             ("memory", memory, 1.0),
             ("time_constant", time_constant, 0.0),
@@ -141,11 +157,11 @@ class AdaptiveCompensator:
             if name != "memory" and period is None:
                 raise ModelError(f"{name} needs the time between steps", hint="give the period [s]", change=("period",))
         self._memory, self._time_constant, self.learning = float(memory), time_constant, True
-        self._estimator = Estimator(actuator, self._compensator.state, zero_drifts)
+        self._estimator = Estimator(compensator.actuator, compensator.state, zero_drifts)
         self._rate = 0.0 if integral_time is None or period is None else period / integral_time
-        low, high = self._compensator.reach
+        low, high = compensator.reach
         self._most_correction, self._correction = _INTEGRAL * (high - low), 0.0
-        self._per_metre = per_metre(units)
+        self._per_metre = per_metre(compensator.units)
         # Gain and offset [units] of the present temperature, once one is given.
         self._scaling: tuple[float, float] | None = None
         self._begin()
@@ -196,13 +212,18 @@ class AdaptiveCompensator:
         voltage = self._compensator.step(wanted)
         if self._scaling:
             wanted = (wanted - offset) / gain
+        self.took(wanted, voltage, measured)
+        return voltage
+
+    def took(self, wanted: float, voltage: float, measured: float) -> None:
+        """Note a step that was taken, and learn: as `step`, with displacements at the reference temperature."""
+        sent = self._sent
         self._steps += 1
         if len(sent) == sent.maxlen and not self._steps % self._stride:
             self._rows.append((*sent[0], measured))
             if self._work is not None or len(self._rows) >= self._turns.seen + _DUE:
                 self._advance()
         sent.append((float(wanted), voltage))
-        return voltage
 
     def set_temperature(self, temperature: float) -> None:
         """Set the `temperature` [degrees Celsius] for all further steps and cycles.
