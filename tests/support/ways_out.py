@@ -19,8 +19,8 @@ import xarray
 from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
-from dehyst.cli import main
 from dehyst.adaptation import AdaptiveStageCompensator
+from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, plan_voltage, wave_table
 from dehyst.instruments.base import TICK
 from dehyst.model import Creep, Dynamics, Stage

@@ -131,7 +131,10 @@ class AdaptiveCompensator:
 
     @classmethod
     def within(cls, compensator: Compensator, memory: float, time_constant: float | None, *, zero_drifts: bool) -> Self:
-        """Return an adaptive loop that changes the model of a `compensator` which others step: see `took`."""
+        """Return an adaptive loop that changes the model of a `compensator` which others step: see `took`.
+
+        `memory`, `time_constant`, `zero_drifts`: as at the construction.
+        """
         made = cls.__new__(cls)
         made._begin_in(compensator, memory, time_constant, zero_drifts, None)
         return made
@@ -216,7 +219,10 @@ class AdaptiveCompensator:
         return voltage
 
     def took(self, wanted: float, voltage: float, measured: float) -> None:
-        """Note a step that was taken, and learn: as `step`, with displacements at the reference temperature."""
+        """Note a step that others took, and learn.
+
+        `wanted`, `measured`: as in `step`, at the reference temperature; `voltage`: sent [V].
+        """
         sent = self._sent
         self._steps += 1
         if len(sent) == sent.maxlen and not self._steps % self._stride:
