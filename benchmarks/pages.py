@@ -579,8 +579,8 @@ def costs() -> list[str]:
     )
     text = (
         "Of the paths on virtual actuators whose mechanisms had no part in setting the error bounds, "
-        f"{100 * kept[0]:.0f} % (six mechanisms) and {100 * kept[1]:.0f} % (three made after the rules were fixed) stay "
-        "within them; the bounds are meant for 90 %. A step of the inverse with ten elements takes "
+        f"{100 * kept[0]:.0f} % (six mechanisms) and {100 * kept[1]:.0f} % (three made after the rules were fixed) "
+        "stay within them; the bounds are meant for 90 %. A step of the inverse with ten elements takes "
         f"{in_c[0]:.0f} to {in_c[1]:.0f} ns in C and {in_python[0]:.0f} to {in_python[1]:.0f} ns from Python on one "
         f"processor core, and {small['flash']} bytes of flash and {small['ram']} bytes of RAM in single precision on a "
         "Cortex-M4F."
