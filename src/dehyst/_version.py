@@ -1,3 +1,3 @@
-"""The version of the package: the one that the package's metadata give."""
+"""The version of sources that are not built: a build puts git's version in the place of this file."""
 
-__version__ = "0.1.0"
+__version__ = "0.1.0.dev0"

@@ -37,7 +37,8 @@ def members(thing):
     """The public methods that a class defines itself, as functions."""
     for name, member in vars(thing).items():
         function = getattr(member, "__func__", member)
-        if inspect.isfunction(function) and not name.startswith("_"):
+        # The tests of a contract take fixtures.
+        if inspect.isfunction(function) and not name.startswith(("_", "test_")):
             yield name, function
 
 

@@ -15,7 +15,7 @@ FACES = {
             AdaptiveCompensator AdaptiveSnapshot Update update update_stage
         """,
         "baselines": """
-            BASELINES ModelComparison compare
+            BASELINES AbstractBaseline ModelComparison Training compare fit_with_delay
         """,
         "calibration": """
             Calibration PathRun Plan TrackedPath calibrate
@@ -29,7 +29,7 @@ FACES = {
             plan_voltage shortest_homing wave_table
         """,
         "exports": """
-            Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
+            TARGETS Exported SourceOnlyWarning Target Written export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
             Dataset Fleet drifts_of findings_of identify_fleet load open_dataset
@@ -39,15 +39,15 @@ FACES = {
             identify_stage initial_state state_after
         """,
         "instruments": """
-            HIGHEST_RATE AbstractRig DeviceError LinkError Reading RigError Samples SensorError host_timed
-            open_rig
+            HIGHEST_RATE SCHEMES AbstractRig DeviceError LinkError Reading RigError Samples Scheme SensorError
+            host_timed open_rig
         """,
         "model": """
             AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
             Physical Promise SmoothSlip Spring Stage State Thermal Transformer Validity promise simulated
         """,
         "records": """
-            Record read read_table write_columns write_record
+            LOADERS Allowance Column Record read read_table write_columns write_record
         """,
         "report": """
             write_calibration write_check_history write_comparison write_insight write_record_page write_report
@@ -56,6 +56,10 @@ FACES = {
         "studies": "",
         "studies.paper": """
             Paper
+        """,
+        "testing": """
+            FakeInstrument ModelCandidate ModelContract ReaderCandidate ReaderContract RigCandidate RigContract
+            TargetCandidate TargetContract
         """,
         "trust": """
             Change CheckHistory Insight Recheck check

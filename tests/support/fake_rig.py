@@ -4,27 +4,7 @@ import numpy as np
 
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, Reading, Samples
-from dehyst.virtual.bench import Extremes
-
-
-class FakeInstrument:
-    """Puts out what it is told, and reads a displacement of 0.1 um a volt."""
-
-    def __init__(self, limits):
-        self.limits, self.sent, self.now = limits, [0.0], 0.0
-        self.log, self.unplugged, self.playing = Extremes(0.0, 0.0), False, False
-
-    @property
-    def voltage(self):
-        return self.sent[-1]
-
-    def put(self, voltage):
-        assert self.limits[0] <= voltage <= self.limits[1]
-        self.log.update(np.array([self.voltage, voltage]), np.array([1e-3]))
-        self.sent.append(float(voltage))
-
-    def displacement(self, voltage):
-        return np.full_like(voltage, 3e-6) if self.unplugged else 1e-7 * voltage
+from dehyst.testing import FakeInstrument
 
 
 class FakeRig(AbstractRig):
@@ -66,4 +46,4 @@ class FakeRig(AbstractRig):
         self.done.append("close")
 
     def _wait(self, seconds):
-        self.instrument.now += seconds
+        self.instrument.wait(seconds)

@@ -130,12 +130,12 @@ class Training:
         return self.nuisances[:, : self.epochs]
 
     def thresholds(self, plays: int) -> Array:
-        """Return thresholds (N,) [V] from 0 that divide half of the voltage's range into equal parts."""
+        """Return thresholds (N,) [V] of N `plays`, from 0, that divide half of the voltage's range into equal parts."""
         low, high = self.limits
         return np.asarray(0.5 * (high - low) * np.arange(plays) / plays, dtype=np.float64)
 
     def fit_constant(self, rest: Array) -> tuple[float, float]:
-        """Fit the nuisances to a model's residual (n,) [m]; return the model's own constant and the RMS residual."""
+        """Fit the nuisances to a model's residual `rest` (n,) [m]; return its own constant and the RMS residual."""
         constants = np.linalg.lstsq(self.nuisances, rest, rcond=None)[0]
         return float(constants[self.reference]), rms(rest - self.nuisances @ constants)
 
@@ -166,10 +166,11 @@ def fit_with_delay(
     *,
     drift: bool = True,
 ) -> Model:
-    """Fit a model to prepared records; without a given delay, keep the better of the fits with and without a delay.
+    """Fit a model to prepared `records`; without a given delay, keep the better of the fits with and without a delay.
 
-    The delay is estimated with plays, which can mistake the effect of another model for a delay. `fit`: training ->
-    model and its RMS residual. Raise as `prepare_training`.
+    The `delay` [s] is estimated with plays, which can mistake the effect of another model for a delay. `fit`: function
+    of a `Training` that returns the model and its RMS residual. With `drift`, a drift of each record is removed. Raise
+    as `prepare_training`.
     """
     training = prepare_training(records, delay=delay, drift=drift)
     model, residual = fit(training)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import IdentifyError, ModelError
+from dehyst._errors import IdentifyError, ModelError, PluginError
+from dehyst._plugins import Registry, plugin_errors
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import choice
@@ -36,8 +37,24 @@ from dehyst.records import Record, largest, percent, rms
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 
 OURS = "dehyst"
+_PAPERS = f"{OURS}, paper's"
+
+
+def _of_plugin(name: str, fit: Identification) -> Identification:
+    if not callable(fit):
+        raise TypeError(f"got a {type(fit).__name__}, need a function of a list of records that returns a model")
+    if name.casefold() in (OURS, _PAPERS):
+        raise ValueError("the name is of a model of dehyst; its author must choose another")
+
+    def fitted(records: Sequence[Record]) -> AbstractModel:
+        with plugin_errors(name):
+            return fit(records)
+
+    return fitted
+
+
 # Each a function of training records that returns the model, or raises an error that states why there is none.
-BASELINES: Mapping[str, Identification] = {
+_OWN: Mapping[str, Identification] = {
     "Goldfarb-Celanovic": lambda records: GoldfarbCelanovic.fit(records[0]),
     "Prandtl-Ishlinskii": PrandtlIshlinskii.fit,
     "Prandtl-Ishlinskii, modified": ModifiedPrandtlIshlinskii.fit,
@@ -49,9 +66,10 @@ BASELINES: Mapping[str, Identification] = {
     "Duhem": Duhem.fit,
     "linear ratio": Linear.fit,
 }
+BASELINES: Registry[Identification] = Registry("baselines", _OWN, _of_plugin)
 _SAMPLES_TO_TIME, _RUNS_TO_TIME = 20_000, 5
-# DehystError and NumPy's LinAlgError are among them.
-_FAILURES = (ValueError, ArithmeticError, RuntimeError)
+# Errors of models and records and NumPy's LinAlgError are among them.
+_FAILURES = (ValueError, ArithmeticError, RuntimeError, PluginError)
 
 
 @dataclass(frozen=True)
@@ -147,7 +165,7 @@ def contenders() -> dict[str, Identification]:
     """Return all models by name as functions: dehyst's selected structure and "maxwell_slip", then the baselines."""
     return {
         OURS: lambda records: identify(records, structure="auto").actuator,
-        f"{OURS}, paper's": lambda records: identify(records, structure="maxwell_slip").actuator,
+        _PAPERS: lambda records: identify(records, structure="maxwell_slip").actuator,
         **BASELINES,
     }
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst._io import PathLike, read_json, unwritten, write_json
+from dehyst._io import PathLike, demand_version, read_json, unwritten, write_json
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.calibration.comparison_loop import Agreement, agreement, replay
@@ -238,6 +238,7 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
         owner = read_json(path)
     except FileFormatError as error:
         raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
+    demand_version(owner, 1, f"{path}")
     if {key: owner.get(key) for key in instrument} != instrument:
         raise FileFormatError(
             f"{folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "

@@ -1,12 +1,13 @@
-"""The kinds of export: a table with one row for each, from which `dehyst export` chooses."""
+"""The kinds of export: a table with one row for each suffix, from which `dehyst export` chooses."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from dehyst._plugins import Registry, plugin_errors
 from dehyst.control import Compensator
 from dehyst.exports.firmware import export
 from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
@@ -15,27 +16,27 @@ from dehyst.exports.wasm import export_wasm, wasm_files
 
 
 class Written(NamedTuple):
-    """Result of an export: its numbers as JSON values, a line about it, a table below this line, and remarks."""
+    """Result of an export: `values` for JSON, a `line` about it, a `table` of lines below it, and `remarks`."""
 
     values: dict[str, Any]
     line: str
-    table: list[str]
-    remarks: list[str]
+    table: Sequence[str] = ()
+    remarks: Sequence[str] = ()
 
 
 class Target(NamedTuple):
     """A kind of export.
 
-    `words`: its name in messages. `suffix`: suffix of its path; empty for a folder. `options`: options of the command
-    that affect only this kind. `write`: function that writes a compensator to a path with these options. `files`:
-    function that returns all files of a path; None for a folder, whose export checks its files itself.
+    `words`: its name in messages. `write`: function that writes a compensator to a path with a dictionary of options.
+    `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
+    None for a folder, whose export checks its files itself. `about`: a sentence for the page.
     """
 
     words: str
-    suffix: str
-    options: tuple[str, ...]
-    write: Callable[[Loop, Path, Mapping[str, Any]], Written]
-    files: Callable[[Path], list[Path]] | None = None
+    write: Callable[[Any, Path, Mapping[str, Any]], Written]
+    options: tuple[str, ...] = ()
+    files: Callable[[Path], list[Path]] | None = lambda path: [path]
+    about: str = ""
 
 
 def _write_c(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
@@ -66,7 +67,7 @@ def _write_wasm(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
     size = path.stat().st_size
     values = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size}
     line = f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
-    return Written(values, line, [], [])
+    return Written(values, line)
 
 
 def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
@@ -77,11 +78,26 @@ def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
     remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     content = "sources" if remarks else "sources and a binary for Linux x86-64"
     values = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks}
-    return Written(values, f"{path}: an FMU {version} of the {kind}, {content}", [], remarks)
+    return Written(values, f"{path}: an FMU {version} of the {kind}, {content}", (), remarks)
 
 
-TARGETS = {
-    "c": Target("C for one axis", "", ("preview", "number", "name", "measure"), _write_c),
-    "wasm": Target("WebAssembly", ".wasm", ("preview",), _write_wasm, wasm_files),
-    "fmu": Target("an FMU", ".fmu", ("preview", "fmu", "kind"), _write_fmu, lambda path: [path]),
+def _of_plugin(suffix: str, target: Target) -> Target:
+    if not isinstance(target, Target) or target.files is None:
+        raise TypeError(f"got {target!r}, need a dehyst.exports.Target with files")
+    if not suffix.startswith(".") or "." in suffix[1:] or suffix != suffix.lower():
+        raise ValueError(f"got the name {suffix!r}, need a suffix in lower case, such as '.st'")
+
+    def write(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
+        with plugin_errors(f"{path}"):
+            return target.write(loop, path, options)
+
+    return target._replace(write=write)
+
+
+# By suffix; a path without one is a folder of C, as is any with a suffix that is not here.
+_OWN = {
+    "": Target("C for one axis", _write_c, ("preview", "number", "name", "measure"), None),
+    ".wasm": Target("WebAssembly", _write_wasm, ("preview",), wasm_files),
+    ".fmu": Target("an FMU", _write_fmu, ("preview", "fmu", "kind")),
 }
+TARGETS: Registry[Target] = Registry("targets", _OWN, _of_plugin)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError
+from dehyst._plugins import Registry
 from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
 
 _Options: TypeAlias = dict[str, Any]
@@ -33,6 +34,7 @@ def open_rig(
         ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
+        ``NAME://...``: an instrument that a plug-in adds.
     axes : sequence of str, optional
         Names of the axes of a controller, unless they are in the address; default: its only axis.
     limits : (float, float) or sequence of (float, float), optional
@@ -46,7 +48,8 @@ def open_rig(
     if axes is not None and (scheme is None or not scheme.several):
         raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'].form}")
     if scheme is not None:
-        return _checked(scheme.open(rest, {**options, "axes": axes} if scheme.several else options), options)
+        given = {**options, "axes": axes} if scheme.several else dict(options)
+        return _checked(_made(f"{word}://{rest}", scheme.open, rest, given), options)
     forms = f"{', '.join(one.form for one in SCHEMES.values())} or path/to/my_rig.py:make"
     if separator:
         raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
@@ -54,6 +57,21 @@ def open_rig(
     if not (separator and path.endswith(".py") and name.isidentifier()):
         raise RigError(f"{address!r}: is not the address of a rig; need {forms}")
     return _checked(_custom(Path(path), name, options), options)
+
+
+def _made(address: str, make: Callable[..., Any], *given: Any, **options: Any) -> AbstractRig:
+    """Return the rig that a function makes, which may be code of others; raises RigError."""
+    try:
+        rig = make(*given, **options)
+    except DehystError:
+        raise
+    except Exception as error:  # code of others may raise anything
+        raise RigError(
+            f"{address}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
+        ) from error
+    if not isinstance(rig, AbstractRig):
+        raise RigError(f"{address}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
+    return rig
 
 
 def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
@@ -116,9 +134,11 @@ def _ni(rest: str, options: _Options) -> AbstractRig:
 
 
 class Scheme(NamedTuple):
-    """A kind of address: its `form`, for messages, and a function that opens the rest after ``://`` with options.
+    """A kind of address.
 
-    If it may have `several` axes, the options contain `axes` besides limits and slew rate.
+    `form`: how it is written, for messages. `open`: function of the rest after ``://`` and of a dictionary of options,
+    `limits` and `slew_rate` as of `open_rig`; it returns an `AbstractRig`, to which it passes them on. If the rig may
+    have `several` axes, the options have `axes` too.
     """
 
     form: str
@@ -126,12 +146,21 @@ class Scheme(NamedTuple):
     several: bool = False
 
 
-SCHEMES = {
+def _of_plugin(name: str, scheme: Scheme) -> Scheme:
+    if not isinstance(scheme, Scheme):
+        raise TypeError(f"got a {type(scheme).__name__}, need a dehyst.instruments.Scheme")
+    if not name.isascii() or not name.isalnum() or name != name.lower():
+        raise ValueError(f"got the name {name!r}, need small letters and digits: it is what comes before ://")
+    return scheme
+
+
+_OWN = {
     "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
     "epics": Scheme("epics://PREFIX", _epics),
     "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
     "ni": Scheme("ni://Dev1/ao0,ai0?gain=10&scale=5", _ni),
 }
+SCHEMES: Registry[Scheme] = Registry("rigs", _OWN, _of_plugin)
 
 
 def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
@@ -139,18 +168,7 @@ def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     make = getattr(_module(path), name, None)
     if not callable(make):
         raise RigError(f"{path}: has no function {name!r}; need one that takes limits and slew_rate and returns a rig")
-    try:
-        rig = make(**options)
-    except DehystError:
-        raise
-    # User code may raise anything.
-    except Exception as error:
-        raise RigError(
-            f"{path}:{name}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
-        ) from error
-    if not isinstance(rig, AbstractRig):
-        raise RigError(f"{path}:{name}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
-    return rig
+    return _made(f"{path}:{name}", make, **options)
 
 
 def _module(path: Path) -> ModuleType:

@@ -56,6 +56,8 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 _SLACK = 1e-6
 
 
+# Methods that a driver writes or may replace.
+_DRIVERS = ("nearest_rate", "_read", "_put", "_wave", "_halt", "_close", "_wait")
 # What a device does that no command reaches.
 BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
 
@@ -79,7 +81,8 @@ class AbstractRig(ABC):
     implements the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that
     send a voltage are final. A rig of several axes contains a rig for each axis and uses its limits, readings, ramps
     and stops; it implements only `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no
-    voltage is allowed by both device and user, or two axes have one name.
+    voltage is allowed by both device and user, or two axes have one name. A class that replaces what limits and
+    retreat rely on cannot be defined: it raises TypeError.
 
     Parameters
     ----------
@@ -98,6 +101,14 @@ class AbstractRig(ABC):
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse a driver that replaces what limits, ramps and retreat rely on; typing's `final` does so too late."""
+        super().__init_subclass__(**options)
+        replaced = [name for name in vars(cls) if name in vars(AbstractRig) and name not in _DRIVERS]
+        if any(not name.startswith("__") for name in replaced):
+            names = ", ".join(name for name in replaced if not name.startswith("__"))
+            raise TypeError(f"{cls.__name__}: replaces {names} of AbstractRig; a rig writes only {', '.join(_DRIVERS)}")
 
     def __init__(
         self,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._io import PathLike, read_json, write_json
+from dehyst._io import NEWER, PathLike, read_json, write_json
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst._views.fields import json_value
@@ -223,7 +223,11 @@ def demand_format(data: Mapping[str, Any], name: str, versions: Sequence[int]) -
     if data.get("format") != name or type(found) is not int or found not in versions:
         *others, last = map(str, versions)
         wanted = f"{', '.join(others)} or {last}" if others else last
-        raise ModelError(f"got format {data.get('format')!r} version {found!r}, need {name!r} version {wanted}")
+        newer = data.get("format") == name and type(found) is int and found > versions[-1]
+        raise ModelError(
+            f"got format {data.get('format')!r} version {found!r}, need {name!r} version {wanted}",
+            hint=NEWER if newer else "",
+        )
     return found
 
 

@@ -22,21 +22,19 @@ _NEAR = 0.01
 _TOP = Start("top")
 
 
-_SUFFIXES = {target.suffix: name for name, target in TARGETS.items() if target.suffix}
-
-
-def _target(given: Values) -> str:
-    """Return the row of `TARGETS` for an output; several axes are always exported as C."""
-    return "c" if is_stage(given["model"]) else _SUFFIXES.get(given["directory"].suffix, "c")
+def _suffix(given: Values) -> str:
+    """Return the suffix of the row of `TARGETS` for an output; several axes are always exported as C."""
+    suffix: str = given["directory"].suffix
+    return suffix if not is_stage(given["model"]) and suffix in TARGETS else ""
 
 
 def _of(option: str) -> Only:
     """Return the condition that the target supports an option."""
-    takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
-    return Only(lambda given: option in TARGETS[_target(given)].options, f"on anything but {takers}")
+    takers = " or ".join(target.words for target in TARGETS.own.values() if option in target.options)
+    return Only(lambda given: option in TARGETS[_suffix(given)].options, f"on anything but {takers}")
 
 
-_of_loop = Only(lambda given: _target(given) != "fmu" or given.get("kind") != "actuator", "on an FMU of the actuator")
+_of_loop = Only(lambda given: _suffix(given) != ".fmu" or given.get("kind") != "actuator", "on an FMU of the actuator")
 _of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
 
 
@@ -87,8 +85,8 @@ def export(
     start
         Initial state of the memory, as in compensate.
     """
-    target = TARGETS[_target({"model": model, "directory": directory})]
-    if is_stage(model) and directory.suffix in _SUFFIXES:
+    target = TARGETS[_suffix({"model": model, "directory": directory})]
+    if is_stage(model) and directory.suffix and directory.suffix in TARGETS:
         raise OperationError(argument="directory", got=str(directory), need="a folder for several axes")
     if target.files is not None:
         demand_outputs([model], target.files(directory))
@@ -113,7 +111,7 @@ def export(
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "fmu": fmu, "kind": kind}
     written = target.write(compensator, directory, chosen)
-    remarks += written.remarks
+    remarks += [*written.remarks]
     begin = [ExportedStart.of(loop) for loop in loops]
     begun = [
         {"begins": {"displacement_m": one.displacement, "voltage_V": one.voltage, "way": one.way}} for one in begin

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._io import SCAN, format_of
+from dehyst._io import SCAN, demand_version, format_of
 from dehyst._types import Array
 from dehyst.model import Actuator
 from dehyst.operations.run import MODELS, Run
@@ -341,8 +341,11 @@ def scan_declared(path: Path) -> dict[str, Any] | None:
     """Return the declaration in the first line of a path file; None if there is none, or the file is a pipe."""
     if not path.is_file():
         return None
+    found = None
     with path.open("rb") as stream, suppress(ValueError):
         line = stream.readline(_LONGEST).decode(errors="replace")
-        if line.startswith(SCAN) and isinstance(found := json.loads(line.removeprefix(SCAN)), dict):
-            return found
-    return None
+        found = json.loads(line.removeprefix(SCAN)) if line.startswith(SCAN) else None
+    if not isinstance(found, dict):
+        return None
+    demand_version(found, 1, f"{path}")
+    return found

@@ -3,7 +3,7 @@
 from dehyst.records.files import read, read_table, record_of, time_of, write_columns, write_record
 from dehyst.records.formats.columns import Column, Table, listed, without_groups
 from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
-from dehyst.records.formats.file_content import MOST
+from dehyst.records.formats.file_content import MOST, Allowance
 from dehyst.records.formats.reader_process import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
@@ -27,4 +27,4 @@ from dehyst.records.signals import (
 from dehyst.records.tables import Choice
 from dehyst.records.transients import settled, transients
 
-__all__ = ["Record", "read", "read_table", "write_columns", "write_record"]
+__all__ = ["LOADERS", "Allowance", "Column", "Record", "read", "read_table", "write_columns", "write_record"]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._errors import FileFormatError, IdentifyError
-from dehyst._io import PathLike, demand_own_folder, format_of, make_own_folder, read_json, write_json
+from dehyst._io import PathLike, demand_own_folder, demand_version, format_of, make_own_folder, read_json, write_json
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._views.fields import json_values
@@ -260,9 +260,11 @@ def _moment_of(path: Path) -> datetime | None:
 def _past(path: Path) -> PastCheck:
     """Read one check."""
     data = read_json(path)
+    if data.get("format") == _CHECK:
+        demand_version(data, 1, f"{path}")
     try:
-        if data["format"] != _CHECK or data["version"] != 1:
-            raise ValueError(f"format {data['format']!r}, version {data['version']!r}")
+        if data["format"] != _CHECK:
+            raise ValueError(f"format {data['format']!r}")
         checked = datetime.fromisoformat(data["checked"])
         if checked.tzinfo is None:
             raise ValueError("checked: has no time zone")

@@ -10,7 +10,7 @@ continues from the state that the last call reached; `relax` resets the state.
 
 from dehyst.virtual.ageing import AgeingActuator, AgeingCourse
 from dehyst.virtual.base import VirtualActuator
-from dehyst.virtual.bench import VirtualBench
+from dehyst.virtual.bench import Extremes, VirtualBench
 from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 from dehyst.virtual.plays import PlayActuator

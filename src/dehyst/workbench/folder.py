@@ -11,7 +11,17 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from dehyst._errors import FileFormatError
-from dehyst._io import draft_of, is_draft, lock, make_own_folder, read_json, unwritten, write_atomically, write_json
+from dehyst._io import (
+    demand_version,
+    draft_of,
+    is_draft,
+    lock,
+    make_own_folder,
+    read_json,
+    unwritten,
+    write_atomically,
+    write_json,
+)
 
 FORMAT = "dehyst-workbench"
 STATE, SCRIPT, LOCK, RIG_LOG = "workbench.json", "commands.sh", ".lock", "rig.log"
@@ -71,7 +81,9 @@ class Folder:
 
     def saved(self) -> dict[str, Any]:
         """Return the state of the workbench before."""
-        return read_json(self.path / STATE)
+        state = read_json(self.path / STATE)
+        demand_version(state, 1, f"{self.path / STATE}")
+        return state
 
     def new(self, place: str, name: str, suffix: str = "") -> str:
         """Return a relative path that does not exist yet, with the letters of a name that files may have.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import re
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,7 @@ from dehyst.waveforms.excitation import positive
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import limits_of, number_of
 from dehyst.workbench.folder import Folder
+from dehyst.workbench.forms import rig_address
 from dehyst.workbench.jobs import Step
 from dehyst.workbench.rig.link import RigLink
 
@@ -42,7 +42,6 @@ _BUSY = frozenset({"playing", "calibrating"})
 _LONGEST_ADDRESS = 500
 # Repetitions of a path: each is shown.
 _MOST_CYCLES = 500
-_ADDRESS = re.compile(r"(pi|epics|ni)://[^\s]+|sim://[a-z]+")
 
 
 class RigRequestError(DehystError, ValueError):
@@ -237,7 +236,7 @@ class RigDesk:
         address = body.get("address")
         if not isinstance(address, str) or not 0 < len(address) <= _LONGEST_ADDRESS:
             raise RigRequestError("address: need one such as pi://host:port, epics://PREFIX or sim://play")
-        if not _ADDRESS.fullmatch(address):
+        if not rig_address().fullmatch(address):
             raise RigRequestError(
                 f"{address}: need pi://HOST:PORT, epics://PREFIX, ni://... or sim://NAME; a page chooses no file: "
                 "use dehyst calibrate for a driver of your own or the actuator of a model file"

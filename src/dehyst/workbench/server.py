@@ -176,7 +176,7 @@ def _declared(examples: Mapping[str, Any]) -> str:
         "examples": examples,
         "forms": {**forms.FORMS, "scan": forms.scan_form()},
         "scans": forms.scan_kinds(),
-        "exports": forms.EXPORTS,
+        "exports": forms.exports(),
     }
     return f"export const DECLARED = {json.dumps(declared)};\n"
 

@@ -174,13 +174,14 @@ def scale_of(quantity: str, text: str) -> Scale:
 class Column:
     """One named column of a file.
 
-    `unit`: unit that the file states outside of the name. `fault`: why the column cannot be used, and what to try.
-    `foreign`: whether its samples are in another file, are computed, or are in a structure next to plain arrays; it is
-    then ignored if another column fits. `unnamed`: if the file has no names and the name is therefore a number: the
-    reason, and what to try. `divided`: whether the name ends with a slash and its unit, as "Position/nm"; this slash
-    does not end a group. `guessed`: properties that the file does not state. `ends`: first and last cell in a text
-    file. `began`: possible values of the first timestamp (origin, whole seconds, fraction); there are two if the order
-    of day and month is unknown. `kept`: whether a record keeps it as a further channel, regardless of its name.
+    `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
+    outside of the name. `fault`: why the column cannot be used, and what to try. `foreign`: whether its samples are in
+    another file, are computed, or are in a structure next to plain arrays; it is then ignored if another column fits.
+    `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `divided`:
+    whether the name ends with a slash and its unit, as "Position/nm"; this slash does not end a group. `guessed`:
+    properties that the file does not state. `ends`: first and last cell in a text file. `began`: possible values of the
+    first timestamp (origin, whole seconds, fraction); there are two if the order of day and month is unknown. `kept`:
+    whether a record keeps it as a further channel, regardless of its name.
     """
 
     name: str

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import FileFormatError
+from dehyst._io import demand_version
 from dehyst._units import COUNTS, quantity_of, symbol_of
 from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance
@@ -34,6 +35,8 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
         stated = json.loads(text) if text else {}
     except (ValueError, RecursionError):
         stated = {}
+    if isinstance(stated, dict):
+        demand_version(stated, 1, "this record of dehyst")
     guesses, others = (stated.get("guesses"), stated.get("others")) if isinstance(stated, dict) else (None, None)
     words = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
     kept = others if isinstance(others, list) else []

@@ -41,21 +41,22 @@ class Content(NamedTuple):
 
 
 class Allowance:
-    """The memory that the numbers of a file may take [bytes], of which sizes that its headers declare are taken first.
+    """The memory that the numbers of a file may take, of which sizes that its headers declare are taken first.
 
-    `stem`: name of the file without its suffix. `decimal`: the decimal sign of its text, if the user states it.
+    `most`: the memory [bytes]. `stem`: name of the file without its suffix. `decimal`: the decimal sign of its text, if
+    the user states it.
     """
 
     def __init__(self, most: int, stem: str = "", decimal: str | None = None) -> None:
         self.most, self.left, self.stem, self.decimal = most, most, stem, decimal
 
     def take(self, numbers: int, what: str) -> None:
-        """Reserve memory for a count of numbers; raise FileFormatError if it does not suffice."""
+        """Reserve memory for a count of `numbers`; raise FileFormatError, with `what` has them, if it is too little."""
         self.check(numbers * _DOUBLE, what)
         self.left -= numbers * _DOUBLE
 
     def check(self, size: int, what: str) -> None:
-        """Refuse a size [bytes] that is negative or exceeds the remaining memory."""
+        """Refuse a `size` [bytes] of `what` is read that is negative or exceeds the remaining memory."""
         if size < 0:
             raise FileFormatError(f"{what} declares a negative size; the file is damaged, take a copy")
         if size > self.left:

@@ -1,4 +1,4 @@
-"""The readable formats; those whose library is in C are read in a child process, which a damaged file may crash.
+"""The readable formats; those of plug-ins, or with a library in C, are read in a child process, which may crash.
 
 One helper process imports the libraries once, and forks a child with bounds of memory and CPU time for each file.
 """
@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from importlib import import_module
 from importlib.util import find_spec
 from math import ceil
@@ -25,6 +25,7 @@ import numpy as np
 
 from dehyst import _errors
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
+from dehyst._plugins import Registry
 from dehyst.records import hdf5
 from dehyst.records.formats import containers, vendor_files
 from dehyst.records.formats.columns import TEXT, Column
@@ -55,7 +56,23 @@ def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
     return containers.restored(columns, b"".join(first).decode(errors="replace"))
 
 
-LOADERS: dict[str, Format] = {
+def _of_plugin(suffix: str, reader: Callable[[bytes, Allowance], list[Column]]) -> Format:
+    """Return the format of a plug-in's reader, whose columns are checked."""
+    if not suffix.startswith(".") or "." in suffix[1:] or suffix != suffix.lower():
+        raise ValueError(f"got the name {suffix!r}, need a suffix in lower case, such as '.daq'")
+    if not callable(reader):
+        raise TypeError(f"got a {type(reader).__name__}, need a function of bytes and an Allowance")
+
+    def checked(data: bytes, allowance: Allowance) -> list[Column]:
+        columns = list(reader(data, allowance))
+        if not all(isinstance(one, Column) and np.ndim(one.data) == 1 for one in columns):
+            raise TypeError(f"its reader returned {str(columns)[:100]}, need Columns of one dimension")
+        return [replace(one, data=np.asarray(one.data, dtype=np.float64)) for one in columns]
+
+    return Format(checked)
+
+
+_OWN = {
     **dict.fromkeys((*TEXT, ".lvm", ".asc"), Format(_read_text)),
     ".xlsx": Format(vendor_files.read_xlsx, "openpyxl"),
     ".mat": Format(containers.read_mat, "scipy.io"),
@@ -66,6 +83,7 @@ LOADERS: dict[str, Format] = {
     ".npy": Format(containers.read_npy),
     ".npz": Format(containers.read_npz),
 }
+LOADERS: Registry[Format] = Registry("readers", _OWN, _of_plugin)
 # CPU time for a file [s], and the bytes that add another second.
 _SECONDS, _A_SECOND = 5, 5_000_000
 # Memory of the libraries beside twice the numbers of a file [bytes].
@@ -86,7 +104,7 @@ class Loaded(NamedTuple):
 
 
 def load(content: Content) -> Loaded:
-    """Read a file's columns, in a child process if its format needs a library; raise FileFormatError.
+    """Read a file's columns, in a child process if its format is of a library or a plug-in; raise FileFormatError.
 
     Raise `MissingExtraError` if the library is not installed.
     """
@@ -96,9 +114,10 @@ def load(content: Content) -> Loaded:
         if sys.modules.get(module, ...) is None or find_spec(package) is None:
             name = LOADERS[content.suffix].name or content.suffix
             raise MissingExtraError.of(package, "files", f"Reading {name} files")
-        if sys.executable and not getattr(sys, "frozen", False):
-            with _LOCK:
-                return _HELPER.load(content)
+    foreign = module or content.suffix not in LOADERS.own
+    if foreign and sys.executable and not getattr(sys, "frozen", False):
+        with _LOCK:
+            return _HELPER.load(content)
     return _load_here(content)
 
 
@@ -241,8 +260,9 @@ def serve() -> None:
 
 def _answer_in_child(content: Content, answers: BinaryIO) -> int:
     """Answer in a forked child; return 0, or the status with which it ended."""
-    with suppress(ImportError):
-        import_module(_library(content))  # Once, not in each child.
+    if module := _library(content):  # Once, not in each child, as are plug-ins.
+        with suppress(ImportError):
+            import_module(module)
     child = os.fork()
     if not child:
         try:
@@ -276,7 +296,9 @@ def _answer(content: Content, answers: BinaryIO) -> None:
     try:
         columns, stored = _load_here(content)
     except DehystError as error:
-        answers.write(json.dumps({"error": type(error).__name__, "fields": vars(error)}).encode() + b"\n")
+        # A plug-in may raise an error of its own class.
+        name = next(one.__name__ for one in type(error).__mro__ if hasattr(_errors, one.__name__))
+        answers.write(json.dumps({"error": name, "fields": vars(error)}).encode() + b"\n")
     else:
         names = [field.name for field in fields(Column) if field.name != "data"]
         heads = [[column.data.size, {name: getattr(column, name) for name in names}] for column in columns]

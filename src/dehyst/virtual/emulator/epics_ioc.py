@@ -11,7 +11,6 @@ from typing import Any
 
 from dehyst._errors import DehystError, MissingExtraError, RigError
 from dehyst._types import Array
-from dehyst._version import __version__
 from dehyst.virtual.bench import VirtualBench
 
 # Seconds between two updates from the instrument; a command also updates.
@@ -89,7 +88,7 @@ class Ioc:
             add(builder.WaveformOut, name, unit, digits, length=bench.record_points, datatype=float, DISP=1)
         add(builder.longOut, "REC:COUNT", initial_value=0, DISP=1)
         add(builder.boolOut, "WAVE:BUSY", ZNAM="idle", ONAM="playing", initial_value=0, DISP=1)
-        identity = f"dehyst {__version__} virtual controller {bench.serial}"
+        identity = f"dehyst 0.1.0 virtual controller {bench.serial}"
         add(builder.longStringOut, "IDN", length=_TEXT, initial_value=identity, DISP=1)
         add(builder.longStringOut, "ERROR", length=_TEXT, initial_value="")
         builder.LoadDatabase()

@@ -15,11 +15,11 @@ import numpy as np
 
 from dehyst._errors import DehystError, DeviceError
 from dehyst._types import Array
-from dehyst._version import __version__
 from dehyst.virtual.bench import BenchAxis, VirtualBench
 
 _LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
+_FIRMWARE = "0.1.0"
 # Least number of wave tables, points that one command line may bring, and the largest number of most arguments.
 _TABLES, _LONGEST_SEGMENT, _MOST = 4, 4096, 10**6
 # What a recorder table records, by the number of its option.
@@ -134,7 +134,7 @@ class Controller:
         )
         self.named = {one.name: one for one in self.axes}
         self.serial = instrument.serial.replace(",", " ")
-        self.identity = ",".join((_IDENTITY, self.serial, __version__))
+        self.identity = ",".join((_IDENTITY, self.serial, _FIRMWARE))
         self.tables = {number: np.zeros(0) for number in range(1, max(_TABLES, count) + 1)}
         # Of each recorder table: the name of the axis, and what is recorded.
         kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
@@ -548,7 +548,7 @@ COMMANDS: dict[str, GcsCommand] = {
     "TMN?": _of_axes("Get lowest position", lambda _: 0.0),
     "TMX?": _of_axes("Get highest position", lambda one: 1e6 * one.bench.stroke),
     "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
-    "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {__version__}", f"GCS: {c.identity}"]),
+    "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {_FIRMWARE}", f"GCS: {c.identity}"]),
     "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
     "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
     "VOL?": _of_axes("Get voltage of output channel", lambda one: one.bench.voltage),

@@ -1,0 +1,66 @@
+"""The least instrument, on which a rig is tested; and, before the suites are imported, what pytest needs for them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dehyst._errors import MissingExtraError, RigError
+from dehyst._types import Array
+from dehyst.virtual import Extremes
+
+try:
+    import pytest
+except ImportError as error:
+    raise MissingExtraError.of("pytest", "testing", "dehyst.testing") from error
+
+# Failures show the values in the assertions of the suites.
+pytest.register_assert_rewrite(*(f"dehyst.testing.{suite}" for suite in ("models", "readers", "rigs", "targets")))
+LOW, HIGH = -20.0, 100.0
+
+
+class FakeInstrument:
+    """The least instrument behind a rig under test: an amplifier of -20 to 100 V, and a sensor that reads 0.1 um/V.
+
+    Parameters
+    ----------
+    limits : (float, float)
+        Lowest and highest voltage of the amplifier [V].
+
+    Attributes
+    ----------
+    sent : list of float
+        All voltages that it put out [V]; the last is `voltage`, the first is 0.
+    now : float
+        Its time [s], see `wait`.
+    playing : bool
+        Whether it plays a wave, which its owner sets.
+    unplugged : bool
+        Whether the sensor's cable is pulled: it then reads a constant.
+    log : object
+        Extremes of all voltages: `lowest`, `highest`, `largest_step` [V], and `refused`.
+    """
+
+    def __init__(self, limits: tuple[float, float] = (LOW, HIGH)) -> None:
+        self.limits, self.sent, self.now = limits, [0.0], 0.0
+        self.log, self.unplugged, self.playing = Extremes(0.0, 0.0), False, False
+
+    @property
+    def voltage(self) -> float:
+        """What it puts out now [V]."""
+        return self.sent[-1]
+
+    def put(self, voltage: float) -> None:
+        """Put out a `voltage` [V]; raise RigError if it is outside the limits."""
+        if not self.limits[0] <= voltage <= self.limits[1]:
+            self.log.refused += 1
+            raise RigError(f"the rig sent {voltage} V to an instrument of {self.limits[0]} to {self.limits[1]} V")
+        self.log.update(np.array([self.voltage, voltage]), np.array([1e-3]))
+        self.sent.append(float(voltage))
+
+    def displacement(self, voltage: Array) -> Array:
+        """Return what the sensor reads [m] at each `voltage` [V]."""
+        return np.full_like(voltage, 3e-6) if self.unplugged else 1e-7 * np.asarray(voltage)
+
+    def wait(self, seconds: float) -> None:
+        """Let `seconds` pass: for the rig's ``_wait``, so that a test takes no time."""
+        self.now += seconds

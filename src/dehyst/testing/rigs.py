@@ -1,0 +1,310 @@
+"""What every rig must do: a suite of tests for authors of drivers, which dehyst's own drivers pass too."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import astuple
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import pytest
+
+from dehyst._errors import DeviceError, RecordError, RigError, SensorError
+from dehyst.control import ClampWarning
+from dehyst.instruments import AbstractRig, Samples
+from dehyst.testing.instrument import HIGH, LOW
+from dehyst.waveforms import Excitation
+
+Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
+# Seconds between two steps of a ramp.
+_TICK = 0.01
+
+
+class RigCandidate(NamedTuple):
+    """A rig under test.
+
+    `name`: in the reports of pytest. `open`: context manager that takes `limits` and `slew_rate`, and `longest` if the
+    rig's waves can be made short, and yields the rig and the instrument behind it, which has the attributes of a
+    `FakeInstrument`, stands at 0 V, and allows -20 to 100 V. `volts`, `rate`: how far recorded voltages [V] and the
+    rate (relative) may be from what was asked for, as the device's digits are. `real_time`: whether the wave plays on
+    while a stop is on its way.
+    """
+
+    name: str
+    open: Callable[..., AbstractContextManager[tuple[AbstractRig, Any]]]
+    volts: float = 1e-9
+    rate: float = 1e-9
+    real_time: bool = False
+
+
+def excitation(rig: AbstractRig, *corners: float, name: str = "corners", rate: float = 1000.0) -> Excitation:
+    """Return straight lines from one voltage to the next at 0.8 of the slew rate."""
+    rate = rig.nearest_rate(rate)
+    legs = [
+        np.linspace(a, b, int(np.ceil(abs(b - a) / (0.8 * rig.slew_rate) * rate)) + 1)[1:] for a, b in pairwise(corners)
+    ]
+    return Excitation(name, np.concatenate([[corners[0]], *legs]), rate)
+
+
+def _put_out(instrument: Any) -> tuple[float, ...]:
+    """Return what can be seen of all that was ever put out."""
+    return *astuple(instrument.log), instrument.voltage
+
+
+def _standing(instrument: Any, voltage: float, tolerance: float = 1e-6) -> bool:
+    return not instrument.playing and abs(instrument.voltage - voltage) <= tolerance
+
+
+def _interrupted() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def _raising(kind: type[BaseException], *about: object) -> Callable[[], None]:
+    def do() -> None:
+        raise kind(*about)
+
+    return do
+
+
+class RigContract:
+    """The tests of a rig: limits, slew rate, ramps, records, and the retreat after each kind of error.
+
+    A subclass whose name begins with ``Test`` has a fixture `candidate` that returns a `RigCandidate`::
+
+        class TestMyRig(RigContract):
+            @pytest.fixture
+            def candidate(self):
+                return RigCandidate("mine", open_on_an_emulator)
+    """
+
+    @pytest.fixture
+    def bench(self, candidate: RigCandidate) -> Iterator[Bench]:
+        """Return a function that opens a rig with options; it returns the rig and the instrument behind it."""
+        with ExitStack() as stack:
+            yield lambda **options: stack.enter_context(candidate.open(**options))
+
+    def test_limits_are_never_wider_than_the_devices(self, bench: Bench) -> None:
+        rig, instrument = bench(limits=(-500.0, 500.0), slew_rate=1e3)
+        assert (rig.limits.low, rig.limits.high) == pytest.approx(instrument.limits)
+        assert LOW <= rig.limits.low < rig.limits.high <= HIGH
+        assert rig.limits.slew_rate == rig.slew_rate <= 1e3
+
+    def test_limits_are_never_wider_than_the_users(self, bench: Bench) -> None:
+        rig, _ = bench(limits=(-5.0, 40.0), slew_rate=150.0)
+        assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (-5.0, 40.0, 150.0)
+        assert rig.safe == 0.0
+
+    def test_a_rig_that_nobody_limits_keeps_to_the_device_and_to_some_slew_rate(self, bench: Bench) -> None:
+        rig, instrument = bench()
+        assert (rig.limits.low, rig.limits.high) == pytest.approx(instrument.limits)
+        assert 0 < rig.slew_rate < np.inf
+
+    def test_limits_that_leave_nothing_are_refused(self, bench: Bench) -> None:
+        with pytest.raises(RigError, match="limits: got 200 to 300"):
+            bench(limits=(200.0, 300.0))
+
+    def test_nothing_is_sent_by_opening_nor_by_reading(self, bench: Bench) -> None:
+        rig, instrument = bench()
+        log = astuple(instrument.log)
+        assert (instrument.log.lowest, instrument.log.highest, instrument.voltage) == (0, 0, 0)
+        first = rig.read()
+        second = rig.read()
+        assert astuple(instrument.log) == log
+        assert first.voltage == pytest.approx(0.0, abs=1e-6)
+        assert np.isfinite(first).all()
+        assert second.time >= first.time
+        assert rig.name in repr(rig)
+
+    def test_a_voltage_is_ramped_to(self, bench: Bench, candidate: RigCandidate) -> None:
+        rig, instrument = bench(slew_rate=500.0)
+        for target in (60.0, 61.0, -10.0, -10.0):
+            before = rig.read()
+            assert rig.set_voltage(target) == target
+            after = rig.read()
+            assert _standing(instrument, target, candidate.volts)
+            assert after.voltage == pytest.approx(target, abs=candidate.volts)
+            # The last step may be taken at once.
+            assert after.time - before.time >= (abs(target - before.voltage) / 500.0 - _TICK) * 0.999
+        assert instrument.log.largest_step <= 500.0 * _TICK + 2 * candidate.volts
+        assert (instrument.log.lowest, instrument.log.highest) == pytest.approx((-10.0, 61.0), abs=candidate.volts)
+
+    @pytest.mark.parametrize(("asked", "sent"), [(150.0, 50.0), (-30.0, -5.0), (1e300, 50.0)])
+    def test_a_voltage_beyond_the_limits_is_clamped_and_reported(self, bench: Bench, asked: float, sent: float) -> None:
+        rig, instrument = bench(limits=(-5.0, 50.0))
+        with pytest.warns(ClampWarning, match=f"was requested and {sent:g} V sent: -5 to 50 V is allowed"):
+            assert rig.set_voltage(asked) == sent
+        assert _standing(instrument, sent)
+        assert instrument.log.lowest >= -5.0 - 1e-9
+        assert instrument.log.highest <= 50.0 + 1e-9
+        assert instrument.log.refused == 0
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, "50", None, [50.0]])
+    def test_what_is_not_a_voltage_is_refused_with_nothing_sent(self, bench: Bench, bad: Any) -> None:
+        rig, instrument = bench()
+        before = _put_out(instrument)
+        with pytest.raises(RecordError, match="finite number"):
+            rig.set_voltage(bad)
+        assert _put_out(instrument) == before
+
+    def test_a_sample_for_each_voltage(self, bench: Bench, candidate: RigCandidate) -> None:
+        rig, instrument = bench()
+        asked = excitation(rig, 0, 60, 20, 80, 0)
+        lots: list[Samples] = []
+        record = rig.play(asked, lots.append)
+        assert np.array_equal(rig.rows(len(asked)), np.arange(len(asked)))
+        assert record.voltage == pytest.approx(asked.voltage, abs=candidate.volts)
+        assert np.all(np.diff(record.time) > 0)
+        assert np.median(np.diff(record.time)) == pytest.approx(1 / asked.sample_rate, rel=candidate.rate)
+        assert abs(record.time[-1] - record.time[0] - asked.duration) <= 2 / asked.sample_rate + 0.01 * asked.duration
+        assert asked.sample_rate == pytest.approx(1000.0, rel=0.05)
+        # The sensor sees an actuator that follows.
+        assert np.corrcoef(record.voltage, record.displacement)[0, 1] > 0.9
+        assert _standing(instrument, 0.0)
+        assert instrument.log.highest == pytest.approx(80.0, abs=candidate.volts)
+        for column in ("time", "voltage", "displacement"):
+            assert np.array_equal(np.concatenate([getattr(lot, column) for lot in lots]), getattr(record, column))
+        assert (record.name, record.meta["rig"], record.meta["axis"]) == ("corners", rig.name, rig.axis)
+
+    def test_a_record_begins_by_a_ramp_to_its_first_voltage(self, bench: Bench, candidate: RigCandidate) -> None:
+        rig, instrument = bench(slew_rate=600.0)
+        rig.play(excitation(rig, 70, 90, 80))
+        assert instrument.log.largest_step <= 600.0 * _TICK + 2 * candidate.volts
+        assert _standing(instrument, 80.0, candidate.volts)
+
+    @pytest.mark.parametrize("corners", [(0, 50.1, 0), (0, -5.1, 0), (60, 55)])
+    def test_an_excitation_beyond_the_limits_is_refused_with_nothing_sent(
+        self, bench: Bench, corners: tuple[float, ...]
+    ) -> None:
+        rig, instrument = bench(limits=(-5.0, 50.0))
+        before = _put_out(instrument)
+        with pytest.raises(RecordError, match="may have -5 to 50"):
+            rig.play(excitation(rig, *corners))
+        assert _put_out(instrument) == before
+
+    def test_an_excitation_that_is_too_steep_is_refused_with_nothing_sent(self, bench: Bench) -> None:
+        rig, instrument = bench(slew_rate=100.0)
+        steep = excitation(rig, 0, 40, 0)
+        before = _put_out(instrument)
+        with pytest.raises(RecordError, match="may have 100 V/s"):
+            rig.play(Excitation("corners", steep.voltage[::2], steep.sample_rate))
+        assert _put_out(instrument) == before
+
+    @pytest.mark.parametrize("longest", [2, 17, 100])
+    def test_a_long_record_is_cut_into_pieces_that_join(
+        self, bench: Bench, candidate: RigCandidate, longest: int
+    ) -> None:
+        rig, instrument = bench(longest=longest)
+        # A few samples from end to end, for tables of two.
+        asked = excitation(rig, 0, 12, 4) if longest == 2 else excitation(rig, 0, 60, 20, 80, 0)
+        if rig.longest != longest:
+            pytest.skip("its tables cannot be made so short")
+        record, rows = rig.play(asked), rig.rows(len(asked))
+        pieces = -(-(len(asked) - 1) // (longest - 1))
+        assert rows.size == len(record) == len(asked) + pieces - 1
+        assert set(np.diff(rows)) <= {0, 1}
+        assert (int(rows[0]), int(rows[-1])) == (0, len(asked) - 1)
+        assert np.count_nonzero(np.diff(rows) == 0) == pieces - 1
+        assert record.voltage == pytest.approx(asked.voltage[rows], abs=candidate.volts)
+        assert np.all(np.diff(record.time) > 0)
+        assert instrument.log.largest_step <= rig.slew_rate * _TICK + 2 * candidate.volts
+
+    def test_times_go_on_from_one_record_to_the_next(self, bench: Bench) -> None:
+        rig, _ = bench()
+        records = [rig.play(excitation(rig, 0, 30, 0)) for _ in range(3)]
+        times = np.concatenate([record.time for record in records])
+        assert np.all(np.diff(times) > 0)
+        assert rig.read().time >= times[-1]
+
+    @pytest.mark.parametrize(
+        ("stop", "kind"),
+        [
+            (_raising(ValueError, "the disk is full"), ValueError),
+            (_raising(KeyboardInterrupt), KeyboardInterrupt),
+            (_interrupted, KeyboardInterrupt),
+            (_raising(SystemExit, 143), SystemExit),
+        ],
+        ids=["error", "raised Ctrl-C", "Ctrl-C", "exit"],
+    )
+    def test_what_listening_raises_stops_the_wave(
+        self, bench: Bench, candidate: RigCandidate, stop: Callable[[], None], kind: type[BaseException]
+    ) -> None:
+        rig, instrument = bench(longest=120)
+        asked = excitation(rig, 0, 80, 70, 90, 0)
+        heard: list[Samples] = []
+
+        def listen(samples: Samples) -> None:
+            heard.append(samples)
+            if sum(lot.time.size for lot in heard) > 100:
+                stop()
+
+        with pytest.raises(kind) as caught:
+            rig.play(asked, listen)
+        assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+        assert _standing(instrument, 0.0)
+        voltage = np.concatenate([lot.voltage for lot in heard])
+        assert 100 < voltage.size < len(rig.rows(len(asked)))
+        assert voltage == pytest.approx(asked.voltage[rig.rows(len(asked))][: voltage.size], abs=candidate.volts)
+        assert instrument.log.highest <= 90.0 + candidate.volts
+        # Another record can be made at once.
+        assert len(rig.play(excitation(rig, 0, 30, 0))) > 2
+
+    def test_an_unplugged_sensor_is_reported_and_the_voltage_brought_back(
+        self, bench: Bench, candidate: RigCandidate
+    ) -> None:
+        rig, instrument = bench(slew_rate=300.0)
+        instrument.unplugged = True
+        heard: list[Samples] = []
+        with pytest.raises(SensorError, match="not move:") as caught:
+            rig.play(excitation(rig, 0, 80, 0), heard.append)
+        assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
+        assert _standing(instrument, 0.0)
+        assert sum(lot.time.size for lot in heard) > 0
+        # It came soon: not much more than a fifth of the range had been seen. A wave in real time plays on until then.
+        assert max((lot.voltage.max() for lot in heard[:-1]), default=0.0) <= 60.0
+        assert instrument.log.highest <= (60.0 if not candidate.real_time else 80.0)
+
+    @pytest.mark.parametrize("voltage", [LOW, -3.0, 0.0, 1e-3, 55.5, HIGH])
+    def test_a_retreat_from_any_voltage(self, bench: Bench, candidate: RigCandidate, voltage: float) -> None:
+        rig, instrument = bench(slew_rate=2000.0)
+        rig.set_voltage(voltage)
+        assert rig.retreat() == 0.0
+        assert _standing(instrument, 0.0, candidate.volts)
+        assert instrument.log.largest_step <= 2000.0 * _TICK + 2 * candidate.volts
+
+    def test_safe_is_the_voltage_nearest_to_zero(self, bench: Bench, candidate: RigCandidate) -> None:
+        rig, instrument = bench(limits=(0.5, 60.0))
+        assert rig.safe == 0.5
+        rig.set_voltage(40.0)
+        assert rig.retreat() == 0.5
+        assert _standing(instrument, 0.5, candidate.volts)
+
+    def test_a_device_that_stands_beyond_the_limits_is_left_alone(self, bench: Bench) -> None:
+        rig, instrument = bench(limits=(30.0, 60.0))
+        before = _put_out(instrument)
+        with pytest.raises(DeviceError, match="stands at 0 V, but 30 to 60 V is allowed") as caught:
+            rig.set_voltage(40.0)
+        assert "could not be brought to 30 V" in caught.value.__notes__[0]
+        assert _put_out(instrument) == before
+
+    def test_closed_is_closed(self, bench: Bench, candidate: RigCandidate) -> None:
+        rig, instrument = bench()
+        rig.set_voltage(25.0)
+        asked = excitation(rig, 0, 30, 0)
+        rig.close()
+        rig.close()
+        assert _standing(instrument, 25.0, candidate.volts)
+        for late in (rig.read, rig.retreat, lambda: rig.set_voltage(1.0), lambda: rig.play(asked)):
+            with pytest.raises(RigError, match="closed"):
+                late()
+        assert _standing(instrument, 25.0, candidate.volts)
+
+    def test_a_with_statement_closes(self, bench: Bench) -> None:
+        rig, _ = bench()
+        with rig as same:
+            assert same is rig
+        with pytest.raises(RigError, match="is closed"):
+            rig.read()

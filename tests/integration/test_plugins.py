@@ -1,0 +1,252 @@
+"""Plug-ins: what they add, what they may not replace, and that a broken one takes nothing else down."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import places
+import pytest
+from command_line import DEHYST, run
+from plugged_in import describe, plugged_in, write_distribution
+
+import dehyst
+from dehyst._errors import FileFormatError, ModelError, PluginError, RigError
+from dehyst._plugins import PluginWarning, Registry
+from dehyst.baselines import BASELINES
+from dehyst.baselines.comparison import OURS, contenders
+from dehyst.exports import TARGETS
+from dehyst.instruments import SCHEMES, AbstractRig, open_rig
+from dehyst.records import LOADERS
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops
+from dehyst.workbench.forms import exports, rig_address
+
+REGISTRIES = {"readers": LOADERS, "rigs": SCHEMES, "baselines": BASELINES, "targets": TARGETS}
+READER = """
+import os, signal
+import numpy as np
+from dehyst.records import Column
+
+def read(data, allowance):
+    if data == b"crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if data == b"memory":
+        np.ones(400_000_000)
+    if data == b"bare":
+        return [np.zeros(3)]
+    if data == b"allowance":
+        allowance.take(10**9, "the header")
+    rows = np.array([line.split(b";") for line in data.split()], dtype=float)
+    return [Column(n, c) for n, c in zip(("time_s", "voltage_V", "displacement_um"), rows.T)]
+"""
+RIG = """
+from dehyst.instruments import Scheme
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import PlayActuator
+
+def opened(rest, options):
+    if rest == "careless":
+        options["limits"] = None
+    if rest == "none":
+        return None
+    if rest == "broken":
+        raise KeyError("port")
+    return SimulatedRig(PlayActuator(highest=100), **options)
+
+RIG = Scheme("bench://NAME", opened)
+"""
+TARGET = """
+from dehyst.exports import Target, Written
+
+def write(compensator, path, options):
+    path.write_text(f"{compensator.limits[1]} {compensator.preview} {options['force']}")
+    return Written({"file": str(path)}, f"{path}: a line")
+
+TARGET = Target("a line", write, ("preview",), about="Nothing but a line.")
+"""
+
+
+def loops(top=100.0):
+    excitation = descending_tops(top, steps=4, drive=Sampling(sample_rate=50.0))
+    time = np.arange(len(excitation.voltage)) / 50.0
+    return dehyst.Record(time, excitation.voltage, PlayActuator(highest=top).play(excitation.voltage))
+
+
+def test_without_plug_ins_a_registry_has_its_own_rows():
+    for registry in REGISTRIES.values():
+        assert list(registry) == list(registry.own)
+        assert len(registry) == len(registry.own) > 2
+        assert registry.plugins == ()
+        assert "none of these" not in registry
+
+
+def test_a_library_that_is_imported_looks_for_no_plug_in():
+    code = "import sys, dehyst; assert 'importlib.metadata' not in sys.modules and 'dehyst._plugins' not in sys.modules"
+    subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"], check=True)
+
+
+def test_rows_of_this_package_are_found_without_a_search(monkeypatch):
+    monkeypatch.setattr(Registry, "plugins", property(lambda _: pytest.fail("searched")))
+    for registry in REGISTRIES.values():
+        for name in registry.own:
+            assert registry[name] is registry.own[name]
+
+
+def test_a_plug_in_may_not_replace_a_row_of_this_package(tmp_path):
+    write_distribution(
+        tmp_path, "greedy", {"readers": ".csv = greedy:read", "baselines": "dehyst = greedy:read"}, READER
+    )
+    with plugged_in(tmp_path):
+        with pytest.warns(PluginWarning, match=r"'\.csv' \(readers\) of greedy 1\.0 .* belongs to dehyst \d"):
+            assert list(LOADERS) == list(LOADERS.own)
+        assert LOADERS[".csv"] is LOADERS.own[".csv"]
+        with pytest.warns(PluginWarning, match="'dehyst' .* of greedy 1.0 .* a model of dehyst"):
+            assert list(contenders()) == [OURS, f"{OURS}, paper's", *BASELINES.own]
+
+
+def test_two_plug_ins_of_one_name_are_both_refused(tmp_path):
+    for name in ("one", "other"):
+        write_distribution(tmp_path / name, name, {"readers": ".daq = one:read"}, READER)
+    refused = pytest.raises(PluginError, match=r"of one 1\.0 and other 1\.0 cannot be used: both have this name")
+    with plugged_in(tmp_path / "one", tmp_path / "other"), pytest.warns(PluginWarning), refused:
+        dehyst.read(tmp_path / "a.daq")
+
+
+def test_a_plug_in_that_fails_is_named_and_the_others_work(tmp_path):
+    groups = {"readers": ".bad = fails:read", "rigs": "bad = fails:rig", "targets": ".bad = fails:target"}
+    write_distribution(tmp_path, "fails", groups, "raise SystemExit('no licence')")
+    write_distribution(tmp_path, "works", {"readers": ".daq = works:read\n.gone = works:gone"}, READER)
+    (tmp_path / "a.daq").write_text("0;0;0\n1;2;3\n2;1;2")
+    with plugged_in(tmp_path):
+        with pytest.warns(PluginWarning, match="fails 1.0 .* SystemExit: no licence") as caught:
+            assert dehyst.read(tmp_path / "a.daq").voltage.tolist() == [0, 2, 1]
+        assert sum("works 1.0" in str(one.message) for one in caught) == 1
+        with pytest.raises(PluginError, match=r"'\.bad' \(readers\) of fails 1\.0"):
+            dehyst.read(tmp_path / "a.bad")
+        with pytest.warns(PluginWarning), pytest.raises(PluginError, match=r"'bad' \(rigs\) of fails 1\.0"):
+            open_rig("bad://x")
+        status, out, _ = run("--version")
+    assert status == 0
+    assert "reader of .daq of works 1.0" in out.splitlines()
+    assert sum("of fails 1.0 cannot be used: SystemExit: no licence" in line for line in out.splitlines()) == 3
+    assert run("--version")[1] == f"dehyst, version {dehyst.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("group", "entry"),
+    [
+        ("readers", "daq = wrong:read"),
+        ("readers", ".DAQ = wrong:read"),
+        ("readers", ".daq = wrong:word"),
+        ("rigs", "bench = wrong:word"),
+        ("rigs", "My-Bench = wrong:RIG"),
+        ("baselines", "flat = wrong:word"),
+        ("targets", ".st = wrong:word"),
+        ("targets", "st = wrong:TARGET"),
+    ],
+)
+def test_what_is_no_member_is_refused(tmp_path, group, entry):
+    write_distribution(tmp_path, "wrong", {group: entry}, f"{RIG}{TARGET}word = 'no'\ndef read(*_): pass")
+    with plugged_in(tmp_path), pytest.warns(PluginWarning, match="wrong 1.0 cannot be used: .*need"):
+        assert list(REGISTRIES[group]) == list(REGISTRIES[group].own)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the limits of the reader's process need fork")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("crash", signal.SIGSEGV.name),
+        ("memory", "takes more memory"),
+        ("bare", "need Columns"),
+        ("allowance", "the header declares 8000 MB"),
+        ("no numbers", "not a readable .daq file"),
+    ],
+)
+def test_a_reader_of_a_plug_in_runs_within_the_limits_of_the_readers_process(tmp_path, content, message):
+    write_distribution(tmp_path, "reads", {"readers": ".daq = reads:read"}, READER)
+    (tmp_path / "a.daq").write_text(content)
+    with plugged_in(tmp_path), pytest.raises(FileFormatError, match=f"a.daq: .*{message}|{message}"):
+        dehyst.read(tmp_path / "a.daq", max_bytes=1e6)
+
+
+def test_a_rig_of_a_plug_in_keeps_what_every_rig_keeps(tmp_path):
+    write_distribution(tmp_path, "rigs", {"rigs": "bench = rigs:RIG"}, RIG)
+    with plugged_in(tmp_path):
+        with open_rig("bench://1", limits=(0, 60), slew_rate=500) as rig:
+            assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (0, 60, 500)
+        with pytest.raises(RigError, match=r"0 to 100 V.* but 0 to 60 V.* were requested"):
+            open_rig("bench://careless", limits=(0, 60))
+        with pytest.raises(RigError, match="bench://none: returned a NoneType"):
+            open_rig("bench://none")
+        with pytest.raises(RigError, match="bench://broken: raised KeyError"):
+            open_rig("bench://broken")
+        with pytest.raises(RigError, match="cannot choose axes"):
+            open_rig("bench://1", axes=["1", "2"])
+        with pytest.raises(RigError, match="bench://NAME"):
+            open_rig("other://1")
+        assert rig_address().fullmatch("bench://1")
+    assert not rig_address().fullmatch("bench://1")
+
+
+@pytest.mark.parametrize("name", ["play", "limits", "set_voltage", "_ramp", "_retreated", "retreat"])
+def test_no_rig_replaces_what_limits_and_retreat_rely_on(name):
+    with pytest.raises(TypeError, match=f"Own: replaces {name} of AbstractRig; a rig writes only nearest_rate, _read"):
+        type("Own", (AbstractRig,), {name: None})
+
+
+def test_a_baseline_of_a_plug_in_is_compared(tmp_path):
+    code = "from dehyst.baselines import BASELINES\ndef fit(records):\n    return BASELINES['linear ratio'](records)\n"
+    code += "def fail(records):\n    raise KeyError('slope')\n"
+    write_distribution(tmp_path, "rival", {"baselines": "flat = rival:fit\nbroken = rival:fail"}, code)
+    dehyst.write_record(tmp_path / "a.csv", loops())
+    chosen = [word for name in ("flat", "linear ratio", "broken") for word in ("--only", name)]
+    with plugged_in(tmp_path):
+        status, out, _ = run("compare", tmp_path / "a.csv", "--json", *chosen)
+        flat, linear, broken = json.loads(out)["models"]
+    assert status == 0
+    assert (flat["model"], linear["model"]) == ("flat", "linear ratio")
+    assert flat["errors"] == linear["errors"]
+    assert broken["said"].startswith("broken: a plug-in raised KeyError: 'slope'")
+
+
+def test_a_target_of_a_plug_in_is_exported_to(tmp_path):
+    write_distribution(tmp_path, "writes", {"targets": ".st = writes:TARGET"}, TARGET)
+    model = tmp_path / "model.json"
+    dehyst.Actuator(dehyst.MaxwellSlip([1e-6], [1e6]), dehyst.Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
+    with plugged_in(tmp_path):
+        status, out, _ = run("export", model, tmp_path / "a.st", "--json")
+        assert (status, json.loads(out)["file"]) == (0, str(tmp_path / "a.st"))
+        assert (tmp_path / "a.st").read_text() == "90.0 False False"
+        assert run("export", model, tmp_path / "a.st", "--name", "x")[0] == 2
+        (tmp_path / "b.st").write_text("mine")
+        assert run("export", model, tmp_path / "b.st")[0] == 2
+        assert (tmp_path / "b.st").read_text() == "mine"
+        assert exports()[".st"] == ("a line", "Nothing but a line.", ".st")
+    assert ".st" not in exports()
+
+
+@pytest.mark.slow
+def test_the_example_of_a_plug_in_passes_its_tests(tmp_path):
+    """Its own tests are the contracts; its lines are few enough to read."""
+    project = places.EXAMPLES / "plugin"
+    describe(project, tmp_path)
+    given = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, project / "src", *sys.path)))}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", str(project)]
+    done = subprocess.run(command, cwd=project, env=given, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    listed = subprocess.run([*DEHYST, "--version"], env=given, capture_output=True, text=True, timeout=60, check=True)
+    rows = ["reader of .wav", "rig line", "baseline polynomial", "export to .st"]
+    assert listed.stdout.splitlines()[1:] == [f"{row} of dehyst_example 0.1.0" for row in rows]
+    sources = [path.read_text() for path in (project / "src").rglob("*.py")]
+    assert sum(bool(line.strip()) for text in sources for line in text.split("\n")) <= 150
+
+
+def test_an_error_of_a_plug_ins_own_class_arrives(tmp_path):
+    code = "from dehyst import ModelError\nclass Own(ModelError): pass\ndef read(*_): raise Own('of its own')\n"
+    write_distribution(tmp_path, "own", {"readers": ".daq = own:read"}, code)
+    (tmp_path / "a.daq").write_text("x")
+    with plugged_in(tmp_path), pytest.raises(ModelError, match="of its own"):
+        dehyst.read(tmp_path / "a.daq")
