@@ -14,6 +14,7 @@ from dehyst.model import Actuator
 from dehyst.model.states import state_at
 from dehyst.operations.axes import Slew
 from dehyst.operations.start import Limits
+from dehyst.trust import Judgement
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -108,6 +109,19 @@ class PathSlew(NamedTuple):
         elif held:
             words += ": held back; --slew-rate V/S sets another bound, --slew-rate none removes it"
         return [words]
+
+
+def promise_lines(actuator: Actuator, judged: Judgement) -> list[str]:
+    """Return lines on the promised error of a path, if it is known, and on what the records do not test."""
+    known, thermal = actuator.identification, actuator.thermal
+    validity = None if known is None else known.validity
+    # Limits of the file may be wider than what was recorded.
+    stroke = float(actuator.reach[1] - actuator.reach[0]) if validity is None else validity.stroke
+    lines = judged.lines(stroke)
+    if thermal is not None:
+        share = abs(thermal.gain) + abs(thermal.offset) / stroke
+        lines.append(f"At {thermal.reference:.3g} degrees Celsius; each kelvin off adds up to {100 * share:.2g} %.")
+    return lines
 
 
 def zero_of_path(

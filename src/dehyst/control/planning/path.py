@@ -105,6 +105,11 @@ class HomedPath:
         return int(np.count_nonzero(self.phase != PATH))
 
     @property
+    def left_open(self) -> StartError | None:
+        """The error due to the start; None if the start is known."""
+        return None if self.homing is None and self.start.known else self.error
+
+    @property
     def seconds(self) -> float | None:
         """Time [s] from the first sample to the first sample of the path; None if the path has no time."""
         return None if self.time is None else float(self.time[self.first] - self.time[0])
@@ -521,7 +526,7 @@ class _Plan:
         return apply(self.stage.coupling, moved), [motion.state for motion in motions]
 
     def lead(self, ways: Sequence[_Way]) -> Array:
-        """Return the displacement (k, axes) [m] along ways; an unknown start is replaced by a state within the limits."""
+        """Return the displacement (k, axes) [m] along ways, from a state within the limits if the start is unknown."""
         begun = []
         for one, way in zip(self.loops, ways, strict=True):
             start = way.start
