@@ -22,6 +22,5 @@ __all__ = [
     "check_stage",
     "insight",
     "judge",
-    "judge_planned",
     "stage_insight",
 ]
