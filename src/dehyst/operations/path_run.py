@@ -17,7 +17,7 @@ from dehyst.model import Actuator
 from dehyst.operations.axes import is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
-from dehyst.operations.paths import Zero, promise_lines, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import largest, rms
 from dehyst.records.files import demand_text
@@ -100,7 +100,7 @@ def run_path(
         for remark in reach_remarks(actuator, wanted, follower.limits, zero):
             run.note(remark)
         judged = judge_planned(actuator, follower.planned())
-        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged)}
+        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged, PathTemperature())}
         run.known = promise
         for line in promise["promise"]:
             run.say(line)
@@ -186,7 +186,7 @@ def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:
     if known is None or known.validity is None or not any(one.used for one in done):
         return actuator
     errors = {"rms": rms(last.path.error), "largest": largest(last.path.error)}
-    validity = known.validity.with_record(last.record.time, last.record.voltage, **errors)
+    validity = known.validity.with_record(last.record, **errors)
     return actuator.with_validity(validity, errors["largest"])
 
 
