@@ -5,7 +5,7 @@
 # make docs     build the site into build/docs, with all examples run; a warning is an error
 # make wasm     compile the core to WebAssembly (needs Debian's clang and lld); commit the result
 # make pictures take the pictures of the workbench's tutorial anew
-# make wheel    build the wheel, audit it, and run the demo from it in a new environment
+# make wheel    build sdist and wheel, audit both, and run the demo from the wheel in new environments
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
 PYTHON ?= python3

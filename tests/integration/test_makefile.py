@@ -1,6 +1,7 @@
 """The commands of the Makefile, and who runs them: continuous integration and the hooks before a commit."""
 
 import re
+import tomllib
 from collections import Counter
 
 import places
@@ -50,3 +51,11 @@ def test_the_hooks_before_a_commit_are_those_of_the_check():
     hooks = re.findall(r"entry: \.venv/bin/(.*)", (ROOT / ".pre-commit-config.yaml").read_text())
     assert {hook.split()[0] for hook in hooks} == {check.split()[0] for check in checks}
     assert {"ruff check", "ruff format --check"} <= set(hooks)
+
+
+def test_the_conda_recipe_requires_what_the_package_requires():
+    listed = set(re.findall(r"^    - ([\w-]+ >=[\d.]+)$", (ROOT / "recipe" / "recipe.yaml").read_text(), re.M))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    needed = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
+    python = "python " + project["project"]["requires-python"]
+    assert listed - {"cmake >=3.18"} == {python, *(one.replace(">=", " >=") for one in needed)}
