@@ -44,18 +44,18 @@ SCAN = "# dehyst-scan: "
 NEWER = "a newer dehyst wrote it: install that one, for instance with pip install --upgrade dehyst"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
-# HTML, SVG, FMU, WebAssembly, text that begins with a comment of dehyst, and a table of a fleet, whose metadata are at
-# the end of the file.
+# HTML, SVG, FMU, WebAssembly, and a table of a fleet, whose metadata are at the end of the file.
 _GENERATED = re.compile(
     rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst |<\?xml.{0,1500}?<dc:title>dehyst '
-    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about|[-#;%*/(!"]{1,3} ?dehyst: '
-    rb"|PAR1.*dehyst-fleet",
+    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about|PAR1.*dehyst-fleet',
     re.DOTALL,
 )
 _BINARY = (b"<", b"PK", b"\0", b"PAR1", b"\x89")
 # Where a ZIP archive has the length and the name of its first file.
 _ZIP_LENGTH, _ZIP_NAME = slice(26, 28), 30
 _HEADER = re.compile(r"\w+_\w+([,\t]\w+)*|\w+([,\t]\w+)*[,\t]\w+_\w+")
+# How the text of an export begins.
+_COMMENT = re.compile(r"[-#;%*/(!]{1,3} ?dehyst: ")
 _PROTECTS: ContextVar[bool] = ContextVar("protects", default=False)
 # Types of data that are no file, and what makes a record of them.
 _TABLES = {"DataFrame": "from_dataframe", "Dataset": "from_xarray", "ndarray": "from_arrays"}
@@ -203,8 +203,8 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
     if kind is not None and content is not None and kind == _kind(content):
         return
     if kind is not None and content is None:
-        prefixes = ("dehyst", "table of a model")
-        if kind.startswith(prefixes) or kind.endswith(".npy") or _HEADER.fullmatch(kind):
+        known = kind.startswith(("dehyst", "table of a model")) or kind.endswith(".npy")
+        if known or _COMMENT.match(kind) or _HEADER.fullmatch(kind):
             return
     raise FileFormatError(
         f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"
