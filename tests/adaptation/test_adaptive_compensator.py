@@ -8,32 +8,21 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
+from ageing_plant import LIMITS, PERIOD, PLANT, STROKE, TURNS, aged, cycle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dehyst
-from dehyst import Actuator, AdaptiveCompensator, Compensator, MaxwellSlip, ModelError, Spring
+from dehyst import (
+    AdaptiveCompensator,
+    Compensator,
+    DisplacementCreep,
+    ModelError,
+    State,
+    Thermal,
+)
 from dehyst.adaptation import AdaptiveSnapshot
 from dehyst.adaptation.adaptive_compensator import _slow_loop
-
-PLANT = replace(plain_records.plant(10, seed=4), limits=(-20.0, 220.0))
-LIMITS, PERIOD, STROKE = (-20.0, 220.0), 1e-3, plain_records.STROKE
-TURNS = (0.85, 0.35, 0.65, 0.05)
-
-
-def aged(age, gain=-0.07, width=0.25):
-    """The plant with less gain, a wider loop and a bent spring; its lowest point stays."""
-    slip, spring = PLANT.slip, PLANT.spring
-    kappa = slip.stiffness * (1 + width * age) / (1 + gain * age)
-    part = np.linspace(0, 1, spring.slopes.size)
-    slopes = spring.slopes * (1 + 0.1 * age * (part - 0.5)) / (1 + gain * age)
-    first = spring.voltage[0] + (kappa - slip.stiffness) @ slip.breakaway
-    return Actuator(MaxwellSlip(slip.breakaway, kappa), Spring.of_slopes(spring.displacement, slopes, float(first)))
-
-
-def cycle(seed, scale=1.0, middle=0.45):
-    turns = [TURNS[-1], *(np.array(TURNS) + 0.02 * np.random.default_rng(seed).random(4))]
-    return middle * STROKE * (1 - scale) + scale * plain_records.path(turns, 40)[1:]
 
 
 def lived(loop, cycles, *, age=lambda k: 0.0, sensor=lambda y, k, n: y, path=cycle):
@@ -81,6 +70,47 @@ def test_ageing_is_learnt():
     assert slope == pytest.approx(1 / 0.93, rel=0.03)
     assert friction == pytest.approx(1.25 / 0.93, rel=0.15)
     assert loop.actuator.slip.breakaway.tolist() == PLANT.slip.breakaway.tolist()
+
+
+BEHIND = {
+    "creep in displacement": {"displacement_creep": DisplacementCreep([0.05, 1.0], [0.02, 0.04])},
+    "temperature": {"thermal": Thermal(4e-3, 3e-4 * STROKE, 20.0)},
+}
+
+
+def lived_behind(loop, parts, cycles, ages):
+    """As `lived`, of a plant with parts behind its elements, which warms from 20 to 35 degrees Celsius."""
+    thermal, errors = "thermal" in parts, []
+    start = PLANT.turned(STROKE * TURNS[-1], rising=False)
+    state, y, last = State(start.displacement, start.carts), None, loop.voltage
+    for k in range(cycles):
+        plant, error = replace(aged(ages * k / cycles), **parts), []
+        warm = {"temperature": 20 + 15 * k / cycles} if thermal else {}
+        for wanted in cycle(k).tolist():
+            voltage = (
+                loop.step(wanted, y, **warm) if isinstance(loop, AdaptiveCompensator) else loop.step(wanted, **warm)
+            )
+            motion = plant.simulate([last, voltage], time=[0.0, PERIOD], state=state, **warm)
+            state, y, last = motion.state, float(motion.displacement[-1]), voltage
+            error.append(abs(y - wanted) / STROKE)
+        errors.append(max(error))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("name", BEHIND)
+def test_parts_behind_the_elements_stay_while_the_weights_adapt(name):
+    parts = BEHIND[name]
+    model = replace(PLANT, **parts)
+    assert lived_behind(loop_of(actuator=model), parts, 10, 0.0).max() < 1e-9
+    frozen, loop = loop_of(Compensator, model), loop_of(actuator=model)
+    before, errors = lived_behind(frozen, parts, 60, 1.0), lived_behind(loop, parts, 60, 1.0)
+    assert errors[-6:].mean() < 0.2 * before[-6:].mean()
+    assert np.all(errors <= 1.2 * np.maximum(before, 0.005))
+    assert (loop.actuator.displacement_creep, loop.actuator.thermal) == (model.displacement_creep, model.thermal)
+    again = loop_of(actuator=model)
+    again.restore(AdaptiveSnapshot.from_dict(json.loads(json.dumps(loop.snapshot().as_dict()))))
+    path = cycle(7).tolist()
+    assert [again.step(y, y) for y in path] == [loop.step(y, y) for y in path]
 
 
 def test_noise_does_no_harm():

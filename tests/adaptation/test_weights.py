@@ -1,13 +1,10 @@
 """Weights: columns times factors are the voltages of the model, whatever its parts."""
 
-from dataclasses import replace
-
 import numpy as np
 import plain_records
 import pytest
 import structured_records as wide
 
-from dehyst import DisplacementCreep, ModelError, Thermal
 from dehyst.adaptation.weights import Tracker, Weights
 
 PERIOD = 1 / wide.RATE
@@ -57,12 +54,6 @@ def test_the_model_of_the_initial_factors_is_the_model(name):
     low, high = weights.constants(weights.initial)
     assert low == pytest.approx(high) == pytest.approx(float(actuator.spring.voltage[0]))
     assert weights.ratios(weights.initial) == pytest.approx((1.0, 1.0))
-
-
-def test_parts_behind_the_elements_are_refused():
-    for parts in ({"displacement_creep": DisplacementCreep([1.0], [0.01])}, {"thermal": Thermal(1e-3, 0.0, 20.0)}):
-        with pytest.raises(ModelError, match="not adapt"):
-            Weights.of(replace(PLANTS["plain"], **parts))
 
 
 def test_followed_in_parts_it_is_the_same_memory():

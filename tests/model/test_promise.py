@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, ModelError
-from dehyst.model import MaxwellSlip, Spring, Validity, promise
+from dehyst.model import MaxwellSlip, Spring, Thermal, Validity, promise
 from dehyst.model.promise import distances, legs
+from dehyst.model.temperatures import temperatures_to_record
 
 SPAN, STROKE = 100.0, 1e-5
 
@@ -102,6 +103,51 @@ def test_a_model_file_keeps_it():
     entries = model.as_dict()
     del entries["identification"]["validity"]
     assert Actuator.from_dict(entries).identification.validity is None
+
+
+def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount():
+    warm, part = replace(TOPS, temperatures=(15.0, 45.0)), Thermal(-2.5e-3, 5e-9, 30.0)
+    kelvin = 2.5e-3 * STROKE + 5e-9
+    assert part.per_kelvin(STROKE) == pytest.approx(kelvin)
+    time, voltage = motion(0, 100, 0, 70, 0)
+    tested = promise(warm, voltage, time, thermal=part, temperature=40.0)
+    assert tested.by_temperature == 0
+    assert tested.largest == promise(warm, voltage, time).largest
+    for temperature, off in ((55.0, 10), (np.linspace(40, 5, time.size), 10), (None, 15)):
+        found = promise(warm, voltage, time, thermal=part, temperature=temperature)
+        assert found.by_temperature == pytest.approx(off * kelvin)
+        assert found.largest == pytest.approx(tested.largest + off * kelvin)
+        assert found.rms == pytest.approx(tested.rms + 0.5 * off * kelvin)
+        assert len(found.untested) == len(tested.untested) + 1
+        assert found.half.max() == pytest.approx(tested.half.max() + off * kelvin)
+    # Without the part nobody knows the amount.
+    found = promise(warm, voltage, time, temperature=60.0)
+    assert (found.by_temperature, len(found.untested)) == (0, len(tested.untested) + 1)
+    assert not promise(warm, voltage, time, temperature=46.0).untested
+
+
+@pytest.mark.parametrize(
+    ("tested", "used", "reference", "needed"),
+    [
+        ((15.0, 45.0), (20.0, 40.0), 30.0, ()),
+        ((15.0, 45.0), (10.0, 60.0), 30.0, (10.0, 60.0)),
+        ((20.0, 21.0), (19.0, 22.5), None, ()),
+        ((20.0, 21.0), (20.0, 40.0), None, (30.0, 40.0)),
+        (None, (20.0, 40.0), None, (20.0, 30.0, 40.0)),
+        ((15.0, 45.0), None, 30.0, ()),
+    ],
+)
+def test_temperatures_to_record_cover_those_in_use(tested, used, reference, needed):
+    assert temperatures_to_record(tested, used, reference) == needed
+
+
+def test_temperatures_survive_a_file_and_older_files_have_none():
+    warm = replace(TOPS, temperatures=(15.0, 45.0)).as_dict()
+    assert Validity.from_dict(warm).temperatures == (15.0, 45.0)
+    del warm["temperatures_degC"]
+    assert Validity.from_dict(warm).temperatures is None
+    with pytest.raises(ModelError):
+        Validity.from_dict(warm | {"temperatures_degC": [45.0, 15.0]})
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,7 @@ VALUES = {
     "columns:rate": "rate=300",
     "columns:decimal": "decimal=comma",
     "columns:wanted": "wanted=other_um",
+    "columns:temperature": "temperature=clock_s:C",
     "columns:axes": AXES,
     # Paths.
     "limits": "--limits 5 60",
@@ -64,6 +65,7 @@ VALUES = {
     "zero": "--zero bottom",
     "lag": "--lag",
     "table": "--table cycle.csv",
+    "temperature": "--temperature 35",
     "cycles": "--cycles 2",
     "approach": 3,
     "start_up": 5,
@@ -273,6 +275,7 @@ CASES = {
         Case("stage.json stage.csv -o new.json", _AXES_BASE, _OF_AXES, foreign="new.json"),
     ],
     "simulate": [
+        Case("warm.json record.csv -o out.csv", only=("temperature", "columns:temperature")),
         Case("model.json texts/commas.txt -o out.csv", only=("columns:decimal",)),
         Case(
             "model.json record.csv -o out.csv",
@@ -295,6 +298,7 @@ CASES = {
         *(Case(f"{kind} {words} -o out.csv", values={"kind": "--kind"}) for kind, words in _SCANS.items()),
     ],
     "compensate": [
+        Case("warm.json record.csv -o out.csv", only=("temperature", "columns:temperature")),
         Case("model.json texts/commas.txt -o out.csv", only=("columns:decimal",)),
         Case("model.json record.csv -o out.csv", _BASE | {"present": "--home", "columns:rate": _UNTIMED}),
         Case("model.json scan.csv -o out.csv", {"present": "--home"}, {"columns:displacement": "displacement=y_um"}),
@@ -529,6 +533,7 @@ def bench(tmp_path_factory):
     write_columns(folder / "more.csv", {"time_s": t, "extra_um": 0.9 * y, "extra_V": 0.9 * v})
     fit = dehyst.identify(dehyst.Record(t, v, 1e-6 * y, "record"), structure="maxwell_slip", elements=6)
     replace(fit.actuator, delay=2e-3).save(folder / "model.json")
+    replace(fit.actuator, thermal=dehyst.Thermal(-0.01, 0.0, 20.0)).save(folder / "warm.json")
     record, _ = coupled_stage.excited(steps=4, cycles=4)
     of_axes = {f"v{axis}_V": record.voltage[:, k] for k, axis in enumerate("xy")}
     of_axes |= {f"{axis}_um": 1e6 * record.displacement[:, k] for k, axis in enumerate("xy")}

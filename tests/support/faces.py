@@ -12,7 +12,7 @@ FACES = {
             wave_table write_record
         """,
         "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot Update update update_stage
+            AdaptiveCompensator AdaptiveSnapshot AdaptiveStageCompensator Update update update_stage
         """,
         "baselines": """
             BASELINES AbstractBaseline ModelComparison Training compare fit_with_delay

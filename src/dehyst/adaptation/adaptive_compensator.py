@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, isnan, nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,7 +77,8 @@ class AdaptiveCompensator:
     Stiffnesses of slip and smooth elements, of creep branches and of the spring are learnt, cycle by cycle, by
     non-negative least squares with a prior (theory sections 8 and 21). Thresholds, transformer, delay and inertia stay.
     New weights are used only if they predict the next cycle, before it is learnt, better than the weights in use. An
-    exchange of weights keeps the hysteresis state, and the voltage changes no faster than the slew rate.
+    exchange of weights keeps the hysteresis state, and the voltage changes no faster than the slew rate. Creep in
+    displacement and the effect of temperature stay too: what is learnt is the displacement without them.
 
     A cycle is not learnt if the sensor is missing, stuck or saturated in most of it, if the sensor contradicts the
     path, or if the path moves less than a breakaway elongation. Samples with a clamped voltage are not learnt either.
@@ -125,9 +126,28 @@ class AdaptiveCompensator:
         zero_drifts: bool = True,
         integral_time: float | None = None,
     ) -> None:
-        self._compensator = Compensator(
-            actuator, limits, slew_rate, period=period, state=state, units=units, warns=warns
-        )
+        compensator = Compensator(actuator, limits, slew_rate, period=period, state=state, units=units, warns=warns)
+        self._begin_in(compensator, memory, time_constant, zero_drifts, integral_time)
+
+    @classmethod
+    def within(cls, compensator: Compensator, memory: float, time_constant: float | None, *, zero_drifts: bool) -> Self:
+        """Return an adaptive loop that changes the model of a `compensator` which others step: see `took`.
+
+        `memory`, `time_constant`, `zero_drifts`: as at the construction.
+        """
+        made = cls.__new__(cls)
+        made._begin_in(compensator, memory, time_constant, zero_drifts, None)
+        return made
+
+    def _begin_in(
+        self,
+        compensator: Compensator,
+        memory: float,
+        time_constant: float | None,
+        zero_drifts: bool,
+        integral_time: float | None,
+    ) -> None:
+        self._compensator, period = compensator, compensator.period
         for name, value, least in (
             ("memory", memory, 1.0),
             ("time_constant", time_constant, 0.0),
@@ -140,11 +160,13 @@ class AdaptiveCompensator:
             if name != "memory" and period is None:
                 raise ModelError(f"{name} needs the time between steps", hint="give the period [s]", change=("period",))
         self._memory, self._time_constant, self.learning = float(memory), time_constant, True
-        self._estimator = Estimator(actuator, self._compensator.state, zero_drifts)
+        self._estimator = Estimator(compensator.actuator, compensator.state, zero_drifts)
         self._rate = 0.0 if integral_time is None or period is None else period / integral_time
-        low, high = self._compensator.reach
+        low, high = compensator.reach
         self._most_correction, self._correction = _INTEGRAL * (high - low), 0.0
-        self._per_metre = per_metre(units)
+        self._per_metre = per_metre(compensator.units)
+        # Gain and offset [units] of the present temperature, once one is given.
+        self._scaling: tuple[float, float] | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -161,15 +183,17 @@ class AdaptiveCompensator:
         used = sum(one.used for one in self.log)
         return f"<AdaptiveCompensator: {used} exchanges in {len(self.log)} cycles, {self._compensator!r}>"
 
-    def step(self, wanted: float, measured: float | None = None) -> float:
+    def step(self, wanted: float, measured: float | None = None, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a displacement `wanted` now, and commit it.
 
         `wanted`, `measured`: [m, or `units`]; `measured` is the displacement before this step, None or NaN if unknown.
+        `temperature`: as in `Compensator.step`.
 
         Raises
         ------
         ModelError
-            If `wanted` is not finite or `measured` is not a number: the memory is unchanged, and no time has passed.
+            If `wanted` is not finite or `measured` is not a number, or the temperature is refused: the memory is
+            unchanged, and no time has passed.
 
         Warns
         -----
@@ -180,17 +204,40 @@ class AdaptiveCompensator:
             measured = nan
         elif not isinstance(measured, float):
             measured = float(check.number(measured, "measured"))
+        if temperature is not None:
+            self.set_temperature(temperature)
+        if self._scaling:
+            gain, offset = self._scaling
+            measured = (measured - offset) / gain
         sent = self._sent
         if self._rate and sent:
             wanted = wanted + self._corrected(sent[-1], measured)
         voltage = self._compensator.step(wanted)
+        if self._scaling:
+            wanted = (wanted - offset) / gain
+        self.took(wanted, voltage, measured)
+        return voltage
+
+    def took(self, wanted: float, voltage: float, measured: float) -> None:
+        """Note a step that others took, and learn.
+
+        `wanted`, `measured`: as in `step`, at the reference temperature; `voltage`: sent [V].
+        """
+        sent = self._sent
         self._steps += 1
         if len(sent) == sent.maxlen and not self._steps % self._stride:
             self._rows.append((*sent[0], measured))
             if self._work is not None or len(self._rows) >= self._turns.seen + _DUE:
                 self._advance()
         sent.append((float(wanted), voltage))
-        return voltage
+
+    def set_temperature(self, temperature: float) -> None:
+        """Set the `temperature` [degrees Celsius] for all further steps and cycles.
+
+        Raise `ModelError` as `Compensator.set_temperature`.
+        """
+        self._compensator.set_temperature(temperature)
+        self._scaling = self._compensator.scaling
 
     def _corrected(self, last: tuple[float, float], measured: float) -> float:
         """Return the integral action's addition to the path; it pauses while a voltage is clamped."""
@@ -274,6 +321,9 @@ class AdaptiveCompensator:
         self._estimator.pause(pause, self._compensator.state.displacement - before)
         for one in columns[1].tolist():
             self._compensator.commit(one)
+        if self._scaling:
+            gain, offset = self._scaling
+            columns[0], columns[2] = ((one - offset) / gain for one in (columns[0], columns[2]))
         late = (self._sent.maxlen or 1) - 1
         columns[2] = np.append(columns[2][late:], np.full(late, nan))
         self._steps += wanted
@@ -366,6 +416,7 @@ class AdaptiveCompensator:
         self._compensator.exchange(self._estimator.restore(learnt))
         self._compensator.restore(snapshot.loop)
         self._correction = float(learnt["correction"][0])
+        self._scaling = None if self.actuator.thermal is None else self._compensator.scaling
         self._begin()
 
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._native import strains
+from dehyst._native import StepCoefficients, output_creep, strains
 from dehyst._types import Array, Mask
 from dehyst.adaptation.active_set import StepwiseProgram
 from dehyst.adaptation.weights import Tracker, Weights
-from dehyst.model import Actuator, Creep, State
+from dehyst.model import Actuator, Creep, DisplacementCreep, State
 
 # Samples whose columns are made in one slice of work, and steps of the program that follow a cycle at most.
 _CHUNK, _STEPS = 32, 60
@@ -92,6 +92,8 @@ class Exchange:
 class PathCycle:
     """Samples of a cycle (n,): displacement wanted and measured [m], voltage sent [V], and whether it was clamped.
 
+    Displacements are at the reference temperature.
+
     `step`: number of steps of the loop at its end. `seconds`: time between samples; None if unknown.
     """
 
@@ -136,10 +138,10 @@ class Estimator:
         # on offer, and of the difference's standard error.
         self._means, self._evidence = np.zeros(size + 2), np.zeros(3)
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
-        self._tracker = Tracker(self.weights, state)
+        self._tracker, self._creep = Tracker(self.weights, state), _CreepBehind(actuator, state)
         self._usual, self._odd, self._learnt = deque[float](maxlen=9), 0, 0
         self._lagging: Array = np.zeros(1)
-        low, high = actuator.reach
+        low, high = actuator.before_creep.reach
         self.reach = high - low
         self._slope = float(np.ptp(actuator.voltage_range)) / self.reach
         rho = actuator.slip.breakaway
@@ -163,6 +165,7 @@ class Estimator:
             "carts": state.carts,
             "creep": state.creep,
             "smooth": state.smooth,
+            **({"crept": self._creep.reached} if self._creep.reached.size > 1 else {}),
         }
 
     def restore(self, numbers: dict[str, Array]) -> Actuator:
@@ -176,17 +179,20 @@ class Estimator:
         self._usual = deque(numbers["usual"].tolist(), maxlen=self._usual.maxlen)
         place, carts, creep, smooth = (numbers[name] for name in ("displacement", "carts", "creep", "smooth"))
         self._tracker = Tracker(self.weights, State(float(place[0]), carts, creep, (), smooth))
+        self._creep.reached = numbers.get("crept", self._creep.reached).copy()
         return self.weights.model(self.factors, self.constant)
 
     def pause(self, seconds: float, moved: float) -> None:
         """Let seconds [s] pass between two cycles, in which the actuator creeps by `moved` [m]."""
         self._tracker.follow(np.array([self._tracker.state.displacement + moved]), seconds)
+        self._creep.hold(moved, seconds)
 
     def learn(self, cycle: PathCycle, keep: float) -> Iterator[Actuator | None]:
         """Learn from a cycle in slices of bounded work; yield a new actuator to use, at most once.
 
         `keep`: factor on the weight of the cycles before.
         """
+        cycle = self._creep.removed_from(cycle)
         path, left, noise, counted, reason = self._signal(cycle)
         yield None
         drive = self._drive(cycle)
@@ -428,6 +434,41 @@ class Estimator:
             return rest
         window = np.hanning(int(width) + 2)[1:-1]
         return np.convolve(rest, window, "same") / np.convolve(np.ones(rest.size), window, "same")
+
+
+class _CreepBehind:
+    """The creep in displacement of an actuator along a path, from an initial `state`.
+
+    `reached` (1 + K,): displacement without this creep, and strains of its branches [m], at the last sample.
+    """
+
+    def __init__(self, actuator: Actuator, state: State) -> None:
+        whole = actuator.model.complete_state(state)
+        self._part = actuator.displacement_creep or DisplacementCreep((), ())
+        self.reached = np.concatenate([[whole.displacement], whole.displacement_creep])
+
+    def removed_from(self, cycle: PathCycle) -> PathCycle:
+        """Return a cycle without the creep of the wanted path, and go on to its end."""
+        if not len(self._part) or not cycle.seconds:
+            return cycle
+        first, strained = float(self.reached[0]), self.reached[1:]
+        before = self._part.at_rest * first - float(self._part.gains @ strained)
+        path = self._followed(np.append(before, cycle.wanted), cycle.seconds, inverse=True)[1:]
+        return replace(cycle, wanted=path, measured=cycle.measured - (cycle.wanted - path))
+
+    def hold(self, moved: float, seconds: float) -> None:
+        """Let seconds [s] pass, in which the displacement without this creep moves by `moved` [m]."""
+        if len(self._part):
+            self._followed(self.reached[0] + np.array([0.0, moved]), seconds)
+
+    def _followed(self, path: Array, seconds: float, *, inverse: bool = False) -> Array:
+        """Return a path (n,) [m] with creep, or with `inverse` without it; it begins at the last sample before."""
+        decay, rise = self._part.tables(np.array([0.0, seconds]))
+        pace = StepCoefficients(np.array([0, 1, path.size]), decay, rise, np.empty((2, 0)))
+        first, strained = float(self.reached[0]), self.reached[1:]
+        made, strained = output_creep(path, pace, self._part.gains, first, strained, inverse=inverse)
+        self.reached = np.append(made[-1] if inverse else path[-1], strained)
+        return made
 
 
 def _stuck(measured: Array, wanted: Array, least: float) -> Mask:

@@ -297,11 +297,11 @@ class _Rows:
         noise, known = self.recheck.noise, self.weights.actuator.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         largest_ = max(largest - NOISE_PEAK * noise, 0.0)
-        time, voltage = self.record.time, self.record.voltage
         if known is None or known.validity is None:
             stroke = self.recheck.stroke
-            return Validity.by_records([(time, voltage)], rms=rms_, largest=largest_, disagreement=0.0, stroke=stroke)
-        return known.validity.with_record(time, voltage, rms=rms_, largest=largest_)
+            played = self.record.time, self.record.voltage
+            return Validity.by_records([played], rms=rms_, largest=largest_, disagreement=0.0, stroke=stroke)
+        return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 
     def factors(self, sums: Array, strength: float) -> Array:
         """Return the factors (m,) from sums over rows, with a prior of given strength."""

@@ -7,7 +7,7 @@ Along a path of the displacement y,
 where a column is the voltage that a group of neighbouring elements, a group of spring segments, a creep branch or a
 smooth element holds in the initial model. Columns depend on the path and on thresholds, not on factors: factors may
 change at any sample and the memory stays. A group without stiffness gets a column of the mean stiffness and the factor
-0.
+0. Creep in displacement and the effect of temperature come after all of this: y is the displacement without them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import ModelError
 from dehyst._native import EMPTY, slip_elongations, smooth_elongations, strains
 from dehyst._types import Array
 from dehyst.identification import Grid
@@ -60,19 +59,7 @@ class Weights:
 
     @classmethod
     def of(cls, actuator: Actuator, elements: int = 0, grades: int = _GRADES, segments: int = _SEGMENTS) -> Weights:
-        """Group the weights of an actuator; `elements`, `grades` and `segments`: largest number of groups of each.
-
-        Raise `ModelError` if the actuator has creep in displacement or depends on temperature, which adaptation does
-        not support.
-        """
-        behind = {"creep in displacement": actuator.displacement_creep, "a temperature": actuator.thermal}
-        names = [name for name, part in behind.items() if part is not None]
-        if names:
-            raise ModelError(
-                f"it has {' and '.join(names)}, with which weights do not adapt",
-                argument="actuator",
-                hint="use Compensator, or identify again",
-            )
+        """Group the weights of an actuator; `elements`, `grades` and `segments`: largest number of groups of each."""
         stiffness = actuator.slip.stiffness
         count = stiffness.shape[1] if stiffness.ndim == 2 else 1
         most = elements or (_ELEMENTS if count == 1 else _GRADED)

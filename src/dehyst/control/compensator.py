@@ -18,7 +18,15 @@ from dehyst._validation import interval, keep, number, vector
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
 from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow
-from dehyst.model import ANYWAY, Actuator, State, compensator_block, labels, state_within_limits
+from dehyst.model import (
+    ANYWAY,
+    Actuator,
+    State,
+    compensator_block,
+    demand_thermal,
+    labels,
+    state_within_limits,
+)
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
@@ -233,6 +241,7 @@ class Compensator(ReadOnly):
         load: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         state: State | None = None,
         present: float | None = None,
         extrapolate: bool = False,
@@ -252,6 +261,8 @@ class Compensator(ReadOnly):
             Default: a sample every `period`, if the compensator has one.
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`; velocity in `units` / s, acceleration in `units` / s^2.
+        temperature : float or (n,) array_like, optional
+            [degrees Celsius], with the part `thermal`; default: its reference.
         state : State, optional
             State of the actuator before the path; default: `self.state`.
         present : float, optional
@@ -268,7 +279,16 @@ class Compensator(ReadOnly):
             limits, or a time is needed and neither `time` nor `period` is given.
         """
         wanted = self.in_metres(displacement)
-        sentence = "" if extrapolate else self._straying(wanted, load)
+        rates = {
+            "velocity": None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
+            "acceleration": None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
+        }
+        followed, thermal = wanted, self.actuator.thermal
+        if temperature is not None:
+            thermal = demand_thermal(thermal)
+            followed, gain = thermal.at_reference(wanted, temperature), thermal.scale(temperature, wanted.size)[0]
+            rates = {name: None if values is None else values / gain for name, values in rates.items()}
+        sentence = "" if extrapolate else self._straying(followed, load)
         if sentence:
             raise ModelError(f"{sentence}; {ANYWAY}")
         if present is not None:
@@ -280,15 +300,20 @@ class Compensator(ReadOnly):
         command = follow(
             self.actuator,
             self.bounds,
-            wanted,
+            followed,
             time=time,
             period=self.period,
             load=load,
-            velocity=None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
-            acceleration=None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
+            **rates,
             start=state,
             present=now,
         )
+        if temperature is not None and thermal is not None:
+            warm = thermal.warmed(command.displacement, temperature)
+            reached = np.where(command.displacement == followed, wanted, warm)
+            missed = float(np.abs(wanted - reached).max(initial=0.0))
+            degrees = np.broadcast_to(np.asarray(temperature, dtype=np.float64), wanted.shape)
+            command = replace(command, displacement=reached, missed=missed, temperature=degrees)
         if self._per_metre == 1:
             return command
         hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
@@ -452,13 +477,7 @@ class Compensator(ReadOnly):
 
         Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
         """
-        if self.actuator.thermal is None:
-            raise ModelError(
-                "this actuator does not depend on temperature",
-                argument="temperature",
-                hint="leave it out, or give the actuator a part Thermal",
-            )
-        gain, offset = self.actuator.thermal.scale(number(temperature, "temperature"), 1)
+        gain, offset = demand_thermal(self.actuator.thermal).scale(number(temperature, "temperature"), 1)
         checked(self._loop.scale, float(gain[0]), float(offset[0]))
 
     @property

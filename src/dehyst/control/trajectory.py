@@ -17,7 +17,7 @@ from dehyst._validation import vector
 from dehyst._views import html, tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits, outside_identified
-from dehyst.model import Actuator, Motion, PathData, Promise, State, Validity, promise
+from dehyst.model import Actuator, Motion, PathData, Promise, State, Thermal, Validity, promise
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -60,6 +60,10 @@ class Command:
         Time of the samples [s], if it was given.
     validity : Validity or None
         What the records of the model tested, if the model holds it.
+    thermal : Thermal or None
+        The part of the model that depends on temperature.
+    temperature : (n,) array or None
+        Temperature of the samples [degrees Celsius], if it was given.
     """
 
     voltage: Array
@@ -72,11 +76,15 @@ class Command:
     units: str = "m"
     time: Array | None = None
     validity: Validity | None = None
+    thermal: Thermal | None = None
+    temperature: Array | None = None
 
     @cached_property
     def promise(self) -> Promise | None:
         """Promised error of the path [m], in addition to `missed`; None without `validity`."""
-        return None if self.validity is None else promise(self.validity, self.voltage, self.time)
+        if self.validity is None:
+            return None
+        return promise(self.validity, self.voltage, self.time, thermal=self.thermal, temperature=self.temperature)
 
     def in_units(self, units: str) -> Command:
         """Return the command with its displacements converted from metres to `units`, such as "um"."""
@@ -198,6 +206,7 @@ def follow(
         followed,
         time=None if time is None else vector(time, "time"),
         validity=None if known is None else known.validity,
+        thermal=actuator.thermal,
     )
 
 

@@ -14,7 +14,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import Outcome, Validity, distances, legs
+from dehyst.model import Outcome, Validity, distances, legs, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
 # Held-out legs may go beyond the voltages of the others by this part of the range.
@@ -215,6 +215,7 @@ def validity_of(
         stroke=errors[0].stroke,
         new=new,
         lag=lag,
+        temperatures=temperature_range(records[q] for q in training),
     )
 
 

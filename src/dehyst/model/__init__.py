@@ -33,6 +33,7 @@ from dehyst.model.states import (
     timed,
 )
 from dehyst.model.summary import Slopes, bend, parts_of, step_response
+from dehyst.model.temperatures import demand_thermal, temperature_cost, temperature_range
 
 __all__ = [
     "AbstractModel",

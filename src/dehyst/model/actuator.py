@@ -451,8 +451,7 @@ class Actuator(JsonFile, AbstractModel):
         """
         if self.thermal is None or record.temperature is None:
             return record
-        gain, offset = self.thermal.scale(record.temperature, len(record))
-        return replace(record, displacement=(record.displacement - offset) / gain)
+        return replace(record, displacement=self.thermal.at_reference(record.displacement, record.temperature))
 
     def with_identification(self, **entries: Any) -> Actuator:
         """Return a copy whose identification holds `entries`, fields of `Identification`."""

@@ -218,6 +218,20 @@ class Thermal:
             )
         return gain, self.offset * kelvins
 
+    def warmed(self, displacement: Array, temperature: ArrayLike) -> Array:
+        """Return the displacement at a `temperature` from the `displacement` (n,) [m] at the reference, as `scale`."""
+        gain, offset = self.scale(temperature, displacement.size)
+        return np.asarray(offset + gain * displacement)
+
+    def at_reference(self, displacement: Array, temperature: ArrayLike) -> Array:
+        """Return the displacement at the reference from the `displacement` (n,) [m] at a `temperature`, as `scale`."""
+        gain, offset = self.scale(temperature, displacement.size)
+        return np.asarray((displacement - offset) / gain)
+
+    def per_kelvin(self, stroke: float) -> float:
+        """Return the most by which a kelvin changes a displacement within a `stroke` [m]."""
+        return abs(self.gain) * stroke + abs(self.offset)
+
 
 def low_pass_tables(time_constants: Array, durations: Array) -> tuple[Array, Array]:
     """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s.

@@ -16,6 +16,7 @@ from dehyst._validation import FARTHEST, demand_divisors, demand_result, vector
 from dehyst.model.base import State
 from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model.temperatures import demand_thermal
 
 # Relative rounding error of a slope that is the difference of two.
 _ROUNDING = 1e-9
@@ -96,21 +97,22 @@ class Evaluator:
         m, reached = self.core.simulate(voltage, steps, state, load=push if self.dynamics else EMPTY, stack=stack)
         m = m if self.dynamics or not push.size else m + push
         y, crept = self._creep_behind(m, steps, start, push)
-        if (scale := self._scale(path.temperature, y.size)) is not None:
-            y = scale[1] + scale[0] * y
+        if path.temperature is not None:
+            y = demand_thermal(self.thermal).warmed(y, path.temperature)
         demand_result(y, "displacement", FARTHEST)
         return y, self.state_of(reached, crept)
 
     def compensate(self, displacement: Array, path: PathData, start: State, stack: bool) -> tuple[Array, State]:
         """Return the voltage (n,) [V] and the state reached; `start` is complete."""
         steps, push = self._steps(path.time, displacement.size), self._push(path.load, displacement.size)
-        y, scale = displacement, self._scale(path.temperature, displacement.size)
-        if scale is not None:
-            y = (y - scale[1]) / scale[0]
+        y = displacement
+        if path.temperature is not None:
+            thermal = demand_thermal(self.thermal)
+            y, gain = thermal.at_reference(y, path.temperature), thermal.scale(path.temperature, y.size)[0]
             rates = {"velocity": path.velocity, "acceleration": path.acceleration}
             given = {what: vector(values, what) for what, values in rates.items() if values is not None}
             if all(values.size == y.size for values in given.values()):
-                path = replace(path, **{what: values / scale[0] for what, values in given.items()})
+                path = replace(path, **{what: values / gain for what, values in given.items()})
         m, crept = self._creep_behind(y, steps, start, push, inverse=True)
         w, more, state = m - push if push.size else m, EMPTY, self.core_state(start)
         if self.dynamics is not None:
@@ -126,18 +128,6 @@ class Evaluator:
             voltage = voltage + self.lag * rate
         demand_result(voltage, "voltage")
         return voltage, self.state_of(reached, crept)
-
-    def _scale(self, temperature: ArrayLike | None, samples: int) -> tuple[Array, Array] | None:
-        """Return gain and offset [m] of the displacement at a temperature; None at the reference."""
-        if temperature is None:
-            return None
-        if self.thermal is None:
-            raise ModelError(
-                "this actuator does not depend on temperature",
-                argument="temperature",
-                hint="leave it out, or give the actuator a part Thermal",
-            )
-        return self.thermal.scale(temperature, samples)
 
     def _creep_behind(
         self, path: Array, steps: StepCoefficients, start: State, push: Array, *, inverse: bool = False

@@ -20,7 +20,9 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
-from dehyst.records import turning_points
+from dehyst.model.dynamics import Thermal
+from dehyst.model.temperatures import temperature_cost
+from dehyst.records import Record, turning_points
 
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02
@@ -126,6 +128,8 @@ class Validity:
         Longest time at one voltage [s].
     lag : float
         Time [s] by which the displacement lags the voltage, if the records leave open whether the sensor lags; else 0.
+    temperatures : (float, float) or None
+        Lowest and highest temperature of the records [degrees Celsius]; None if one of them has none.
     """
 
     rms: float
@@ -139,19 +143,23 @@ class Validity:
     hold: float = 0.0
     lag: float = 0.0
     closing: float = 1.0
+    temperatures: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
         numbers = {name: number(getattr(self, name), name) for name in ("rms", "largest", "disagreement", "stroke")}
         numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag", "closing")}
         pairs = {name: tuple(number(one, name) for one in getattr(self, name)) for name in ("limits", "new", "speeds")}
+        warmth = None if self.temperatures is None else tuple(number(one, "temperatures") for one in self.temperatures)
         wrong = [name for name, value in numbers.items() if not 0 <= value < np.inf]
+        if warmth is not None and (len(warmth) != 2 or not -np.inf < warmth[0] <= warmth[1] < np.inf):
+            raise ModelError(f"validity: temperatures: got {warmth}, need the lower one first")
         if wrong or not np.isfinite(kept).all() or not self.stroke or any(len(pair) != 2 for pair in pairs.values()):
             raise ModelError(f"validity: {', '.join(wrong) or 'legs or pairs'}: need finite numbers of 0 or more")
         if not pairs["limits"][0] < pairs["limits"][1]:
             raise ModelError(f"validity: limits: got {pairs['limits']}, need the lower one first")
         kept.setflags(write=False)
-        keep(self, legs=kept, **numbers, **pairs)
+        keep(self, legs=kept, temperatures=warmth, **numbers, **pairs)
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
@@ -173,11 +181,15 @@ class Validity:
         closing = float(np.concatenate(closed).mean()) if any(one.size for one in closed) else 1.0
         return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, closing=closing, **numbers)
 
-    def with_record(self, time: Array, voltage: Array, *, rms: float, largest: float) -> Validity:
-        """Return the validity after an update by one more record; its errors replace smaller ones.
+    def with_record(self, record: Record, *, rms: float, largest: float) -> Validity:
+        """Return the validity after an update by one more `record`; its errors replace smaller ones.
 
-        `time` (n,) [s] and `voltage` (n,) [V] belong to the record. `rms`, `largest`: errors [m] of the updated model.
+        `rms`, `largest`: errors [m] of the updated model.
         """
+        time, voltage, temperature = record.time, record.voltage, record.temperature
+        warmth = self.temperatures
+        if warmth is not None and temperature is not None:
+            warmth = min(warmth[0], float(temperature.min())), max(warmth[1], float(temperature.max()))
         by_it = Validity.by_records([(time, voltage)], rms=rms, largest=largest, disagreement=0.0, stroke=self.stroke)
         pairs = self.speeds, by_it.speeds
         return replace(
@@ -189,6 +201,7 @@ class Validity:
             speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
             hold=max(self.hold, by_it.hold),
             closing=max(self.closing, by_it.closing),
+            temperatures=warmth,
         )
 
     @property
@@ -217,6 +230,7 @@ class Validity:
             "hold_s": self.hold,
             "lag_s": self.lag,
             "closing": self.closing,
+            "temperatures_degC": None if self.temperatures is None else list(self.temperatures),
             "legs_V": self.legs.tolist(),
         }
 
@@ -224,14 +238,13 @@ class Validity:
     def from_dict(cls, data: object) -> Validity:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
         names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
-        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")} | {
-            "new": "new",
-            "closing": "closing",
-        }
-        if not isinstance(data, Mapping) or set(data) != set(names):
+        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")}
+        names |= {"new": "new", "closing": "closing", "temperatures_degC": "temperatures"}
+        # Files of before have no temperatures.
+        if not isinstance(data, Mapping) or set(data) | {"temperatures_degC"} != set(names):
             raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
         try:
-            return cls(**{name: data[key] for key, name in names.items()})
+            return cls(**{names[key]: value for key, value in data.items()})
         except (TypeError, ValueError) as error:
             raise ModelError(f"validity: {error}") from error
 
@@ -250,6 +263,8 @@ class Promise:
         Sentences on the parts of this path that the records do not test; the promise does not hold for these.
     if_actuator_lags : (float, float) or None
         RMS and largest error [m] if the lag in the records is the actuator's; None unless that is open.
+    by_temperature : float
+        What the temperature adds to `largest` [m]: outside of the tested ones, or because it is not known.
     """
 
     rms: float
@@ -257,6 +272,7 @@ class Promise:
     half: Array
     untested: tuple[str, ...] = ()
     if_actuator_lags: tuple[float, float] | None = None
+    by_temperature: float = 0.0
 
     def sentence(self, stroke: float) -> str:
         """Return the promise in words, errors in percent of a `stroke` [m]."""
@@ -265,10 +281,20 @@ class Promise:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the bound along the path."""
-        return json_values(self, "rms_m=rms largest_m=largest untested if_actuator_lags_m=if_actuator_lags")
+        return json_values(
+            self,
+            "rms_m=rms largest_m=largest untested if_actuator_lags_m=if_actuator_lags by_temperature_m=by_temperature",
+        )
 
 
-def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = None) -> Promise:
+def promise(
+    validity: Validity,
+    voltage: ArrayLike,
+    time: ArrayLike | None = None,
+    *,
+    thermal: Thermal | None = None,
+    temperature: ArrayLike | None = None,
+) -> Promise:
     """Return the promised error of a path when its voltage is played.
 
     Parameters
@@ -279,6 +305,10 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
         Voltage that follows the path [V].
     time : (n,) array_like, optional
         Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
+    thermal : Thermal, optional
+        Part of the model.
+    temperature : float or (n,) array_like, optional
+        Temperature of the path [degrees Celsius]; default: not known.
     """
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
@@ -294,9 +324,15 @@ def promise(validity: Validity, voltage: ArrayLike, time: ArrayLike | None = Non
         moved, fastest = _moved_in_lag(validity, v, clock)
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
     untested = [*_untested(validity, v, clock, at, beyond)]
+    cost, sentence = temperature_cost(thermal, validity.temperatures, validity.stroke, temperature)
+    by_temperature = float(cost.max(initial=0.0))
+    if by_temperature:
+        # Half of a range bounds the standard deviation in it.
+        rms, largest, half = rms + 0.5 * by_temperature, largest + by_temperature, half + cost
+    untested += [sentence] if sentence else []
     if opens:
         untested.append("Its loops close, but those of the records do not: motion after a closed loop was not tested.")
-    return Promise(rms, largest, half, tuple(untested), lagging)
+    return Promise(rms, largest, half, tuple(untested), lagging, by_temperature)
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:

@@ -28,7 +28,7 @@ from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
-from dehyst.operations.paths import PathSlew, Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathSlew, PathTemperature, Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
@@ -59,18 +59,17 @@ class _AxisRequest:
         """Return a remark on a path (n,) [m] outside of the reachable range; raise an error if it is far outside."""
         return reach_remarks(self.actuator, wanted, self.limits, zero)
 
-    def promise_lines(self, judged: Judgement) -> list[str]:
+    def promise_lines(self, judged: Judgement, temperature: PathTemperature) -> list[str]:
         """Return lines on the promised error of the path, if it is known, and on untested parts of the path."""
         known = self.actuator.identification
         validity = None if known is None else known.validity
         # Limits of the file may be wider than what was recorded.
         stroke = float(self.actuator.reach[1] - self.actuator.reach[0]) if validity is None else validity.stroke
-        words, thermal = judged.words(stroke), self.actuator.thermal
-        off = []
-        if thermal is not None:
-            share = abs(thermal.gain) + abs(thermal.offset) / stroke
-            off = [f"At {thermal.reference:.3g} degrees Celsius; each kelvin off adds up to {100 * share:.2g} %."]
-        return [f"expect this path {words} of the stroke", *judged.untested, *off] if words else off
+        words = judged.words(stroke)
+        if validity is None:
+            _, sentence = temperature.cost(self.actuator)
+            return [sentence] if sentence else []
+        return [f"expect this path {words} of the stroke", *judged.untested]
 
 
 def _is_scan(given: Values) -> bool:
@@ -79,6 +78,7 @@ def _is_scan(given: Values) -> bool:
 
 _of_scan = Only(_is_scan, "without the path of a dehyst scan, for a model of one axis")
 _of_table = beside("table")
+_without_table = Only(lambda given: "table" not in given, "with --table, which is at the reference temperature")
 _of_homing = Only(lambda given: "start" in given or given.get("home") is not False, "without a homing")
 
 
@@ -95,6 +95,7 @@ def compensate(
     start: Start | None = None,
     home: bool | None = None,
     present: Annotated[float | None, _of_homing] = None,
+    temperature: Annotated[float | None, _without_table] = None,
     table: Annotated[Output | None, _of_scan] = None,
     cycles: Annotated[int, _of_table] = 1,
     approach: Annotated[float | None, _of_table] = None,
@@ -130,6 +131,9 @@ def compensate(
         sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
     present
         Present voltage on the actuator [V]; default: the voltage of --start, else 0 or the nearest limit.
+    temperature
+        Temperature [degrees Celsius], for a model that depends on it; default: a column temperature_C, or else the
+        model's reference.
     table
         Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1
         start-up, 2 steady cycles.
@@ -156,7 +160,9 @@ def compensate(
         read = columns.table(trajectory, several=start is not None and start.path is not None)
         (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
-        return _follow(run, known, axes, wanted, columns.clock(read, len(wanted)), {}, output, zero, home, remarks)
+        warmth = PathTemperature.of(known, temperature, columns, read, len(wanted))
+        clock = columns.clock(read, len(wanted))
+        return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
     if len(made.axes) > 1 and not columns.displacement:
         others = " and ".join(one for one in made.axes if one != axis)
@@ -169,7 +175,8 @@ def compensate(
         path = path.repeated(declared["cycles"]) if path.periodic else path
         rates = {"velocity": path.velocity, "acceleration": path.acceleration}
         moved, time = path.displacement[:, None], {"time_s": path.time}
-        return _follow(run, known, axes, moved, time, rates, output, zero, home, [*remarks, *made.warnings])
+        warmth = PathTemperature.of(known, temperature, columns)
+        return _follow(run, known, axes, moved, time, rates, warmth, output, zero, home, [*remarks, *made.warnings])
     remarks += axes[0].reach_remarks(made.path(axis).displacement, zero)
     refuse_cycles(made, cycles)
     options = {"approach": approach, "cycles": start_up, "tolerance": None if tolerance is None else tolerance * 1e-6}
@@ -237,6 +244,7 @@ def _follow(
     wanted: Array,
     time: Mapping[str, Array],
     rates: Mapping[str, Array],
+    warmth: PathTemperature,
     output: Path,
     zero: Zero | None,
     home: bool | None,
@@ -245,15 +253,17 @@ def _follow(
     """Compute and write the voltages of a path (n, axes) [m]."""
     when = time.get("time_s")
     slews = [one.slew.of_path(timed=when is not None) for one in axes]
-    pairs = list(zip(axes, slews, known.targets(wanted).T, strict=True))
+    targets = [warmth.at_reference(one.actuator, y) for one, y in zip(axes, known.targets(wanted).T, strict=True)]
+    pairs = list(zip(axes, slews, targets, strict=True))
     remarks += known.prefixed(
         [*one.reach_remarks(target, zero), *slew.remarks(one.actuator, one.allowed, target, when, **rates)]
         for one, slew, target in pairs
     )
-    paths = _planned(known, axes, slews, wanted, when, rates, home)
+    paths = _planned(known, axes, slews, wanted, when, rates, warmth, home)
     samples = paths[0].voltage.size
     run.progress(f"writing {samples} rows")
-    write_table(output, _written(known, paths, time))
+    warm = warmth.column(axes[0].actuator, samples, paths[0].first)
+    write_table(output, _written(known, paths, time) | warm)
     each = list(zip(axes, slews, paths, strict=True))
     remarks += known.prefixed(
         [
@@ -268,6 +278,7 @@ def _follow(
             path=starts.left_open(path),
             voltage=path.voltage[path.first :],
             time=None if path.time is None else path.time[path.first :],
+            temperature=warmth.values,
             missed=(path.expected - path.displacement)[path.first :],
         )
         for one, _, path in each
@@ -302,7 +313,7 @@ def _follow(
         *known.prefixed(
             starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
         ),
-        *known.prefixed(one.promise_lines(found) for one, found in zip(axes, judged, strict=True)),
+        *known.prefixed(one.promise_lines(found, warmth) for one, found in zip(axes, judged, strict=True)),
     ]
     certified = all(path.certified for path in paths)
     good = all(path.followed for path in paths) and (certified or not home)
@@ -321,6 +332,7 @@ def _planned(
     wanted: Array,
     when: Array | None,
     rates: Mapping[str, Any],
+    warmth: PathTemperature,
     home: bool | None,
 ) -> list[HomedPath]:
     """Return the voltages of each axis along a path, from its start or, if the start matters, after a homing."""
@@ -328,7 +340,7 @@ def _planned(
         (one,) = axes
         compensator = Compensator(one.actuator, one.limits, slews[0].bound)
         begin: dict[str, Any] = {"start": one.start, "home": home, "present": one.present}
-        return [plan_path(compensator, wanted[:, 0], time=when, **rates, **begin)]
+        return [plan_path(compensator, wanted[:, 0], time=when, **rates, **warmth.used_by(one.actuator), **begin)]
     several = StageCompensator(
         known.stage,
         limits=[one.limits for one in axes],
@@ -432,7 +444,7 @@ def _tabulate(
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
         *starts.error_lines(start.name, left, homed=homes),
-        *one.promise_lines(judged),
+        *one.promise_lines(judged, PathTemperature()),
     ]
     good = table.settled and table.certified and not table.clamped
     return Result(fields, lines, warnings=warnings, good=good)

@@ -16,13 +16,16 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._io import SCAN, demand_version, format_of
+from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._units import FACTORS
 from dehyst.model import Actuator
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Record, read, read_table, write_columns
 from dehyst.records.files import named_and_joined, record_of, time_of
-from dehyst.records.formats.columns import GAIN, Table
+from dehyst.records.formats.columns import GAIN, Table, listed
 from dehyst.records.formats.file_content import MOST
+from dehyst.records.record import Channel
 from dehyst.records.tables import RATE, Choice, axis_columns, chosen
 
 _Read = TypeVar("_Read")
@@ -32,8 +35,8 @@ _SCALED = re.compile(rf"(.*?)\s*\*\s*(-?[\d.]+(?:[eE][+-]?\d+)?|{GAIN})\s*([^\s/
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
 TEXT = ("decimal", "max_size")
 RECORD = ("time", "voltage", "displacement", "rate", "names", "join", *TEXT)
-VOLTAGE = tuple(key for key in RECORD if key != "displacement")
-PATH = tuple(key for key in RECORD if key != "voltage")
+VOLTAGE = (*(key for key in RECORD if key != "displacement"), "temperature")
+PATH = (*(key for key in RECORD if key != "voltage"), "temperature")
 # Letters of a field.
 _LONGEST_FIELD = 1000
 # Of an axis that stays in the middle of its range.
@@ -66,6 +69,8 @@ class Columns:
         "max_size" in the text [MB]: largest file to read, and largest memory for its numbers.
     wanted : str, optional
         Column of the displacement in a path file, if the columns of records are given too.
+    temperature : str, optional
+        Column of the temperature in a path file; those of records are found by their names.
     axes : dict
         Other keys: names of axes. Values: VOLTAGE:DISPLACEMENT for a record, DISPLACEMENT for a path, or "middle".
     """
@@ -81,11 +86,13 @@ class Columns:
     decimal: str | None = None
     max_bytes: float = MOST
     wanted: str | None = None
+    temperature: str | None = None
     axes: Mapping[str, str] = field(default_factory=dict)
 
     metavar: ClassVar[str] = "TEXT"
     about: ClassVar[str] = (
         "How files are read, as 'time=Time:ms, voltage=Ch1:mV*100, displacement=Sensor:um'. Other keys: rate=HZ, "
+        "temperature=NAME:C of a path, "
         "join=FILE, names=A|B|-, decimal=point|comma, max_size=MB, and of several axes x=VOLTAGE:DISPLACEMENT; "
         "default: columns are found by their names."
     )
@@ -103,7 +110,7 @@ class Columns:
             if key in ("voltage", "displacement"):
                 name, scale = _scaled(value, _SCALES[key])
                 found |= {key: name or None, f"{key}_scale": scale or None}
-            elif key in ("time", "wanted"):
+            elif key in ("time", "wanted", "temperature"):
                 found[key] = value
             elif key == "names":
                 found[key] = ",".join(value.split("|"))
@@ -138,7 +145,7 @@ class Columns:
     @classmethod
     def of_fields(cls, fields: Mapping[str, Any]) -> Columns:
         """Return columns from form fields, keywords of `dehyst.read`; raise FileFormatError for other fields."""
-        known = {*cls.__dataclass_fields__} - {"names", "wanted"} | {"columns"}
+        known = {*cls.__dataclass_fields__} - {"names", "wanted", "temperature"} | {"columns"}
         for name, value in fields.items():
             kind = {"sample_rate": float | int, "axes": dict}.get(name, str)
             fits = isinstance(value, kind) and not isinstance(value, bool) and len(str(value)) <= _LONGEST_FIELD
@@ -209,6 +216,37 @@ class Columns:
             return {}
         return {"time_s": time_of(table, samples, self.time, self.sample_rate)}
 
+    def warmth(self, table: Table, samples: int) -> Array | None:
+        """Return the temperatures (n,) [degC] in a table: the named column, or the only one that is a temperature.
+
+        None if there is no such column, or several. Raise an error if the named one is missing, or cannot be used.
+        """
+        found = [column for column in table.columns if column.role == "temperature" and not column.foreign]
+        if self.temperature is not None:
+            if table.fitting("temperature", self.temperature) != 1:
+                raise FileFormatError(
+                    f"{table.source}: no column '{self.temperature}' for the temperature",
+                    argument="columns",
+                    hint=f"the file holds {listed(table.names)}",
+                )
+            named = table.select("temperature", self.temperature)
+            if named.unit not in FACTORS["temperature"]:
+                raise FileFormatError(
+                    argument="columns",
+                    got=f"a temperature in {named.unit or 'no unit'}",
+                    need="C or K",
+                    hint=f"give temperature={named.column.name}:C",
+                )
+            found = [replace(named.column, name="temperature", unit=named.unit, divided=False)]
+        if len(found) != 1:
+            return None
+        channel, fault = Channel.of(found[0]), found[0].fault
+        if not fault and channel.values.size != samples:
+            fault = f"it has {counted(channel.values.size, 'value')} for {counted(samples, 'sample')}"
+        if fault := fault or channel.fault:
+            raise FileFormatError(f"{table.source}: column '{found[0].name}': {fault}")
+        return channel.values
+
     @property
     def choice(self) -> Choice:
         """Selection of the columns of a record of one axis."""
@@ -240,7 +278,7 @@ class Columns:
             raise
 
     def _entries(self) -> Iterator[str]:
-        for name in ("time", "voltage", "displacement", "wanted"):
+        for name in ("time", "voltage", "displacement", "wanted", "temperature"):
             value, scale = getattr(self, name), getattr(self, f"{name}_scale", None)
             scale = "" if scale is None else f"*{scale.removesuffix(' V/V')}"
             if value or scale:

@@ -179,7 +179,7 @@ def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:
     if known is None or known.validity is None or not any(one.used for one in done):
         return actuator
     errors = {"rms": rms(last.path.error), "largest": largest(last.path.error)}
-    validity = known.validity.with_record(last.record.time, last.record.voltage, **errors)
+    validity = known.validity.with_record(last.record, **errors)
     return actuator.with_validity(validity, errors["largest"])
 
 

@@ -1,4 +1,4 @@
-"""A wanted path: its zero, its slew rate, and whether it can be reached."""
+"""A path: its zero, its slew rate, its temperature, and whether it can be reached."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PossibleStart
-from dehyst.model import Actuator
+from dehyst.model import Actuator, demand_thermal, temperature_cost
 from dehyst.model.states import state_at
-from dehyst.operations.axes import Slew
+from dehyst.operations.axes import AxesModel, Slew
+from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
+from dehyst.records.formats.columns import Table
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -108,6 +111,55 @@ class PathSlew(NamedTuple):
         elif held:
             words += ": held back; --slew-rate V/S sets another bound, --slew-rate none removes it"
         return [words]
+
+
+@dataclass(frozen=True)
+class PathTemperature:
+    """The temperature of a path [degC]: one number, one a sample (n,), or None if it is not known."""
+
+    values: float | Array | None = None
+
+    @classmethod
+    def of(
+        cls, known: AxesModel, constant: float | None, columns: Columns, table: Table | None = None, samples: int = 0
+    ) -> PathTemperature:
+        """Return the given `constant`, or the temperatures in the `table` of a path with a number of `samples`."""
+        if known.stage is not None:
+            if constant is not None or columns.temperature is not None:
+                raise ModelError(argument="temperature", got="it with several axes", need="a model of one axis")
+            return cls()
+        if constant is not None and columns.temperature is not None:
+            raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
+        if constant is not None or columns.temperature is not None:
+            demand_thermal(known.actuators[0].thermal)
+        if constant is None:
+            return cls(None if table is None else columns.warmth(table, samples))
+        return cls(check.number(constant, "temperature"))
+
+    def used_by(self, actuator: Actuator) -> dict[str, Any]:
+        """Return the argument `temperature` of a calculation with an actuator, if that depends on it."""
+        return {} if actuator.thermal is None or self.values is None else {"temperature": self.values}
+
+    def at_reference(self, actuator: Actuator, displacement: Array) -> Array:
+        """Return the displacement (n,) [m] of a path at the reference temperature of its actuator."""
+        if actuator.thermal is None or self.values is None:
+            return displacement
+        return actuator.thermal.at_reference(displacement, self.values)
+
+    def column(self, actuator: Actuator, samples: int, before: int = 0) -> dict[str, Array]:
+        """Return the column of a file of `samples`, of which the first `before` come before the path."""
+        if not self.used_by(actuator):
+            return {}
+        along = np.broadcast_to(np.asarray(self.values, dtype=np.float64), samples - before)
+        return {"temperature_C": np.concatenate([np.full(before, along[0]), along])}
+
+    def cost(self, actuator: Actuator) -> tuple[float, str]:
+        """Return what this temperature adds to the error of any path [m], and a sentence on it."""
+        known = actuator.identification
+        tested = None if known is None or known.validity is None else known.validity.temperatures
+        stroke = float(np.ptp(actuator.reach))
+        cost, sentence = temperature_cost(actuator.thermal, tested, stroke, self.values)
+        return float(cost.max(initial=0.0)), sentence
 
 
 def zero_of_path(

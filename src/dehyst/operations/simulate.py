@@ -16,6 +16,7 @@ from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, write_table
+from dehyst.operations.paths import PathTemperature
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
 
@@ -30,6 +31,7 @@ def simulate(
     lag: bool = False,
     start: Start | None = None,
     home: bool = False,
+    temperature: float | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.
@@ -48,6 +50,9 @@ def simulate(
         State before the first sample, as in compensate; default: unknown.
     home
         Put the shortest homing before the voltages, from 0 V.
+    temperature
+        Temperature [degrees Celsius], for a model that depends on it; default: a column temperature_C, or else the
+        model's reference.
     """
     if home and start is not None:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
@@ -57,12 +62,15 @@ def simulate(
     given = known.values(table, "voltage", columns)
     time = columns.clock(table, len(given))
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    paths = _played(known, given, time, begins, home=home)
+    warmth = PathTemperature.of(known, temperature, columns, table, len(given))
+    paths = _played(known, given, time, begins, warmth, home=home)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
     volts = np.column_stack([path.voltage for path in paths])
-    write_table(output, {**clock, **known.columns("voltage", volts), **_displacements(known, paths, clock, lag=lag)})
+    written = {**clock, **known.columns("voltage", volts), **_displacements(known, paths, clock, lag=lag)}
+    write_table(output, written | warmth.column(known.actuators[0], len(volts), paths[0].first))
+    costs = [warmth.cost(one) for one in known.actuators]
     outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
     late = "the measured displacement lagged by {:.4g} ms, which is left out here; add --lag"
     warnings += known.prefixed(
@@ -75,6 +83,7 @@ def simulate(
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
         **known.merged([starts.path_start_fields(path) for path in paths]),
+        "temperature_cost_um": known.by_axis(1e6 * cost for cost, _ in costs),
         "warnings": warnings,
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),
@@ -88,6 +97,7 @@ def simulate(
         starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
     )
     lines = [f"{counted(len(volts), 'sample')} {words}: {output}", *known.prefixed(errors)]
+    lines += known.prefixed([sentence] if sentence else [] for _, sentence in costs)
     return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
 
 
@@ -96,6 +106,7 @@ def _played(
     voltage: Array,
     time: Mapping[str, Array],
     begins: Sequence[PossibleStart | None],
+    warmth: PathTemperature,
     *,
     home: bool,
 ) -> list[HomedPath]:
@@ -103,7 +114,8 @@ def _played(
     when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
     if known.stage is None:
         compensator = Compensator(known.actuators[0], ranges[0])
-        return [plan_voltage(compensator, voltage[:, 0], time=when, start=begins[0], home=home)]
+        used = warmth.used_by(known.actuators[0])
+        return [plan_voltage(compensator, voltage[:, 0], time=when, **used, start=begins[0], home=home)]
     several = StageCompensator(known.stage, limits=ranges, period=starts.period_of(time))
     return [*plan_voltage(several, voltage, time=when, start=begins, home=home)]
 

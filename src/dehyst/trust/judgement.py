@@ -28,7 +28,8 @@ class Judgement:
         RMS and largest error of the path [m], bounds that nine of ten paths should keep. Without a path: of any path
         within the recorded voltages.
     parts : mapping of str to float
-        Largest error by cause [m]: keys of `PredictionBand.errors`, and "training", the error on the training records.
+        Largest error by cause [m]: keys of `PredictionBand.errors`; "training", the error on the training records; and
+        "temperature", what a temperature adds that was not tested, or is not known.
     start : float
         Largest displacement error due to an unknown start [m]; 0 if the start is known.
     untested : tuple of str
@@ -64,6 +65,7 @@ def judge(
     *,
     voltage: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     missed: ArrayLike = (),
 ) -> Judgement:
     """Judge the error to expect on a path.
@@ -80,6 +82,8 @@ def judge(
         Voltage that follows the path [V], if there is no evidence; default: any path within the recorded voltages.
     time : (n,) array_like, optional
         Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
+    temperature : float or (n,) array_like, optional
+        Temperature of the path [degrees Celsius]; default: not known.
     missed : (n,) array_like, optional
         Error of the model itself on the path where its voltage was clamped [m].
     """
@@ -88,9 +92,12 @@ def judge(
     rms, largest, untested = known.expected_rms, known.expected_largest, tuple[str, ...]()
     promised = None if evidence is None else evidence.promise
     if promised is None and known.validity is not None:
-        promised = known.validity.anywhere if voltage is None else promise(known.validity, voltage, time)
+        promised = known.validity.anywhere
+        if voltage is not None:
+            promised = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature)
     if promised is not None:
         rms, largest, untested = promised.rms, promised.largest, promised.untested
+        parts |= {"temperature": promised.by_temperature} if promised.by_temperature else {}
     if evidence is not None:
         parts |= evidence.errors()
         # A model that the records do not contradict may be the true one.

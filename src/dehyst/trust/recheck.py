@@ -267,6 +267,10 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
     before = judge(actuator).parts.get("training") or None
+    promised = None
+    if origin.validity is not None:
+        warmth = record.temperature
+        promised = promise(origin.validity, record.voltage, record.time, thermal=actuator.thermal, temperature=warmth)
     known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
     return Recheck(
         record=record.name,
@@ -285,7 +289,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
         remarks=(*_warmth(actuator, record), *_remarks(actuator, record), *prepared.sentences),
         trace=trace,
-        promise=None if origin.validity is None else promise(origin.validity, record.voltage, record.time),
+        promise=promised,
     )
 
 

@@ -28,7 +28,7 @@ from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
 from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
 from dehyst.control.trajectory import Command
-from dehyst.model import ANYWAY, Actuator, Stage, State, apply, state_at
+from dehyst.model import ANYWAY, Actuator, Stage, State, apply, demand_thermal, state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
 
 HOMING, WAY, PATH = 0, 1, 2
@@ -134,6 +134,7 @@ def plan_path(
     time: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: PossibleStart | None = None,
     home: bool | None = None,
     present: float | None = None,
@@ -155,6 +156,7 @@ def plan_path(
     time: ArrayLike | None = None,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: Any = None,
     home: bool | None = None,
     present: Any = None,
@@ -172,6 +174,9 @@ def plan_path(
         The path, as in `Compensator.trajectory`.
     time, velocity, acceleration
         As in `Compensator.trajectory`; velocity and acceleration only for one axis.
+    temperature : float or (n,) array_like, optional
+        [degrees Celsius] of the path, for one axis with the part `thermal`; default: its reference. Before the path it
+        is that of the first sample.
     start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
@@ -194,7 +199,7 @@ def plan_path(
     RecordError
         If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
     """
-    plan = _Plan(compensator, displacement, "displacement", time)
+    plan = _Plan(compensator, displacement, "displacement", time, temperature)
     rates = plan.rates(velocity, acceleration)
     given, now = plan.each(start, "start"), plan.each(present, "present")
     if home:
@@ -214,6 +219,7 @@ def plan_voltage(
     voltage: ArrayLike,
     *,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: PossibleStart | None = None,
     home: bool = False,
     present: float | None = None,
@@ -233,6 +239,7 @@ def plan_voltage(
     voltage: ArrayLike,
     *,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: Any = None,
     home: bool = False,
     present: Any = None,
@@ -245,7 +252,7 @@ def plan_voltage(
         Source of actuators, and of limits and slew rates for the homing.
     voltage : (n,) or (n, axes) array_like
         Voltages [V], which are not changed.
-    time, present
+    time, temperature, present
         As in `plan_path`.
     start : PossibleStart, or one an axis, optional
         The state before the voltage; default: unknown, at rest at the first voltage.
@@ -263,7 +270,7 @@ def plan_voltage(
     RecordError
         As `plan_path` does.
     """
-    plan = _Plan(compensator, voltage, "voltage", time)
+    plan = _Plan(compensator, voltage, "voltage", time, temperature)
     given = plan.each(start, "start")
     if home:
         ways = plan.ways([None] * len(given), plan.each(present, "present"))
@@ -306,20 +313,38 @@ class _Way(NamedTuple):
 class _Plan:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `firsts`: displacement [m] or voltage [V] of each actuator at the first sample.
+    `firsts`: displacement [m] or voltage [V] of each actuator at the first sample. All is planned at the reference
+    temperature; `result` returns to the given one.
     """
 
     def __init__(
-        self, compensator: Compensator | StageCompensator, rows: ArrayLike, what: str, time: ArrayLike | None
+        self,
+        compensator: Compensator | StageCompensator,
+        rows: ArrayLike,
+        what: str,
+        time: ArrayLike | None,
+        temperature: ArrayLike | None,
     ) -> None:
         self.compensator, self.loops, self.voltage = compensator, axes_of(compensator), what == "voltage"
         self.single = compensator if isinstance(compensator, Compensator) else None
+        self.temperature: Array | None = None
+        self.gain: Array | float = 1.0
         if isinstance(compensator, Compensator):
             self.stage = Stage((compensator.actuator,))
-            self.rows = (vector(rows, what) if self.voltage else compensator.in_metres(rows))[:, None]
-            if not self.voltage and (sentence := compensator.strays(rows)):
-                raise ModelError(f"{sentence}; {ANYWAY}")
+            given = vector(rows, what) if self.voltage else compensator.in_metres(rows)
+            self.given, self.rows = given, given[:, None]
+            if temperature is not None:
+                thermal = demand_thermal(compensator.actuator.thermal)
+                if not self.voltage:
+                    self.rows = thermal.at_reference(given, temperature)[:, None]
+                self.gain = thermal.scale(temperature, given.size)[0]
+                self.temperature = np.broadcast_to(np.asarray(temperature, dtype=np.float64), given.shape)
+            strays = "" if self.voltage else compensator.strays(self.rows[:, 0] * per_metre(compensator.units))
+            if strays:
+                raise ModelError(f"{strays}; {ANYWAY}")
         else:
+            if temperature is not None:
+                raise ModelError(argument="temperature", got="it for several axes", need="a model of one axis")
             self.stage = compensator.stage
             self.rows = self.stage.columns(rows, what, "V" if self.voltage else "m")
         size, period = len(self.rows), compensator.period
@@ -337,9 +362,13 @@ class _Plan:
         return [values] if self.single else list(for_each(values, len(self.loops), what))
 
     def rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> dict[str, Array]:
-        """Return the given derivatives of a path, converted to metres."""
+        """Return the given derivatives of a path, converted to metres and to the reference temperature."""
         given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
-        found = {name: self.loops[0].in_metres(values, name, per) for name, values, per in given if values is not None}
+        found = {
+            name: self.loops[0].in_metres(values, name, per) / self.gain
+            for name, values, per in given
+            if values is not None
+        }
         if found and self.single is None:
             raise ModelError(argument=min(found), got="it for several axes", need="a path of one axis")
         return found
@@ -349,8 +378,24 @@ class _Plan:
         if self.single is None:
             return tuple(paths)
         units = self.single.units
+        if self.temperature is not None:
+            paths = [self.warmed(self.single, paths[0], self.temperature)]
         hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
         return replace(paths[0], warnings=(*paths[0].warnings, *hint)).in_units(units)
+
+    def warmed(self, one: Compensator, path: HomedPath, temperature: Array) -> HomedPath:
+        """Return a path [m] at the `temperature` (n,) of its samples; before it, at that of the first sample."""
+        thermal, before = demand_thermal(one.actuator.thermal), np.full(path.first, temperature[0])
+        along = np.concatenate([before, temperature])
+        moved, expected = (thermal.warmed(values, along) for values in (path.displacement, path.expected))
+        if not self.voltage:
+            # The path as it was given, without the rounding of there and back.
+            kept = path.expected == path.displacement
+            moved[path.first :] = self.given
+            expected = np.where(kept, moved, expected)
+        low, high = (thermal.warmed(values, temperature) for values in (path.error.lowest, path.error.highest))
+        error = replace(path.error, lowest=low, highest=high)
+        return replace(path, displacement=moved, expected=expected, error=error)
 
     def begun(self, rates: dict[str, Array], given: list[PossibleStart] | None) -> list[HomedPath]:
         """Return the voltages of the path, with a way before it if its first step would exceed the slew rate."""

@@ -1,0 +1,97 @@
+"""Path files with a temperature: used sample by sample, given as a constant, or missing, which has a stated cost."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+from command_line import run
+
+import dehyst
+from dehyst.model import Identification, Validity
+from dehyst.records import read_table, write_columns
+
+COLD = replace(plain_records.plant(6), limits=(0.0, 200.0))
+THERMAL = dehyst.Thermal(-2.5e-3, 4e-9, 30.0)
+TIME = np.arange(300) * 0.01
+PATH = 6 - 3 * np.cos(2 * np.pi * 0.5 * TIME)
+DEGREES = np.linspace(20, 40, TIME.size)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    target = tmp_path_factory.mktemp("temperature")
+    stroke = float(np.ptp(COLD.reach))
+    numbers = {"rms": 1e-8, "largest": 3e-8, "disagreement": 0.0, "stroke": stroke, "temperatures": (15.0, 45.0)}
+    volts = 100 - 100 * np.cos(2 * np.pi * 0.5 * TIME)
+    known = Identification(largest_error=3e-8, validity=Validity.by_records([(TIME, volts)], **numbers))
+    replace(COLD, thermal=THERMAL, identification=known).save(target / "model.json")
+    COLD.save(target / "cold.json")
+    columns = {"time_s": TIME, "displacement_um": PATH}
+    write_columns(target / "path.csv", columns)
+    write_columns(target / "warm.csv", columns | {"temperature_K": DEGREES + 273.15})
+    write_columns(target / "two.csv", columns | {"room_C": DEGREES - 10, "stage_C": DEGREES})
+    write_columns(target / "hole.csv", columns | {"temperature_C": np.where(TIME == 0.5, 4000.0, DEGREES)})
+    return target
+
+
+def follow(folder, *words, status=0):
+    found, out, _ = run("compensate", *words, "-o", "out.csv", "--start", "bottom", "--json", "--force", cwd=folder)
+    assert found == status, out
+    return json.loads(out), read_table(folder / "out.csv")
+
+
+def test_a_column_is_used_sample_by_sample(folder):
+    _, table = follow(folder, "model.json", "warm.csv")
+    voltage, warmth = table.column("voltage"), DEGREES
+    after = np.flatnonzero(np.diff(table.column("time"), prepend=-1) > 0)[-TIME.size :]
+    actuator = dehyst.Actuator.load(folder / "model.json")
+    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    whole = np.concatenate([np.full(voltage.size - TIME.size, warmth[0]), warmth])
+    moved = 1e6 * actuator.simulate(voltage, temperature=whole, state=start).displacement
+    np.testing.assert_allclose(moved[after], PATH, atol=1e-6)
+    _, named = follow(folder, "model.json", "two.csv", "--columns", "temperature=stage_C")
+    np.testing.assert_allclose(named.column("voltage"), voltage, atol=1e-9)
+    assert run("simulate", "model.json", "out.csv", "--start", "bottom", "-o", "back.csv", cwd=folder)[0] == 0
+    back = read_table(folder / "back.csv")
+    np.testing.assert_allclose(1e6 * back.column("displacement", "expected_um")[after], PATH, atol=1e-6)
+
+
+def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(folder):
+    stroke = float(np.ptp(COLD.reach))
+    kelvin = 2.5e-3 * stroke + 4e-9
+    tested, _ = follow(folder, "model.json", "warm.csv")
+    unknown, _ = follow(folder, "model.json", "path.csv")
+    hot, _ = follow(folder, "model.json", "path.csv", "--temperature", "50")
+    assert "temperature_m" not in tested["judgement"]["parts"]
+    for found, cost in ((unknown, 15 * kelvin), (hot, 5 * kelvin)):
+        judged = found["judgement"]
+        assert judged["parts"]["temperature_m"] == pytest.approx(cost)
+        assert judged["largest_m"] > tested["judgement"]["largest_m"] + 0.9 * cost
+        assert any("degrees Celsius" in sentence for sentence in judged["untested"])
+    _, out, _ = run("simulate", "model.json", "out.csv", "--temperature", "50", "--json", "-o", "x.csv", cwd=folder)
+    assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("cold.json", "path.csv", "--temperature", "30"), "does not depend on temperature"),
+        (("model.json", "two.csv", "--columns", "temperature=third"), "third"),
+        (("model.json", "two.csv", "--columns", "temperature=stage_C", "--temperature", "30"), "leave one out"),
+        (("model.json", "hole.csv"), "temperature"),
+        (("model.json", "path.csv", "--temperature", "450"), "positive factor"),
+    ],
+)
+def test_impossible_temperatures_are_refused(folder, words, said):
+    status, _, error = run("compensate", *words, "-o", "refused.csv", cwd=folder)
+    assert status == 2
+    assert said in error
+    assert not (folder / "refused.csv").exists()
+
+
+def test_a_model_without_the_part_ignores_the_column(folder):
+    _, warm = follow(folder, "cold.json", "warm.csv")
+    _, plain = follow(folder, "cold.json", "path.csv")
+    np.testing.assert_array_equal(warm.column("voltage"), plain.column("voltage"))
