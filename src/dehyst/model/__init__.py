@@ -27,6 +27,7 @@ from dehyst.model.states import (
     beginning,
     looped,
     simulated,
+    standing,
     state_after_loops,
     state_at,
     state_within_limits,
