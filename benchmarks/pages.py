@@ -464,10 +464,23 @@ def samples(one: dict) -> str:
 
 def temperature() -> list[str]:
     """Errors at temperatures that were held out."""
-    head = ("", "constant", *(f"{kind} channel, {t} degC" for kind in ("with", "without") for t in (22, 38)))
-    keys = ("constant", "with, 22", "with, 38", "without, 22", "without, 38", "promised with", "promised without")
-    rows = [[row["truth"], *(f"{row[key]:.2f}" for key in keys)] for row in data("temperature")["rows"]]
-    return table((*head, "promised with", "promised without"), rows)
+    keys = {
+        "constant": "constant",
+        **{f"{t} °C, promised": f"with, {t}" for t in (22, 38)},
+        "55 °C, not tested, promised": "with, 55",
+        "38 °C, not known, promised": "unknown, 38",
+        "no channel: 22 °C": "without, 22",
+        "38 °C": "without, 38",
+        "promised": "promised without",
+    }
+    bounds = {"with, 22": "promised, 22", "with, 38": "promised, 38", "with, 55": "promised, 55"}
+    bounds["unknown, 38"] = "promised unknown"
+
+    def cell(row: dict[str, float], key: str) -> str:
+        return f"{row[key]:.2f}" + (f", {row[bounds[key]]:.2f}" if key in bounds else "")
+
+    rows = [[row["truth"], *(cell(row, key) for key in keys.values())] for row in data("temperature")["rows"]]
+    return table(("", *keys), rows)
 
 
 def promise() -> list[str]:

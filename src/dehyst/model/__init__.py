@@ -34,7 +34,14 @@ from dehyst.model.states import (
     timed,
 )
 from dehyst.model.summary import Slopes, bend, parts_of, step_response
-from dehyst.model.temperatures import demand_thermal, temperature_cost, temperature_range
+from dehyst.model.temperatures import (
+    TemperatureCover,
+    demand_thermal,
+    temperature_cost,
+    temperature_range,
+    temperatures_to_record,
+    words_of,
+)
 
 __all__ = [
     "AbstractModel",
