@@ -1,4 +1,4 @@
-"""The figures of README and documentation; `loop.py` draws `docs/how_to/loop.svg` by the same functions."""
+"""The figures of README, documentation and paper; `loop.py` draws `docs/how_to/loop.svg` by the same functions."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from dehyst.studies import demo
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
 BEFORE, AFTER = "#8a8a8a", "#d55e00"
 COLOURS = {"feedback": "#0072b2", "feedforward": "#d55e00", "both": "#009e73"}
 NAMES = {"feedback": "integral feedback", "feedforward": "feedforward", "both": "both"}
@@ -27,11 +28,11 @@ PIECE, SHOWN = (0.5, 0.04), 0.7
 
 
 def saved(target: Path, size: tuple[float, float], draw, columns: int, **options: str) -> None:
-    """Draw on axes side by side, and write an SVG file."""
+    """Draw on axes side by side, and write an SVG or PNG file."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained", **options)
         draw(*np.atleast_1d(figure.subplots(1, columns)))
-        figure.savefig(target, metadata={"Date": None})
+        figure.savefig(target, dpi=200, metadata={"Date": None} if target.suffix == ".svg" else {"Software": None})
     print(target.name)
 
 
@@ -62,7 +63,7 @@ def draw_demo(left: Axes, right: Axes) -> None:
 
 def draw_reliability(axes: Axes) -> None:
     """Draw how many paths stay within a multiple of the promise, of mechanisms that gave its factors and others."""
-    parts = json.loads((DOCS.parent / "benchmarks" / "promise.json").read_text())
+    parts = json.loads((ROOT / "benchmarks" / "promise.json").read_text())
     for part, label, colour in (
         ("calibrate", "ten mechanisms", BEFORE),
         ("unseen", "six others", AFTER),
@@ -135,4 +136,5 @@ def responses(axes: Axes, found: dict) -> None:
 
 if __name__ == "__main__":
     saved(DOCS / "explanation" / "reliability.svg", (4.8, 3.4), draw_reliability, 1, facecolor="white")
-    saved(DOCS / "demo.svg", (9, 3.6), draw_demo, 2, facecolor="white")
+    for target in (DOCS / "demo.svg", ROOT / "paper" / "path.png"):
+        saved(target, (9, 3.6), draw_demo, 2, facecolor="white")

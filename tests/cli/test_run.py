@@ -54,6 +54,25 @@ def test_the_model_is_kept_true_and_written(folder):
     assert new.identification.expected_largest >= max(reached, old.identification.expected_largest)
 
 
+def test_the_promise_is_that_of_compensate_and_says_what_is_untested_before_anything_moves(folder):
+    words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "2")
+    status, out, _ = run(*words, "--json", cwd=folder)
+    assert status == 0
+    ran = json.loads(out)
+    compensate = ("compensate", "model.json", "path.csv", "--home", "--slew-rate", "none", "-o", "volts.csv")
+    planned = json.loads(run(*compensate, "--force", "--json", cwd=folder)[1])["judgement"]
+    assert ran["judgement"]["begins"] == planned["begins"] == "homed"
+    assert ran["judgement"]["untested"] == planned["untested"] != []
+    for name in ("rms_m", "largest_m"):
+        assert ran["judgement"][name] == pytest.approx(planned[name], rel=1e-6)
+    (folder / "never_moves.py").write_text(
+        RIG + "\n\nclass Still(SimulatedRig):\n    def _wave(self, *_):\n        raise OSError('still')\n"
+        "\n\ndef still(**options):\n    return Still(PlayActuator(), **options)\n"
+    )
+    _, out, err = run("run", "never_moves.py:still", *words[2:], cwd=folder)
+    assert out.splitlines()[:2] == ran["promise"], err
+
+
 def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):
     words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "2")
     status, out, _ = run(*words, "--adapt", cwd=folder)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
 from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
-from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage
+from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage, wave_table
 from dehyst.control.planning.start import model_error
+from dehyst.waveforms import Triangle
 
 LIMITS = -40.0, 260.0
 STROKE = plain_records.STROKE
@@ -95,6 +96,22 @@ def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
         when = homed.time if actuator.needs_time else None
         y = actuator.simulate(homed.voltage, time=when, state=state).displacement[first:]
         assert np.abs(y - wanted).max() <= model_error(actuator)
+
+
+def test_the_displacement_before_a_path_is_within_reach():
+    """The middle of the possible states at 0 V lies far below what voltages within the limits reach."""
+    actuator = replace(plain_records.plant(6, share=0.9), limits=(0.0, plain_records.VOLTS))
+    low, high = actuator.reach
+    assert PossibleStart.unknown(actuator, actuator.limits[0]).state.displacement < low - (high - low)
+    wanted = low + (high - low) * (0.5 - 0.3 * np.cos(np.linspace(0, 2 * np.pi, 200)))
+    time, present = np.arange(200.0), actuator.limits[0]
+    homed = plan_path(Compensator(actuator), wanted, time=time, home=True, present=present)
+    played = plan_voltage(Compensator(actuator), homed.voltage[homed.first :], time=time, home=True, present=present)
+    table = wave_table(actuator, Triangle(low, high - 0.1 * (high - low), 0.1), present=present).played()
+    for one in (homed, played, table):
+        before = one.displacement[one.phase < 1]
+        assert before.size and before.min() >= low - 1e-9 and before.max() <= high + 1e-9
+        assert np.array_equal(before, one.expected[one.phase < 1])
 
 
 @pytest.mark.parametrize(("units", "counts"), [("um", 1e6), ("nm", 1e9)])

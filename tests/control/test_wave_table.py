@@ -13,6 +13,7 @@ from dehyst import Creep, DisplacementCreep, Dynamics, GradedSlip, RecordError, 
 from dehyst.control import Compensator, wave_table
 from dehyst.control.planning.steady_cycle import steady_state, timed
 from dehyst.control.planning.wave_table import approach_to
+from dehyst.model import standing
 from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
 from examples import at_night
 
@@ -40,8 +41,8 @@ SCANS = {
 
 
 def simulated(actuator, played, state=None):
-    """What the actuator does with all that is played."""
-    start = actuator.relaxed(float(played.voltage[0])) if state is None else state
+    """What the actuator does with all that is played, by default after slow loops."""
+    start = standing(actuator, float(played.voltage[0]), actuator.voltage_range) if state is None else state
     time = played.time if actuator.needs_time else None
     return actuator.simulate(played.voltage, time=time, state=start).displacement
 
@@ -243,7 +244,7 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     whole = np.interp(table.homing.time, played.time, played.voltage)
     assert np.abs(whole - table.homing.voltage)[:-1].max() <= 1e-9
     # What was simulated with every sample is what the rows alone make, at the rows and after them.
-    made = slow.simulate(played.voltage, time=played.time, state=slow.relaxed(float(played.voltage[0]))).displacement
+    made = simulated(slow, played)
     assert np.abs(made - played.expected)[played.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
     assert np.abs(made - played.displacement)[-800:].max() <= table.error + table.unknown + 1e-4 * strokes(TRIANGLE)
 

@@ -66,6 +66,7 @@ VALUES = {
     "lag": "--lag",
     "table": "--table cycle.csv",
     "temperature": "--temperature 35",
+    "temperatures": [10, 60],
     "cycles": "--cycles 2",
     "approach": 3,
     "start_up": 5,

@@ -1,12 +1,14 @@
 """The one judgement: of a path by the promise, without what the records tested by the numbers of the identification."""
 
+from dataclasses import replace
+
 import numpy as np
 import plain_records
 import pytest
 
-from dehyst.control import Compensator, PossibleStart, StartError
+from dehyst.control import Compensator, PossibleStart, StartError, plan_path
 from dehyst.model import Validity, promise
-from dehyst.trust import insight, judge
+from dehyst.trust import insight, judge, judge_planned
 
 PLANT = plain_records.plant(4, seed=1)
 STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
@@ -63,3 +65,16 @@ def test_an_unknown_start_is_what_it_leaves_open():
     states = PossibleStart.unknown(PLANT, 50.0, (0.0, VOLTS)).states
     start = StartError.along(PLANT, states, np.linspace(50.0, 60.0, 20))
     assert judge(PLANT, path=start).start == start.largest > 0
+
+
+@pytest.mark.parametrize(("home", "begins"), [(True, "homed"), (False, "unknown")])
+def test_a_planned_path_is_judged_from_its_start(home, begins):
+    actuator = replace(plain_records.plant(6), limits=(-40.0, 260.0))
+    actuator = actuator.with_identification(expected_rms=1e-8, expected_largest=5e-8)
+    wanted = plain_records.STROKE * (0.5 - 0.3 * np.cos(np.linspace(0, 2 * np.pi, 200)))
+    path = plan_path(Compensator(actuator), wanted, time=np.arange(200.0), home=home)
+    found = judge_planned(actuator, path)
+    assert found.begins == begins
+    assert (found.rms, found.largest) == (1e-8, 5e-8)
+    assert (found.start > 1e-9) == (not home)
+    assert found.as_dict()["begins"] == begins

@@ -16,7 +16,7 @@ from dehyst._validation import vector
 from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
 from dehyst.calibration.tracking import TrackedPath
-from dehyst.control import ClampWarning, Compensator, plan_path
+from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.instruments import AbstractRig, Samples
 from dehyst.model import Actuator, State
 from dehyst.records import Record
@@ -117,6 +117,10 @@ class PathRun:
         """Displacement [m] between these limits, the reference of percentages."""
         low, high = self._planner.reach
         return high - low
+
+    def planned(self) -> HomedPath:
+        """Return the homing, from 0 V or the nearest limit, and the first repetition as the model expects them."""
+        return plan_path(self._planner, self._wanted, home=True)
 
     def play(self, repetitions: int, watcher: ProgressListener | None = None) -> Iterator[Repetition]:
         """Home, and yield each of the `repetitions` as it ends; the voltage ends at the safe one, after any error too.

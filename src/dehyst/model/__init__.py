@@ -27,13 +27,21 @@ from dehyst.model.states import (
     beginning,
     looped,
     simulated,
+    standing,
     state_after_loops,
     state_at,
     state_within_limits,
     timed,
 )
 from dehyst.model.summary import Slopes, bend, parts_of, step_response
-from dehyst.model.temperatures import demand_thermal, temperature_cost, temperature_range
+from dehyst.model.temperatures import (
+    TemperatureCover,
+    demand_thermal,
+    temperature_cost,
+    temperature_range,
+    temperatures_to_record,
+    words_of,
+)
 
 __all__ = [
     "AbstractModel",

@@ -53,6 +53,16 @@ def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> 
     return actuator.model.complete_state(replace(reached, motion=EMPTY))
 
 
+def standing(actuator: Actuator, voltage: float, limits: tuple[float, float]) -> State:
+    """Return the state at rest at a voltage [V], after slow major loops between limits [V] that end at the nearer one.
+
+    It stands for an unknown state where a displacement is shown: the middle of the possible states may lie far outside
+    of what voltages within the limits reach.
+    """
+    state = looped(actuator, limits, rising=voltage > 0.5 * sum(limits))
+    return state_within_limits(actuator, state, (voltage, voltage))
+
+
 def state_at(actuator: Actuator, state: State, displacement: float) -> State:
     """Return the state after a motion to a displacement [m] that is slow for mass and amplifier but fast for creep.
 

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Folder, Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, write_table
-from dehyst.operations.paths import PathSlew, Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathSlew, PathTemperature, Zero, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
 from dehyst.report import write_check_history, write_insight
@@ -35,7 +35,7 @@ _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without
 _of_repeats = Only(lambda given: given.get("repeats") != 0, "with repeats 0, which leaves out the intervals")
 
 
-@operation(insight_one, rare=("seconds", "level", "precision", "repeats"), details=True)
+@operation(insight_one, rare=("seconds", "level", "precision", "repeats", "temperatures"), details=True)
 def insight(
     run: Run,
     model: Input,
@@ -45,6 +45,7 @@ def insight(
     zero: Annotated[Zero | None, _of_path] = None,
     start: Annotated[Start | None, _of_path] = None,
     limits: tuple[float, float] | None = None,
+    temperatures: Annotated[tuple[float, float] | None, _of_one] = None,
     seconds: float | None = None,
     level: Annotated[float, _of_repeats] = 0.9,
     precision: Annotated[float | None, _of_repeats] = None,
@@ -71,7 +72,7 @@ def insight(
         Write a self-contained HTML page here.
     """
     known = AxesModel.read(run, model)
-    keys = RECORD if trajectory is None else (*RECORD, "wanted")
+    keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
     (columns.demand if known.stage is None else columns.demand_axes)(keys, "on records")
     training = columns.records(records, axes=known.pairs(columns), several=trajectory is not None)
     asked: dict[str, Any] = {
@@ -90,8 +91,9 @@ def insight(
         actuator = known.actuators[0]
         time: dict[str, Array] = {}
         if trajectory is not None:
-            path, time = _path(known, trajectory, columns, limits, zero, run)
-            asked |= {"trajectory": path, "time": time.get("time_s")}
+            path, time, warmth = _path(known, trajectory, columns, limits, zero, run)
+            asked |= {"trajectory": path, "time": time.get("time_s"), "temperature": warmth.values}
+        asked["temperatures"] = temperatures
         if start is not None:
             reader = start_reader(known, start, columns)
             asked["start"] = lambda one: reader(0, one, limits)
@@ -119,8 +121,8 @@ def _path(
     limits: tuple[float, float] | None,
     zero: Zero | None,
     run: Run,
-) -> tuple[Array, dict[str, Array]]:
-    """Return the displacement (n,) [m] of a trajectory on the model's axis, and its time column."""
+) -> tuple[Array, dict[str, Array], PathTemperature]:
+    """Return the displacement (n,) [m] of a trajectory on the model's axis, its time column, and its temperature."""
     (actuator,) = known.actuators
     table = columns.plain_table(trajectory)
     try:
@@ -135,11 +137,14 @@ def _path(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
         )
     path = path + zero_of_path(actuator, limits, zero)
-    for warning in reach_remarks(actuator, path, limits, zero, refuse=False):
+    warmth = PathTemperature.of(known, None, columns, table, path.size)
+    followed = warmth.at_reference(actuator, path)
+    for warning in reach_remarks(actuator, followed, limits, zero, refuse=False):
         run.note(warning)
-    for remark in PathSlew(None, "none").remarks(actuator, limits or actuator.voltage_range, path, time.get("time_s")):
+    allowed = limits or actuator.voltage_range
+    for remark in PathSlew(None, "none").remarks(actuator, allowed, followed, time.get("time_s")):
         run.note(f"{remark}; it is judged as wanted here, while compensate holds it back without --slew-rate none")
-    return path, time
+    return path, time, warmth
 
 
 @operation(check_one)

@@ -28,11 +28,11 @@ from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
-from dehyst.operations.paths import PathSlew, PathTemperature, Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathSlew, PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
-from dehyst.trust import Judgement, judge
+from dehyst.trust import judge, judge_planned
 from dehyst.waveforms import Scan
 from dehyst.waveforms.named import OPTIONS, scan_of
 
@@ -58,18 +58,6 @@ class _AxisRequest:
     def reach_remarks(self, wanted: Array, zero: Zero | None) -> list[str]:
         """Return a remark on a path (n,) [m] outside of the reachable range; raise an error if it is far outside."""
         return reach_remarks(self.actuator, wanted, self.limits, zero)
-
-    def promise_lines(self, judged: Judgement, temperature: PathTemperature) -> list[str]:
-        """Return lines on the promised error of the path, if it is known, and on untested parts of the path."""
-        known = self.actuator.identification
-        validity = None if known is None else known.validity
-        # Limits of the file may be wider than what was recorded.
-        stroke = float(self.actuator.reach[1] - self.actuator.reach[0]) if validity is None else validity.stroke
-        words = judged.words(stroke)
-        if validity is None:
-            _, sentence = temperature.cost(self.actuator)
-            return [sentence] if sentence else []
-        return [f"expect this path {words} of the stroke", *judged.untested]
 
 
 def _is_scan(given: Values) -> bool:
@@ -272,17 +260,7 @@ def _follow(
         ]
         for one, slew, path in each
     )
-    judged = [
-        judge(
-            one.actuator,
-            path=starts.left_open(path),
-            voltage=path.voltage[path.first :],
-            time=None if path.time is None else path.time[path.first :],
-            temperature=warmth.values,
-            missed=(path.expected - path.displacement)[path.first :],
-        )
-        for one, _, path in each
-    ]
+    judged = [judge_planned(one.actuator, path, temperature=warmth.values) for one, _, path in each]
     clamped = [int(path.clamped.sum()) for path in paths]
     misses = [float(abs(path.expected - path.displacement).max(initial=0.0)) for path in paths]
     spans = [(float(path.voltage.min()), float(path.voltage.max())) for path in paths]
@@ -311,9 +289,9 @@ def _follow(
         f"{counted(samples, 'sample')}, {', '.join(known.prefixed(words))}: {output}",
         *known.prefixed([slew.words] for slew in slews),
         *known.prefixed(
-            starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
+            starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths
         ),
-        *known.prefixed(one.promise_lines(found, warmth) for one, found in zip(axes, judged, strict=True)),
+        *known.prefixed(promise_lines(one.actuator, got, warmth) for one, got in zip(axes, judged, strict=True)),
     ]
     certified = all(path.certified for path in paths)
     good = all(path.followed for path in paths) and (certified or not home)
@@ -411,6 +389,7 @@ def _tabulate(
         voltage=played.voltage[first:],
         time=played.time[first:],
         missed=cycle.expected - cycle.displacement,
+        begins="homed" if homes else start.name,
     )
     fields = {
         "samples": played.voltage.size,
@@ -444,7 +423,7 @@ def _tabulate(
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
         *starts.error_lines(start.name, left, homed=homes),
-        *one.promise_lines(judged, PathTemperature()),
+        *promise_lines(actuator, judged, PathTemperature()),
     ]
     good = table.settled and table.certified and not table.clamped
     return Result(fields, lines, warnings=warnings, good=good)

@@ -17,10 +17,11 @@ from dehyst.model import Actuator
 from dehyst.operations.axes import is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
-from dehyst.operations.paths import Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import largest, rms
 from dehyst.records.files import demand_text
+from dehyst.trust import judge_planned
 
 # Repetitions that are printed: the first, the last, and some between them.
 _PRINTED = 12
@@ -98,11 +99,16 @@ def run_path(
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
         for remark in reach_remarks(actuator, wanted, follower.limits, zero):
             run.note(remark)
+        judged = judge_planned(actuator, follower.planned())
+        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged, PathTemperature())}
+        run.known = promise
+        for line in promise["promise"]:
+            run.say(line)
         try:
             with run.watch(["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]) as watcher:
                 for repetition in follower.play(cycles, watcher):
                     done.append(repetition)
-                    run.known = {"cycles": [_fields(one) for one in done]}
+                    run.known = {**promise, "cycles": [_fields(one) for one in done]}
                     _demand_same_actuator(done)
         except BaseException as error:
             for line in _written(done, follower.actuator, output, updated):
@@ -111,6 +117,7 @@ def run_path(
     fields = {
         "rig": instrument.identity,
         "stroke_um": 1e6 * follower.stroke,
+        **promise,
         "cycles": [_fields(one) for one in done],
         "exchanges": sum(one.used for one in done),
     }

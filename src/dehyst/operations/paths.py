@@ -17,6 +17,7 @@ from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
 from dehyst.records.formats.columns import Table
+from dehyst.trust import Judgement
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -160,6 +161,16 @@ class PathTemperature:
         stroke = float(np.ptp(actuator.reach))
         cost, sentence = temperature_cost(actuator.thermal, tested, stroke, self.values)
         return float(cost.max(initial=0.0)), sentence
+
+
+def promise_lines(actuator: Actuator, judged: Judgement, temperature: PathTemperature) -> list[str]:
+    """Return lines on the promised error of a path, if it is known, and on what the records do not test."""
+    known = actuator.identification
+    if known is None or known.validity is None:
+        _, sentence = temperature.cost(actuator)
+        return [*judged.lines(float(np.ptp(actuator.reach))), *([sentence] if sentence else [])]
+    # Limits of the file may be wider than what was recorded.
+    return judged.lines(known.validity.stroke)
 
 
 def zero_of_path(

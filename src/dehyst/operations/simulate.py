@@ -93,9 +93,7 @@ def simulate(
         for path, one in zip(paths, known.actuators, strict=True)
     )
     words = ", ".join(known.prefixed([one] for one in begin_words))
-    errors = (
-        starts.error_lines(path.start.name, starts.left_open(path), homed=path.homing is not None) for path in paths
-    )
+    errors = (starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths)
     lines = [f"{counted(len(volts), 'sample')} {words}: {output}", *known.prefixed(errors)]
     lines += known.prefixed([sentence] if sentence else [] for _, sentence in costs)
     return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
@@ -141,7 +139,7 @@ def _displacements(
     if lag:
         moved = known.moved(late(known.targets(moved)))
     written = known.columns("displacement", 1e6 * moved, "expected")
-    if paths[0].homing is not None or all(starts.left_open(path) is None for path in paths):
+    if paths[0].homing is not None or all(path.left_open is None for path in paths):
         return written
     low, high = (late(np.column_stack([getattr(path.error, end) for path in paths])) for end in ("lowest", "highest"))
     if known.stage is not None:

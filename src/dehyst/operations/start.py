@@ -161,11 +161,6 @@ def homed_words(homed: HomedPath) -> str:
     return f"(homed first{begin}, {counted(homed.first, 'sample')}{seconds})"
 
 
-def left_open(path: HomedPath) -> StartError | None:
-    """Return the error due to the start of a path; None if the start is known."""
-    return None if path.homing is None and path.start.known else path.error
-
-
 def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str]:
     """Return a line on the error due to a start with this name; no line if the start is known."""
     if error is None:
@@ -203,7 +198,7 @@ def path_start_fields(path: HomedPath) -> dict[str, Any]:
     homed: dict[str, Any] = (
         {} if path.homing is None else {"samples": path.first, "seconds": path.seconds, "certified": path.certified}
     )
-    return start_fields(path.start.name, left_open(path), **homed)
+    return start_fields(path.start.name, path.left_open, **homed)
 
 
 def file_warnings(

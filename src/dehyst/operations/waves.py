@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
+from dehyst.model import temperatures_to_record, words_of
 from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, merged, one_of, operation
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
@@ -33,6 +34,7 @@ _WHY = (
     "the loops; best is the rate at which the actuator will be used."
 )
 _of_homing = Only(lambda given: given["kind"] == "homing", "on another kind than homing")
+_not_homing = Only(lambda given: given["kind"] != "homing", "on a homing")
 _paced = Only(
     lambda given: given["kind"] not in ("staircase", "homing") or "model" in given,
     "on steps, which are equal, and on a homing without --model",
@@ -44,7 +46,7 @@ _holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "w
     Sampling,
     take=("shape",),
     more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
-    rare=("shape", "pace", "ramp", "seed", "lowest", "count"),
+    rare=("shape", "pace", "ramp", "seed", "lowest", "count", "temperatures"),
 )
 def excite(
     run: Run,
@@ -62,6 +64,7 @@ def excite(
     hold: Annotated[float | None, _holds] = None,
     model: Annotated[Input | None, _of_homing] = None,
     axes: Annotated[str | None, Only(lambda given: given["kind"] == "stage", "without a stage")] = None,
+    temperatures: Annotated[tuple[float, float] | None, _not_homing] = None,
     **options: Any,
 ) -> Result:
     """Write the voltage of an excitation, to play and record.
@@ -89,6 +92,8 @@ def excite(
         Model to home by the shortest waveform that is certified to end in a known state.
     axes
         Names of the axes of a stage, as x,y.
+    temperatures
+        Lowest and highest temperature in use [degrees Celsius]; the answer says at which temperatures to record.
     pace
         frequency: every leg takes half a cycle; rate: only the highest leg does.
     """
@@ -119,11 +124,13 @@ def excite(
     def make(hertz: float) -> Excitation:
         return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled), **options)
 
+    warmth = temperatures_to_record(None, temperatures)
     if frequency is not None:
-        return _written(make(frequency), output)
+        return _written(make(frequency), output, temperatures=warmth)
     longest = _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
     found, hertz = _slow_enough(make, longest)
-    return _written(found, output, f"{hertz:g} Hz by default", () if kind == "stage" else (_WHY,))
+    why = () if kind == "stage" else (_WHY,)
+    return _written(found, output, f"{hertz:g} Hz by default", why, temperatures=warmth)
 
 
 def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[Excitation, float]:
@@ -167,6 +174,7 @@ def _written(
     advice: tuple[str, ...] = (),
     warnings: tuple[str, ...] = (),
     good: bool = True,
+    temperatures: Sequence[float] = (),
 ) -> Result:
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
@@ -185,6 +193,7 @@ def _written(
         "last_V": last,
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
         "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
+        "record_at_degC": list(temperatures),
         "warnings": [*warnings, *excitation.warnings],
         "output": str(output),
     }
@@ -199,6 +208,8 @@ def _written(
     else:
         what += f", from {first:.6g} to {last:.6g} V"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
+    if temperatures:
+        advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")
     return Result(fields, [line, *advice], warnings=fields["warnings"], good=good)
 
 

@@ -5,7 +5,7 @@ from dehyst.trust.changes import Change
 from dehyst.trust.history import DECISION, CheckHistory, ControlChart
 from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight
-from dehyst.trust.judgement import Judgement, judge
+from dehyst.trust.judgement import Judgement, judge, judge_planned
 from dehyst.trust.precision import NOISE_BIAS
 from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
 from dehyst.trust.recheck import Recheck, check

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
@@ -12,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval, vector
 from dehyst.control import Command, Compensator, PossibleStart, StartError, shortest_homing
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, TemperatureCover, temperature_range
 from dehyst.records import Record
 from dehyst.trust.bootstrap import LEAST_REPEATS, Intervals, resample
 from dehyst.trust.evidence import Evidence
@@ -30,8 +32,10 @@ def insight(
     *,
     trajectory: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: Callable[[Actuator], PossibleStart] | None = None,
     limits: tuple[float, float] | None = None,
+    temperatures: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: float = 0.9,
     precision: float | None = None,
@@ -53,11 +57,17 @@ def insight(
         A displacement to follow [m], on the model's axis, whose error is to be predicted.
     time : (n,) array_like, optional
         Time of the trajectory [s]; needed by a model that depends on time.
+    temperature : float or (n,) array_like, optional
+        Temperature of the trajectory [degrees Celsius]; default: not known. Of a model that depends on temperature the
+        band is that of the trajectory at the reference.
     start : callable, optional
         Returns the start of the trajectory for a model, such as ``lambda one: start_of(one, record, began=True)``;
         default: the top of the limits after a rise through them, where the state is known.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
+    temperatures : (float, float), optional
+        Lowest and highest temperature in use [degrees Celsius]; default: those of the trajectory. What the records do
+        not cover causes a warning.
     seconds : float, optional
         Longest excitation to suggest [s]; default: no limit.
     level : float, optional
@@ -86,12 +96,19 @@ def insight(
     allowed = actuator.limits if limits is None else interval(limits)
     wanted = None if trajectory is None else vector(trajectory, "trajectory")
     clock = None if time is None else vector(time, "time")
+    warmth = None if temperature is None else np.asarray(temperature, dtype=np.float64)
+    used = temperatures
+    if used is None and warmth is not None and warmth.size:
+        used = float(warmth.min()), float(warmth.max())
+    reference = None if actuator.thermal is None else actuator.thermal.reference
+    cover = TemperatureCover(temperature_range([records] if isinstance(records, Record) else records), used, reference)
+    _ = cover.missing  # refuses an impossible range
     with one_thread():
         evidence = Evidence.from_records(actuator, records)
         intervals = free = band = known = loop = path = None
         if repeats:
             intervals = resample(evidence, level=level, repeats=repeats, seed=seed, progress=progress)
-            path = None if wanted is None else _WantedPath.followed(actuator, wanted, clock, start, allowed)
+            path = None if wanted is None else _WantedPath.followed(actuator, wanted, clock, warmth, start, allowed)
             progress("looking for models that the records do not contradict")
             moved = (None, None) if path is None else (path.command.displacement, path.first)
             free = feasible_set(evidence, *moved)
@@ -120,6 +137,7 @@ def insight(
             exact=precision is not None,
             start=None if path is None else path.start,
             opened=None if path is None else path.opened,
+            temperatures=cover,
         )
 
 
@@ -143,14 +161,18 @@ class _WantedPath(NamedTuple):
         actuator: Actuator,
         wanted: Array,
         time: Array | None,
+        temperature: Array | None,
         start: Callable[[Actuator], PossibleStart] | None,
         limits: tuple[float, float] | None,
     ) -> _WantedPath:
-        """Follow a trajectory from its start, or from the top of the limits."""
+        """Follow a trajectory, at the reference temperature, from its start or from the top of the limits."""
+        if actuator.thermal is not None and temperature is not None:
+            wanted = actuator.thermal.at_reference(wanted, temperature)
         begin = None if start is None else start(actuator)
         state = top_start(actuator, limits) if start is None else lambda one: start(one).within(one, limits)
         first = state(actuator)
         command = Compensator(actuator, limits).trajectory(wanted, time=time, state=first)
+        command = replace(command, temperature=temperature)
         opened = None
         if begin is not None and not begin.known:
             opened = StartError.along(actuator, begin.states, command.voltage, time=time)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from dehyst._views.fields import json_value, json_values
 from dehyst._views.pictures import plotted
 from dehyst.control import Homing, PossibleStart, StartError
 from dehyst.identification import Identifiability
-from dehyst.model import Actuator
+from dehyst.model import Actuator, TemperatureCover, words_of
 from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.experiment_design import Suggestion
@@ -114,6 +114,8 @@ class Insight:
         Start of the trajectory; None: the top of the limits, after a rise through them.
     opened : StartError or None
         Displacement error along the trajectory due to its unknown start; None if the start is known.
+    temperatures : TemperatureCover
+        Temperatures of the records, those in use, and those to record at.
     """
 
     evidence: Evidence
@@ -130,6 +132,7 @@ class Insight:
     start: PossibleStart | None = None
     opened: StartError | None = None
     exact: bool = False
+    temperatures: TemperatureCover = field(default_factory=TemperatureCover)
 
     @property
     def actuator(self) -> Actuator:
@@ -242,6 +245,7 @@ class Insight:
             self._open(),
             self._imprecise(),
             beyond(self.actuator, self.limits),
+            self.temperatures.sentence if self.temperatures.missing else None,
         ]
         if self.band is not None:
             remarks += [*self.band.warnings, self._open_on(self.band)]
@@ -308,6 +312,7 @@ class Insight:
             },
             **json_values(self, "major_loop_off_m=loop.off advice level=intervals.level known=precision"),
             **json_values(self, "state=knowledge start=start.name turns"),
+            "temperatures": self.temperatures.as_dict(),
             "homing": None if self.homing is None else json_values(self.homing, homing),
             "trajectory": band,
             "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
@@ -413,6 +418,14 @@ def _directions(found: Insight) -> Iterator[str]:
 
 
 def _advice(found: Insight) -> Iterator[str]:
+    if found.temperatures.missing:
+        yield ""
+        yield f"To record at {words_of(found.temperatures.missing)}: the excitation of the records, or"
+        if found.limits is not None:
+            yield f"      dehyst excite descending-tops {found.limits[1]:.6g} -o tops.csv"
+    elif sentence := found.temperatures.sentence:
+        yield ""
+        yield sentence
     if found.advice:
         yield ""
         yield "To record next, best first:"

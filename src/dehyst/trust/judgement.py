@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._units import per_metre
 from dehyst._views.fields import json_values
-from dehyst.control import StartError
+from dehyst.control import HomedPath, StartError
 from dehyst.model import Actuator, Identification, promise
 from dehyst.records import largest as largest_of
 from dehyst.records import rms as rms_of
@@ -36,6 +36,8 @@ class Judgement:
         Sentences on the parts of the path that the records do not test.
     validated : bool
         Whether the errors come from validation records.
+    begins : str
+        The start of the path: "homed", "unknown", or the name of a known start; empty without a path.
     """
 
     rms: float | None
@@ -44,6 +46,7 @@ class Judgement:
     start: float
     untested: tuple[str, ...]
     validated: bool
+    begins: str = ""
 
     def words(self, stroke: float) -> str:
         """Return the errors as text, in percent of a stroke [m]; empty if they are not known."""
@@ -52,9 +55,18 @@ class Judgement:
         rms, largest = (100 * error / stroke for error in (self.rms, self.largest))
         return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most"
 
+    def lines(self, stroke: float) -> list[str]:
+        """Return the promise of a path with its start, then what the records do not test; empty if it is not known."""
+        if not (words := self.words(stroke)):
+            return []
+        adds = f", which adds up to {100 * self.start / stroke:.2g} %" if self.start and self.begins != "homed" else ""
+        begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
+        start = begins.get(self.begins, f", from the start {self.begins}")
+        return [f"expect this path {words} of the stroke{start}{adds}", *self.untested]
+
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
-        values = json_values(self, "rms_m=rms largest_m=largest start_m=start untested validated")
+        values = json_values(self, "rms_m=rms largest_m=largest start_m=start begins untested validated")
         return {**values, "parts": {f"{name}_m": error for name, error in self.parts.items()}}
 
 
@@ -67,6 +79,7 @@ def judge(
     time: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
     missed: ArrayLike = (),
+    begins: str = "",
 ) -> Judgement:
     """Judge the error to expect on a path.
 
@@ -86,6 +99,8 @@ def judge(
         Temperature of the path [degrees Celsius]; default: not known.
     missed : (n,) array_like, optional
         Error of the model itself on the path where its voltage was clamped [m].
+    begins : str, optional
+        The start of the path, as in `Judgement`.
     """
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}
@@ -108,4 +123,21 @@ def judge(
         largest = None if largest is None else largest + largest_of(missed)
         rms = None if rms is None else float(np.hypot(rms, rms_of(missed)))
     opened = 0.0 if path is None else path.largest / per_metre(path.units)
-    return Judgement(rms, largest, parts, opened, untested, known.validated)
+    return Judgement(rms, largest, parts, opened, untested, known.validated, begins)
+
+
+def judge_planned(actuator: Actuator, path: HomedPath, *, temperature: ArrayLike | None = None) -> Judgement:
+    """Judge the error to expect on a planned path, from its start: that after its homing, if there is one.
+
+    `temperature` (n,) or a number: of the path [degrees Celsius]; default: not known.
+    """
+    first = path.first
+    return judge(
+        actuator,
+        path=path.left_open,
+        voltage=path.voltage[first:],
+        time=None if path.time is None else path.time[first:],
+        temperature=temperature,
+        missed=(path.expected - path.displacement)[first:] / per_metre(path.units),
+        begins=path.start.name if path.homing is None else "homed",
+    )

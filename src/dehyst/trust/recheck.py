@@ -16,7 +16,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, promise
+from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, promise, temperature_cost
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
 from dehyst.trust.changes import Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
@@ -346,8 +346,14 @@ def _doubt(actuator: Actuator, record: Record) -> float:
 
 
 def _warmth(actuator: Actuator, record: Record) -> list[str]:
-    """Return a remark if the model depends on temperature, and the record has none."""
-    if actuator.thermal is None or record.temperature is not None:
+    """Return a remark if the record has no temperature on which the model depends, or one that was not tested."""
+    if record.temperature is not None:
+        known = actuator.identification
+        tested = None if known is None or known.validity is None else known.validity.temperatures
+        stroke = float(np.ptp(actuator.reach))
+        _, sentence = temperature_cost(actuator.thermal, tested, stroke, record.temperature)
+        return [f"{record.name}: {sentence}"] if sentence else []
+    if actuator.thermal is None:
         return []
     return [
         f"{record.name}: has no temperature, on which the model depends; it is taken for the reference, "

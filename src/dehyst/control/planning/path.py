@@ -28,7 +28,7 @@ from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
 from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
 from dehyst.control.trajectory import Command
-from dehyst.model import ANYWAY, Actuator, Stage, State, apply, demand_thermal, state_at
+from dehyst.model import ANYWAY, Actuator, Stage, State, apply, demand_thermal, standing, state_at
 from dehyst.waveforms import Excitation, Leg, Sampling
 
 HOMING, WAY, PATH = 0, 1, 2
@@ -61,7 +61,8 @@ class HomedPath:
         Wanted displacement of the axis [m, or `units`]; before the path, and for a given voltage, the model's
         displacement.
     expected : (n,) array
-        Displacement of the model [m, or `units`]; it starts from the middle of the possible states.
+        Displacement of the model [m, or `units`]. It starts from the middle of the possible states; in a homing, where
+        the true one is unknown, from a state after slow loops between the limits.
     state : State
         State of the actuator at the last sample.
     start : PossibleStart
@@ -102,6 +103,11 @@ class HomedPath:
     def first(self) -> int:
         """Number of the first sample of the path."""
         return int(np.count_nonzero(self.phase != PATH))
+
+    @property
+    def left_open(self) -> StartError | None:
+        """The error due to the start; None if the start is known."""
+        return None if self.homing is None and self.start.known else self.error
 
     @property
     def seconds(self) -> float | None:
@@ -286,7 +292,7 @@ def plan_voltage(
         Command(volts, y, np.zeros(y.size, dtype=bool), state, (), 0.0, True)
         for volts, y, state in zip(plan.rows.T, moved[size:].T, states, strict=True)
     ]
-    return plan.result(plan.joined(ways, moved[:size], commands, moved[size:]))
+    return plan.result(plan.joined(ways, plan.lead(ways) if home else moved[:size], commands, moved[size:]))
 
 
 class _Way(NamedTuple):
@@ -436,7 +442,7 @@ class _Plan:
             for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
         commands = self.follow(rates, begins, [way.last for way in ways], ways[0].step)
-        before = self.motion(ways, np.column_stack([one.voltage for one in commands]))[0][: ways[0].voltage.size]
+        before = self.lead(ways)
         if starts:
             ways = [way._replace(start=start) for way, start in zip(ways, starts, strict=True)]
         return self.joined(ways, before, commands, self.rows)
@@ -563,6 +569,16 @@ class _Plan:
             motions.append(one.actuator.simulate(voltage, time=when, state=way.start.state, extrapolate=True))
         moved = np.column_stack([motion.displacement for motion in motions])
         return apply(self.stage.coupling, moved), [motion.state for motion in motions]
+
+    def lead(self, ways: Sequence[_Way]) -> Array:
+        """Return the displacement (k, axes) [m] along ways, from a state within the limits if the start is unknown."""
+        begun = []
+        for one, way in zip(self.loops, ways, strict=True):
+            start = way.start
+            if not start.known and way.voltage.size:
+                start = replace(start, states=(standing(one.actuator, float(way.voltage[0]), one.limits),))
+            begun.append(way._replace(start=start))
+        return self.motion(begun)[0]
 
     def joined(
         self, ways: Sequence[_Way], before: Array, commands: Sequence[Command], wanted: Array

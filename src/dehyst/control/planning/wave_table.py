@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.planning.steady_cycle import MOST_SAMPLES, StartUp, SteadyCycle, timed
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, standing
 from dehyst.waveforms import (
     Bridge,
     Excitation,
@@ -42,8 +42,9 @@ _FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 class Played(NamedTuple):
     """Homing, start-up and cycles in sequence (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected [m].
 
-    During the homing there is no wanted displacement, and both displacements are of a model that begins relaxed. Rows
-    of a long homing are farther apart than the others; between rows the voltage is linear.
+    During the homing there is no wanted displacement, and the true one is unknown: both displacements are of a model
+    that begins after slow loops through its range. Rows of a long homing are farther apart than the others; between
+    rows the voltage is linear.
     """
 
     time: Array
@@ -142,8 +143,8 @@ class WaveTable:
             rows = self.homing_rows
             v, actuator = self.homing.voltage, self.actuator
             when = self.homing.time if actuator.needs_time else None
-            relaxed = actuator.relaxed(float(v[0]), extrapolate=True)
-            y = actuator.simulate(v, time=when, state=relaxed, extrapolate=True).displacement[rows]
+            begin = standing(actuator, float(v[0]), actuator.voltage_range)
+            y = actuator.simulate(v, time=when, state=begin, extrapolate=True).displacement[rows]
             voltage, wanted, expected = [v[rows], *voltage], [y, *wanted], [y, *expected]
             phase = [np.full(rows.size, HOMING), *phase]
             time = np.concatenate([rows / self.homing.sample_rate, self.homing.duration + time])

@@ -36,6 +36,7 @@ export function rigView({ rig, voltages }) {
       h("div.stage.rig-stage", { "data-moving": String(moving) },
         !here && journey,
         h("div#rig-result", rig.result && resultBlock(rig.result, rig.known?.cycles)),
+        h("ul#rig-promise.remarks", (rig.known?.promise ?? []).map((one) => h("li", one))),
         h("div#rig-live", { hidden: live.count === 0 }, live.view()),
         h("div#rig-run.figures", rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
         h("div#rig-plan", rig.plan && planTable(rig.plan)),
