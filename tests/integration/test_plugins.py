@@ -221,6 +221,9 @@ def test_a_target_of_a_plug_in_is_exported_to(tmp_path):
         assert (status, json.loads(out)["file"]) == (0, str(tmp_path / "a.st"))
         assert (tmp_path / "a.st").read_text() == "90.0 False False"
         assert run("export", model, tmp_path / "a.st", "--name", "x")[0] == 2
+        assert run("export", model, tmp_path / "a.st")[0] == 2
+        (tmp_path / "a.st").write_text("(* dehyst: a line *)")
+        assert run("export", model, tmp_path / "a.st")[0] == 0
         (tmp_path / "b.st").write_text("mine")
         assert run("export", model, tmp_path / "b.st")[0] == 2
         assert (tmp_path / "b.st").read_text() == "mine"
@@ -239,7 +242,7 @@ def test_the_example_of_a_plug_in_passes_its_tests(tmp_path):
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     listed = subprocess.run([*DEHYST, "--version"], env=given, capture_output=True, text=True, timeout=60, check=True)
     rows = ["reader of .wav", "rig line", "baseline polynomial", "export to .st"]
-    assert listed.stdout.splitlines()[1:] == [f"{row} of dehyst_example 0.1.0" for row in rows]
+    assert listed.stdout.splitlines()[1:] == [f"{row} of dehyst-example 0.1.0" for row in rows]
     sources = [path.read_text() for path in (project / "src").rglob("*.py")]
     assert sum(bool(line.strip()) for text in sources for line in text.split("\n")) <= 150
 
