@@ -54,6 +54,8 @@ _BINARY = (b"<", b"PK", b"\0", b"PAR1", b"\x89")
 # Where a ZIP archive has the length and the name of its first file.
 _ZIP_LENGTH, _ZIP_NAME = slice(26, 28), 30
 _HEADER = re.compile(r"\w+_\w+([,\t]\w+)*|\w+([,\t]\w+)*[,\t]\w+_\w+")
+# How the text of an export begins.
+_COMMENT = re.compile(r"[-#;%*/(!]{1,3} ?dehyst: ")
 _PROTECTS: ContextVar[bool] = ContextVar("protects", default=False)
 # Types of data that are no file, and what makes a record of them.
 _TABLES = {"DataFrame": "from_dataframe", "Dataset": "from_xarray", "ndarray": "from_arrays"}
@@ -201,8 +203,8 @@ def demand_alike(path: PathLike, content: bytes | None = None) -> None:
     if kind is not None and content is not None and kind == _kind(content):
         return
     if kind is not None and content is None:
-        prefixes = ("dehyst", "table of a model", "// dehyst: ")
-        if kind.startswith(prefixes) or kind.endswith(".npy") or _HEADER.fullmatch(kind):
+        known = kind.startswith(("dehyst", "table of a model")) or kind.endswith(".npy")
+        if known or _COMMENT.match(kind) or _HEADER.fullmatch(kind):
             return
     raise FileFormatError(
         f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"

@@ -133,7 +133,12 @@ def test_a_record_of_another_actuator_is_not_kept(kept, gain):
     before = {path.name: path.read_bytes() for path in (kept / "checks").iterdir()}
     for goal in ((), ("--goal", 100)):
         status, out, err = run("check", "model.json", "another.csv", "--history", "checks", *goal, cwd=kept)
-        assert status == 1 and out.startswith("Recalibrate: ") and "Checks of this model" not in out
+        assert (
+            status == 1
+            and out.startswith("Another actuator")
+            and "effect" not in out
+            and "Checks of this model" not in out
+        )
         assert "another: is plainly not" in err and "gain differs" in err
         assert err.rstrip().endswith("It is not kept in checks")
     assert {path.name: path.read_bytes() for path in (kept / "checks").iterdir()} == before

@@ -13,13 +13,14 @@ from dehyst.records.formats import reader_process
 
 
 def write_distribution(folder, name, groups, code="", version="1.0"):
-    """Write a distribution with one module of its name into a folder; `groups`: group -> lines of entry points."""
-    info = folder / f"{name}-{version}.dist-info"
+    """Write a distribution with one module into a folder; `groups`: group -> lines of entry points."""
+    module = name.replace("-", "_")
+    info = folder / f"{module}-{version}.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
     lines = [f"[dehyst.{group}]\n{text}\n" for group, text in groups.items()]
     (info / "entry_points.txt").write_text("\n".join(lines))
-    (folder / f"{name}.py").write_text(code)
+    (folder / f"{module}.py").write_text(code)
 
 
 def describe(project, folder):
@@ -29,8 +30,9 @@ def describe(project, folder):
         name.removeprefix("dehyst."): "\n".join(f"{key} = {value}" for key, value in points.items())
         for name, points in about["entry-points"].items()
     }
-    write_distribution(folder, about["name"].replace("-", "_"), groups, version=about["version"])
-    (folder / f"{about['name'].replace('-', '_')}.py").unlink()
+    write_distribution(folder, about["name"], groups, version=about["version"])
+    # Only what describes it: the module itself is in the project.
+    next(folder.glob("*.py")).unlink()
 
 
 @contextlib.contextmanager

@@ -57,7 +57,7 @@ def test_a_steady_process_stays_inside_and_a_small_lasting_shift_is_found():
 def test_a_gain_that_creeps_up_is_found_before_a_single_check_counts(tmp_path):
     history = kept(tmp_path / "new", [0.0, 0.0, 0.0, *[0.002] * 7])
     assert [one.record for one in history.checks] == [f"later-{day}" for day in range(10)]
-    assert {one.standing for one in history.checks} == {Standing.STILL_TRUE.name}
+    assert {one.standing for one in history.checks} <= {Standing.STILL_TRUE.name, Standing.WITHIN_GOAL.name}
     gain = next(one for one in history.charts() if one.name == "gain")
     assert np.abs(gain.scores).max() < 3
     assert 3 < gain.since < 9

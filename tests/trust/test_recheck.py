@@ -83,9 +83,37 @@ def test_the_judgement_is_by_the_goal():
     strict, loose = (dehyst.check(loops.model(), record, goal=goal) for goal in (1.0, 5.0))
     assert strict.standing is Standing.RECALIBRATE
     assert not strict.good
-    assert loose.standing is Standing.STILL_TRUE
+    assert (loose.standing, loose.good) == (Standing.WITHIN_GOAL, True)
+    assert "dehyst update" in loose.sentence and "dehyst update" in strict.sentence
     assert of(loose, "gain").counts
     assert not of(dehyst.check(loops.model(), record, goal=10.0), "gain").counts
+
+
+@pytest.mark.parametrize("goal", [0.01, 1.0, 5.0])
+@pytest.mark.parametrize(
+    ("changes", "learnt"), [({}, False), ({"gain": loops.GAIN}, True), ({"delay": loops.DELAY}, False)]
+)
+def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, learnt, goal):
+    recheck = dehyst.check(loops.model(), loops.later(**changes), goal=goal)
+    kept = recheck.without_noise <= recheck.promise.largest
+    within = recheck.without_noise <= goal / 100 * recheck.stroke
+    expected = {
+        (True, True): Standing.STILL_TRUE,
+        (True, False): Standing.WITHIN_GOAL,
+        (False, True): Standing.NEVER_MET,
+        (False, False): Standing.RECALIBRATE,
+    }
+    assert recheck.standing is expected[within, kept]
+    assert (recheck.kept, recheck.good) == (kept, within)
+    assert recheck.advises_update == (learnt and not kept)
+    assert ("dehyst update" in recheck.sentence) == recheck.advises_update
+
+
+@pytest.mark.parametrize("gain", [0.7, -0.6])
+def test_of_another_actuator_nothing_else_is_said(gain):
+    recheck = dehyst.check(loops.model(), loops.later(gain=gain), goal=100)
+    assert (recheck.standing, recheck.good, recheck.advises_update) == (Standing.ANOTHER, False, False)
+    assert recheck.change_sentences() == ()
 
 
 def test_a_model_that_never_met_the_goal_is_not_blamed_for_it():

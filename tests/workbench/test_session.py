@@ -369,7 +369,14 @@ async def test_a_calibration_brings_its_model(stage):
     assert (stage.step.operation, stage.step.parameters) == ("insight", files)
 
 
-CHECK = {"sentence": "Recalibrate: ...", "good": False, "mismatch": "", "change_sentences": ["Less."], "remarks": []}
+CHECK = {
+    "sentence": "Recalibrate: ...",
+    "good": False,
+    "advises_update": True,
+    "mismatch": "",
+    "change_sentences": ["Less."],
+    "remarks": [],
+}
 
 
 @played

@@ -2,6 +2,7 @@
 
 import io
 import wave
+from functools import cache
 
 import numpy as np
 import on_a_desk
@@ -45,10 +46,15 @@ class TestLineRig(RigContract):
         return RigCandidate("line", on_a_desk.desk)
 
 
+@cache
+def fitted():
+    return BASELINES["polynomial"]([RECORD])
+
+
 class TestPolynomial(ModelContract):
     @pytest.fixture
     def candidate(self):
-        return ModelCandidate("polynomial", lambda: BASELINES["polynomial"]([RECORD]))
+        return ModelCandidate("polynomial", fitted)
 
 
 class TestStructuredText(TargetContract):

@@ -214,6 +214,8 @@ def _drawn(run: Run, history: CheckHistory, picture: Path) -> Path | None:
 def _check_lines(recheck: Recheck) -> Iterator[str]:
     """Yield the judgement, possible changes, and the remarks."""
     yield recheck.sentence
+    if recheck.mismatch:
+        return
     yield from recheck.change_sentences()
     yield ""
     yield f"{'change':<8}{'now less then':>38}{'effect, % of the stroke':>26}"

@@ -52,7 +52,8 @@ def _export(folder: Path, actuator: Actuator, name: str, *options: str) -> tuple
     model, path = folder / "model.json", folder / name
     folder.mkdir(exist_ok=True)
     actuator.save(model)
-    words = ["export", str(model), str(path), "--period", str(_PERIOD), "--json", *options]
+    quick = ["--no-measure"] if "measure" in TARGETS[path.suffix].options else []
+    words = ["export", str(model), str(path), "--period", str(_PERIOD), "--json", *quick, *options]
     done = CliRunner().invoke(main, words)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     return done.exit_code, json.loads(done.stdout), path
@@ -105,6 +106,10 @@ class TargetContract:
         before = _content(mine)
         assert _export(tmp_path, _PLAIN, mine.name)[0] == 2
         assert _content(mine) == before
+
+    def test_an_export_replaces_the_one_before(self, candidate: TargetCandidate, tmp_path: Path) -> None:
+        first, second = (_export(tmp_path, _PLAIN, f"stage{candidate.suffix}", "--force") for _ in range(2))
+        assert (first[0], second[0]) == (0, 0), second[1]
 
     @pytest.mark.parametrize("kind", _MODELS)
     def test_a_model_is_exported_or_refused(self, candidate: TargetCandidate, kind: str, tmp_path: Path) -> None:

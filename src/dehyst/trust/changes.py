@@ -34,6 +34,8 @@ _MOST, _STEPS = 100_000, 3
 _NARROW = 1e-3
 # Names of the slow changes, of which a record shows one.
 SLOW = ("creep", "drift")
+# Names of the changes that an update learns.
+LEARNT = ("gain", "width")
 # Columns whose range is their largest effect; of others it is the largest value.
 _RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
@@ -106,8 +108,8 @@ _WORDS = {
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
 }
 _REMEDIES = {
-    "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
-    "width": "Check the temperature, the load and the range of the voltage; the ceramic may have aged.",
+    "gain": "Check the sensor's and the amplifier's gain, the load and the preload. If it lasts: dehyst update.",
+    "width": "Check the temperature, the load and the range of the voltage. If it lasts (ageing): dehyst update.",
     "offset": "Zero the sensor or home the actuator; that needs no new model.",
     "delay": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",

@@ -18,7 +18,7 @@ from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
 from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, promise, temperature_cost
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
-from dehyst.trust.changes import Change, Known, Slow, find_changes
+from dehyst.trust.changes import LEARNT, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
 
 # An error this many times that of the identification is another one.
@@ -31,9 +31,11 @@ class Standing(Enum):
     """Whether a model is still true; the value is the words to show."""
 
     STILL_TRUE = "still true"
-    RECALIBRATE = "recalibrate"
-    NEVER_MET = "no worse than at its identification, but above the goal"
     DRIFTS = "still true, but the record drifts"
+    WITHIN_GOAL = "within the goal, but worse than promised"
+    NEVER_MET = "no worse than promised, but above the goal"
+    RECALIBRATE = "recalibrate"
+    ANOTHER = "another actuator, or other units"
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,19 +111,27 @@ class Recheck:
 
     @property
     def standing(self) -> Standing:
-        """The judgement: whether the model is still true."""
+        """The judgement: whether the error is within the goal, and whether it is as promised."""
         allowed = self.goal / 100 * self.stroke
         if self.mismatch:
-            return Standing.RECALIBRATE
+            return Standing.ANOTHER
         if self.without_noise > allowed:
-            same = self.ratio is not None and self.ratio <= _WORSE
-            return Standing.NEVER_MET if same else Standing.RECALIBRATE
+            return Standing.NEVER_MET if self.kept else Standing.RECALIBRATE
+        if self.promise is not None and not self.kept:
+            return Standing.WITHIN_GOAL
         return Standing.DRIFTS if abs(self.drift) > allowed else Standing.STILL_TRUE
+
+    @property
+    def kept(self) -> bool:
+        """Whether the promise was kept; without a promise, whether the error is near that of the identification."""
+        if self.promise is not None:
+            return self.without_noise <= self.promise.largest
+        return self.ratio is not None and self.ratio <= _WORSE
 
     @property
     def good(self) -> bool:
         """Whether the model itself may be used as before."""
-        return self.standing in (Standing.STILL_TRUE, Standing.DRIFTS)
+        return self.standing in (Standing.STILL_TRUE, Standing.DRIFTS, Standing.WITHIN_GOAL)
 
     @property
     def mismatch(self) -> str:
@@ -149,32 +159,38 @@ class Recheck:
         )
         if self.ratio is not None and self.before is not None:
             text += f"; with it {self._percent(self.largest)}, then {self._percent(self.before)}"
-        if self.promise is not None:
-            kept = "kept" if self.without_noise <= self.promise.largest else "not kept"
-            text += f". The model promised {self._percent(self.promise.largest)} on this path: {kept}"
+        if self.promise is not None and not self.mismatch:
+            promised = f"{self._percent(self.promise.largest)} on this path from its fitted start"
+            text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
         return f"{text}. {self._advice()}"
 
+    @property
+    def advises_update(self) -> bool:
+        """Whether the model is worse than promised, and an update may learn why: gain, width, or another shape."""
+        learnable = not self.changed or self.changed[0].name in LEARNT
+        return learnable and self.standing in (Standing.WITHIN_GOAL, Standing.RECALIBRATE)
+
     def _advice(self) -> str:
-        if self.mismatch:
-            return "Check that model and record belong together."
-        if self.standing is Standing.RECALIBRATE:
-            return "Identify the model again from new records."
-        if self.standing is Standing.NEVER_MET:
-            return "Records of the same kind would give the same error: record more loops, or allow more parts."
-        if self.standing is Standing.DRIFTS:
-            moved = self._percent(abs(self.drift))
-            return (
-                f"No new model is needed; the drift is {moved} of the stroke and will also occur on a path: let the "
-                "actuator warm up and rest."
-            )
-        return "No new model is needed."
+        learns = "dehyst update can learn the change from this record" if self.advises_update else ""
+        moved = f"the drift is {self._percent(abs(self.drift))} of the stroke and will also occur on a path"
+        return {
+            Standing.STILL_TRUE: "No new model is needed.",
+            Standing.DRIFTS: f"No new model is needed; {moved}: let the actuator warm up and rest.",
+            Standing.WITHIN_GOAL: f"{learns or 'No new model is needed'}.",
+            Standing.NEVER_MET: "Records of the same kind would give the same error: record more loops, or allow more "
+            "parts.",
+            Standing.RECALIBRATE: f"{learns}; otherwise identify the model again from new records."
+            if learns
+            else "Identify the model again from new records.",
+            Standing.ANOTHER: "Check that model and record belong together.",
+        }[self.standing]
 
     def _percent(self, length: float) -> str:
         return lines.percent(length, self.stroke)
 
     def change_sentences(self) -> tuple[str, ...]:
-        """Return a sentence for each change that counts, the largest effect first."""
-        return tuple(change.sentence(self.stroke) for change in self.changed)
+        """Return a sentence for each change that counts, the largest effect first; none of another actuator."""
+        return () if self.mismatch else tuple(change.sentence(self.stroke) for change in self.changed)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
@@ -183,6 +199,7 @@ class Recheck:
             "standing": self.standing.name,
             "sentence": self.sentence,
             "good": self.good,
+            "advises_update": self.advises_update,
             "model": self.model,
             "record": self.record,
             "model_id": self.model_id,

@@ -513,8 +513,8 @@ class WorkbenchSession:
             model.check = {
                 "record": record.id,
                 "good": found["good"],
-                # Of another actuator, or in other units.
-                "foreign": any(one["mismatch"] for one in parts.values()),
+                "updates": not any(one["mismatch"] for one in parts.values())
+                and any(not one["good"] or one["advises_update"] for one in parts.values()),
                 "sentences": [f"{axis}: {one['sentence']}" if axis else one["sentence"] for axis, one in parts.items()],
                 "why": [words for one in parts.values() for words in one["change_sentences"]],
                 "remarks": [in_page(words) for one in parts.values() for words in one["remarks"]],

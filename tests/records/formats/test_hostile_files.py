@@ -334,7 +334,7 @@ def test_a_library_that_crashes_or_stops_is_contained(tmp_path, monkeypatch, suf
         f"def stop(data, allowance):\n"
         f"    if {suffix == '.mat'}: os.kill(os.getpid(), signal.SIGSEGV)\n"
         "    while True: pass\n"
-        f"f.LOADERS['{suffix}'] = f.LOADERS['{suffix}']._replace(load=stop)\n"
+        f"f._OWN['{suffix}'] = f._OWN['{suffix}']._replace(load=stop)\n"
         "import dehyst.records.formats.reader_process as r; r._SECONDS = 1\n"
     )
     reader_process.close()

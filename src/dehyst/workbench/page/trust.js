@@ -98,8 +98,7 @@ function checkCard(model) {
         check.sentences.map((one) => h("p.first", one)),
         list(check.why),
         check.remarks.length > 0 && fold("What limits this check", list(check.remarks)),
-        !check.good &&
-          !check.foreign &&
+        check.updates &&
           act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
       ),
   );
