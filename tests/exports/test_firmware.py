@@ -626,3 +626,40 @@ def test_steps_warn_once_as_ever():
         golden_trace(compensator)
         with pytest.raises(ClampWarning):
             compensator.step(1.0)
+
+
+WARMING = r"""
+#include <stdio.h>
+#include "piezo.h"
+
+int main(void)
+{
+    static piezo p;
+    double wanted, degrees;
+    if (piezo_begin(&p) != DEHYST_OK) return 1;
+    while (scanf("%lf %lf", &wanted, &degrees) == 2) {
+        if (piezo_temperature(&p, degrees) != DEHYST_OK) return 2;
+        printf("%a\n", piezo_step(&p, wanted));
+    }
+    return piezo_temperature(&p, 1000.0) == DEHYST_ERR_SIGN ? 0 : 3;
+}
+"""
+
+
+def test_a_temperature_gives_the_bits_of_python(tmp_path, unmeasured):
+    need("gcc")
+    cold = compiled_exports.plain()
+    actuator = replace(cold.actuator, thermal=dehyst.Thermal(-0.0037, 3.3e-9, 24.7))
+    folder = written(tmp_path / "c", dehyst.Compensator(actuator, cold.limits))
+    assert "temperature" not in (written(tmp_path / "cold", cold) / "piezo.h").read_text().replace(
+        "for a temperature", ""
+    )
+    (folder / "warming.c").write_text(WARMING)
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
+    subprocess.run(["gcc", *flags, "warming.c", "piezo.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)
+    rng, (low, high) = np.random.default_rng(5), cold.reach
+    rows = np.column_stack([rng.uniform(low, high, 2000), rng.uniform(10, 60, 2000)]).tolist()
+    given = "".join(f"{y!r} {degrees!r}\n" for y, degrees in rows)
+    done = subprocess.run([folder / "warming"], input=given, capture_output=True, text=True, check=True)
+    loop = dehyst.Compensator(actuator, cold.limits, warns=False)
+    assert [float.fromhex(word) for word in done.stdout.split()] == [loop.step(*row) for row in rows]

@@ -27,7 +27,7 @@ CONFIG = "dehyst_config.h"
 _FILES = {*CORE, CONFIG, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # Lines of the templates in whose place the generated text comes.
-_SIZES, _NUMBERS = "/* sizes */\n", "/* numbers */\n"
+_SIZES, _NUMBERS, _TEMPERATURE = "/* sizes */\n", "/* numbers */\n", "/* temperature */\n"
 # A float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
@@ -78,14 +78,17 @@ def code(compensator: Loop, number: Number = "double", name: str | None = None) 
     if isinstance(compensator, StageCompensator):
         kind, title, templates = "stage", compensator.stage.name, ("stage.h", "stage.c")
         macros, numbers = _coupled(compensator)
+        declared = defined = ""
     else:
         kind, title, templates = "actuator", compensator.actuator.name, ("piezo.h", "piezo.c")
         text = ModelText(compensator, number)
         macros, numbers = text.macros(), text.numbers()
+        declared, defined = text.temperature()
     # The actuator's name is not to be renamed, nor to end the comment.
     title = printable(title).replace("*/", "* /").replace("/*", "/ *")
     title = f"/* The {kind} '{title}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */\n"
     header, source = map(shipped, templates)
+    header, source = header.replace(_TEMPERATURE, declared), source.replace(_TEMPERATURE, defined)
     own_files = {
         f"{own}.c": title + text_of(source.replace(_NUMBERS, numbers), own),
         f"{own}.h": title + text_of(header.replace(_SIZES, macros), own),

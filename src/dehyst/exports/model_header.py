@@ -39,6 +39,19 @@ static const dehyst_model piezo_model = {{{
  $stiffness,
  {$start, $memory},
  $period, $ahead, ${id}ul, ${shape}ul};""")
+_TEMPERATURE_DECLARED = """\
+/* Set gain and offset of the displacement for a temperature [degrees Celsius], between two periods; before the first
+ * call the reference of the model holds. If it does not return DEHYST_OK, nothing changes. */
+dehyst_status piezo_temperature(piezo *p, dehyst_real degrees);
+"""
+# Gain 1/K, offset m/K, and reference: as `Thermal.scale` in Python, bit for bit.
+_TEMPERATURE_DEFINED = """
+dehyst_status piezo_temperature(piezo *p, dehyst_real degrees)
+{
+    const dehyst_real kelvins = degrees - piezo_thermal[2];
+    return dehyst_loop_scale(&p->loop, 1 + piezo_thermal[0] * kelvins, piezo_thermal[1] * kelvins);
+}
+"""
 _A_LINE = 4
 # Tables whose numbers are members of the model, not arrays.
 _SCALARS = ("loop", "inertia", "transition", "output")
@@ -133,7 +146,7 @@ def demand_no_temperature(compensator: Compensator, target: str) -> None:
     if compensator.actuator.thermal is not None:
         raise ModelError(
             f"the actuator depends on temperature, for which {target} has no input",
-            hint="export it in C, where dehyst_loop_scale sets gain and offset, or leave its part thermal out",
+            hint="export it in C or WebAssembly, or leave its part thermal out, and set the inputs gain and offset",
         )
 
 
@@ -218,6 +231,14 @@ class ModelText:
         comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
         texts = [self._array(name, values) for name, values in arrays.items() if values.size]
         return "\n".join([*texts, comment, self._model(arrays), ""])
+
+    def temperature(self) -> tuple[str, str]:
+        """Return declaration and definition of the call that takes a temperature; empty without the part `thermal`."""
+        thermal = self._compensator.actuator.thermal
+        if thermal is None:
+            return "", ""
+        numbers = np.array([thermal.gain, thermal.offset, thermal.reference])
+        return _TEMPERATURE_DECLARED, f"\n{self._array('thermal', numbers)}\n{_TEMPERATURE_DEFINED}"
 
     def _model(self, arrays: Tables) -> str:
         tables, start, compensator, some = self._tables, self._start, self._compensator, self._some

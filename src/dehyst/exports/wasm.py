@@ -10,7 +10,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
-from dehyst.exports.model_header import ExportedStart, demand_compensator, demand_no_temperature
+from dehyst.exports.model_header import ExportedStart, demand_compensator
 from dehyst.exports.naming import shipped, shipped_bytes
 
 _MAGIC = b"\0asm\1\0\0\0"
@@ -61,7 +61,6 @@ def wasm_files(path: PathLike) -> list[Path]:
 def wasm_module(compensator: Compensator) -> bytes:
     """Return the module that `export_wasm` writes; raise `ModelError` if `compensator` is not a Compensator."""
     demand_compensator(compensator)
-    demand_no_temperature(compensator, "WebAssembly")
     core = shipped_bytes("core.wasm")
     if not core.startswith(_MAGIC):
         raise FileFormatError("exports/templates/core.wasm: not the file of this version; install dehyst again")
@@ -78,6 +77,8 @@ def wasm_module(compensator: Compensator) -> bytes:
         "reach": list(compensator.clone("m").reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
+    if (thermal := actuator.thermal) is not None:
+        about["thermal"] = {"gain": thermal.gain, "offset": thermal.offset, "reference": thermal.reference}
     text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
     # Own sections come first: a file of dehyst is known by its beginning.
     return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", compensator.model_block()) + core[8:]

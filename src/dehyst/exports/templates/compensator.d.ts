@@ -19,6 +19,8 @@ export interface About {
   reach: [number, number];
   /** Where memory begins: displacement [m], voltage [V] and the way to bring the actuator there. */
   start: { displacement: number; voltage: number; way: string };
+  /** Only of a model that depends on temperature: 1/K, m/K, degrees Celsius. */
+  thermal?: { gain: number; offset: number; reference: number };
 }
 
 export interface Options {
@@ -71,6 +73,8 @@ export class Compensator {
   reset(): void;
   /** Set gain and offset [m] of the displacement between two steps, for another temperature or an aged actuator. */
   scale(gain: number, offset?: number): void;
+  /** Set gain and offset for a temperature [degrees Celsius] between two steps; needs a model that depends on it. */
+  setTemperature(degrees: number): void;
   /**
    * Learn gain and offset from a sensor [m] between two steps; return whether they are new. NaN: not measured. `rate`:
    * weight of a sample, 0.01. `gain`, `offset` [m]: how far they may go from 1 and 0, by default 0.2 and 0.

@@ -85,6 +85,14 @@ export class Compensator {
     if (this.#core.scale(gain, offset)) throw new RangeError(`gain: got ${gain}, offset ${offset}`);
   }
 
+  /** Set gain and offset for a temperature [degrees Celsius] between two steps; needs a model that depends on it. */
+  setTemperature(degrees) {
+    const { thermal } = this.about;
+    if (!thermal) throw new RangeError("temperature: this model does not depend on it");
+    const kelvins = degrees - thermal.reference;
+    this.scale(1 + thermal.gain * kelvins, thermal.offset * kelvins);
+  }
+
   /** Learn gain and offset from a sensor, between two steps; return whether they are new. */
   followSensor(measured, { rate = 0.01, gain = 0.2, offset = 0 } = {}) {
     const options = [rate, gain, offset];

@@ -39,3 +39,4 @@ dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT])
 {
     return dehyst_loop_restore(&piezo_model, &p->loop, p->memory, bytes, MODEL_SNAPSHOT);
 }
+/* temperature */

@@ -45,6 +45,7 @@ void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT]);
 /* Go on from a snapshot, instead of piezo_begin. If it does not return DEHYST_OK, the bytes are not a snapshot of a
  * model of this shape, or damaged, and nothing has changed. */
 dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT]);
+/* temperature */
 
 #ifdef __cplusplus
 }
