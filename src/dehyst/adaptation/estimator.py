@@ -212,6 +212,7 @@ class Estimator:
         if reason:
             self._note(cycle, reason)
             return
+        yield None
         samples, mean = int(np.count_nonzero(counted)), sums[-1] / sums[-1, -1]
         centred = (sums - sums[-1, -1] * np.outer(mean, mean))[:-1, :-1] / samples
         late = self._lateness(centred)
@@ -276,7 +277,9 @@ class Estimator:
         if not reason:
             self.factors, self.constant, self.datum = factors, constant, datum
             yield None
-            yield self.weights.model(factors, constant)
+            made = self.weights.model(factors, constant)
+            yield None
+            yield made
         self._note(cycle, reason, error, offered)
 
     def _learnt_from(self, found: _Sums, keep: float) -> Iterator[None]:

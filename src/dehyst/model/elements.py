@@ -162,8 +162,8 @@ class GradedSlip:
 
     def slopes_at(self, positions: ArrayLike) -> Array:
         """Return kappa_i [V/m] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N)."""
-        z = np.broadcast_to(positions, (*np.shape(positions)[:-1], len(self)))
-        return np.asarray(self.stiffness[np.arange(len(self)), np.searchsorted(self.knots[1:-1], z, side="right")])
+        segment = np.searchsorted(self.knots[1:-1], np.asarray(positions), side="right")
+        return np.asarray(self.stiffness[np.arange(len(self)), segment])
 
 
 @dataclass(frozen=True, eq=False)

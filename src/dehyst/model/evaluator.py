@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -368,6 +368,7 @@ def _spline_derivative(displacement: Array, path: PathData, order: int) -> Array
     return np.asarray(CubicSpline(time, displacement)(time, order))
 
 
+@lru_cache(maxsize=16)
 def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
     """Return the least slope [V/m] of any branch in any state.
 
