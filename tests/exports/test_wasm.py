@@ -106,7 +106,7 @@ write("learnt", learnt);
 const other = new Compensator(module);
 let last = 0;
 wanted.forEach((displacement, i) => {
-    last = other.followSensor(1e6 * measured[i]) || last;
+    last = other.followSensor(1e6 * measured[i], { rate: 0.1 }) || last;
     other.step(displacement);
 });
 console.log(last);

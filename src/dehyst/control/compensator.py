@@ -460,8 +460,8 @@ class Compensator(ReadOnly):
         Returns
         -------
         int
-            0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound. If that is
-            so again and again, the sensor has other units (micrometres, say), or the bound is too narrow.
+            0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound. If this
+            happens again and again, the sensor has other units (micrometres, say), or the bound is too narrow.
 
         Raises
         ------
