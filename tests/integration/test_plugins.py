@@ -22,7 +22,7 @@ from dehyst.instruments import SCHEMES, AbstractRig, open_rig
 from dehyst.records import LOADERS
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
-from dehyst.workbench.forms import exports, rig_address
+from dehyst.workbench.forms import connect_form, exports, rig_address
 
 REGISTRIES = {"readers": LOADERS, "rigs": SCHEMES, "baselines": BASELINES, "targets": TARGETS}
 READER = """
@@ -97,13 +97,16 @@ def test_rows_of_this_package_are_found_without_a_search(monkeypatch):
 
 def test_a_plug_in_may_not_replace_a_row_of_this_package(tmp_path):
     write_distribution(
-        tmp_path, "greedy", {"readers": ".csv = greedy:read", "baselines": "dehyst = greedy:read"}, READER
+        tmp_path,
+        "greedy",
+        {"readers": ".csv = greedy:read", "baselines": "dehyst = greedy:read\nPREISACH = greedy:read"},
+        READER,
     )
     with plugged_in(tmp_path):
         with pytest.warns(PluginWarning, match=r"'\.csv' \(readers\) of greedy 1\.0 .* belongs to dehyst \d"):
             assert list(LOADERS) == list(LOADERS.own)
         assert LOADERS[".csv"] is LOADERS.own[".csv"]
-        with pytest.warns(PluginWarning, match="'dehyst' .* of greedy 1.0 .* a model of dehyst"):
+        with pytest.warns(PluginWarning, match="'(dehyst|PREISACH)' .* of greedy 1.0 .* a model of dehyst"):
             assert list(contenders()) == [OURS, f"{OURS}, paper's", *BASELINES.own]
 
 
@@ -188,6 +191,7 @@ def test_a_rig_of_a_plug_in_keeps_what_every_rig_keeps(tmp_path):
         with pytest.raises(RigError, match="bench://NAME"):
             open_rig("other://1")
         assert rig_address().fullmatch("bench://1")
+        assert connect_form()["address"]["hint"].endswith("; bench://NAME")
     assert not rig_address().fullmatch("bench://1")
 
 

@@ -43,7 +43,7 @@ _PAPERS = f"{OURS}, paper's"
 def _of_plugin(name: str, fit: Identification) -> Identification:
     if not callable(fit):
         raise TypeError(f"got a {type(fit).__name__}, need a function of a list of records that returns a model")
-    if name.casefold() in (OURS, _PAPERS):
+    if name.casefold() in map(str.casefold, (OURS, _PAPERS, *_OWN)):
         raise ValueError("the name is of a model of dehyst; its author must choose another")
 
     def fitted(records: Sequence[Record]) -> AbstractModel:

@@ -138,6 +138,14 @@ def rig_address() -> re.Pattern[str]:
     return re.compile(rf"({kinds})://[^\s]+|sim://[a-z]+")
 
 
+def connect_form() -> Form:
+    """Return the fields of a rig's connection, whose hint names the addresses of plug-ins too."""
+    form = FORMS["connect"]
+    added = [SCHEMES[name].form for name in SCHEMES if name not in SCHEMES.own]
+    hint = "; ".join([form["address"]["hint"], *added])
+    return {**form, "address": {**form["address"], "hint": hint}}
+
+
 def scan_form() -> Form:
     """Return the fields of all named scans, as the library declares their options."""
     found: Form = {
