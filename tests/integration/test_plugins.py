@@ -1,5 +1,6 @@
 """Plug-ins: what they add, what they may not replace, and that a broken one takes nothing else down."""
 
+import importlib
 import json
 import os
 import signal
@@ -13,7 +14,7 @@ from command_line import DEHYST, run
 from plugged_in import describe, plugged_in, write_distribution
 
 import dehyst
-from dehyst._errors import FileFormatError, ModelError, PluginError, RigError
+from dehyst._errors import FileFormatError, MissingExtraError, ModelError, PluginError, RigError
 from dehyst._plugins import PluginWarning, Registry
 from dehyst.baselines import BASELINES
 from dehyst.baselines.comparison import OURS, contenders
@@ -233,6 +234,14 @@ def test_a_target_of_a_plug_in_is_exported_to(tmp_path):
         assert (tmp_path / "b.st").read_text() == "mine"
         assert exports()[".st"] == ("a line", "Nothing but a line.", ".st")
     assert ".st" not in exports()
+
+
+def test_without_pytest_the_contracts_name_their_extra(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("dehyst.testing")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pytest", None)
+    with pytest.raises(MissingExtraError, match=r"dehyst\[testing\]"):
+        importlib.import_module("dehyst.testing")
 
 
 @pytest.mark.slow

@@ -1,0 +1,78 @@
+"""The public interface as text: names and signatures of Python, and the options of the command line.
+
+After a change that is meant: python tests/support/public_api.py
+"""
+
+import importlib
+import inspect
+import re
+import sys
+from enum import Enum
+from pathlib import Path
+
+HERE = Path(__file__).parent
+LISTED = HERE.parent / "golden" / "public_api.txt"
+
+
+def signature(thing):
+    """Names, kinds, defaults and annotations, without what differs between runs."""
+    shown = re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(thing)))
+    return re.sub(r"ForwardRef\(('[^']*')\)", r"\1", shown)
+
+
+def of_class(name, kind, public):
+    """Lines of a class: how it is made, and its methods and properties that no other public class has."""
+    if issubclass(kind, Enum):
+        yield f"{name}: {' '.join(kind.__members__)}"
+        return
+    if issubclass(kind, Exception):
+        yield f"{name}({', '.join(one.__name__ for one in kind.__bases__)})"
+        return
+    yield f"{name}{signature(kind)}"
+    for member in sorted(dir(kind)):
+        value = inspect.getattr_static(kind, member)
+        owner = next(one for one in kind.__mro__ if member in vars(one))
+        of_others = owner is not kind and (owner in public or not owner.__module__.startswith("dehyst"))
+        if member.startswith(("_", "test_")) or of_others:
+            continue
+        value = getattr(value, "__func__", value)
+        yield f"{name}.{member}{signature(value) if inspect.isfunction(value) else ''}"
+
+
+def of_rooms():
+    """Lines of each public name: values, then functions and classes, each once."""
+    from faces import DRIVERS, FACES
+
+    named = {}
+    for room, names in {**FACES, **DRIVERS}.items():
+        module = room if room.startswith("dehyst") else f"dehyst.{room}"
+        for name in names:
+            thing = getattr(importlib.import_module(module), name)
+            if inspect.isclass(thing) or inspect.isfunction(thing):
+                named.setdefault(thing, f"{module}.{name}")
+            else:
+                yield f"{module}.{name}"
+    for thing, name in named.items():
+        yield from of_class(name, thing, named) if inspect.isclass(thing) else [f"{name}{signature(thing)}"]
+
+
+def of_commands():
+    """A line for each command with its options."""
+    from command_line import commands
+
+    for name, command in commands():
+        words = [
+            "|".join((*one.opts, *one.secondary_opts)) if one.param_type_name == "option" else one.name.upper()
+            for one in command.params
+        ]
+        yield f"$ dehyst {name} {' '.join(words)}"
+
+
+def lines():
+    """The whole interface, in the order of the rooms."""
+    return [*of_rooms(), *of_commands()]
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(HERE))
+    LISTED.write_text("\n".join(lines()) + "\n", encoding="utf-8")
