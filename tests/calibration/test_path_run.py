@@ -142,3 +142,18 @@ def test_what_cannot_be_followed_is_refused_before_anything_is_sent(model):
         assert rig.instrument.axis.log.highest == 0
     with pytest.raises(ModelError):
         PathRun(rig_of(limits=(300, 400), device_limits=(0, 500)), model, path_of(model), RATE)
+
+
+def test_the_rigs_temperature_is_used_in_the_loop_and_recorded(model):
+    warming, thermal = AgeingCourse(gain=-7, seconds=12, kelvins=20), dehyst.Thermal(-0.07 / 20, 0.0, 20.0)
+    _, unaware = lived(rig_of(warming), model, 20)
+    aware = replace(model, thermal=thermal)
+    for adapt in (False, True):
+        run, found = lived(rig_of(warming), aware, 20, adapt=adapt)
+        assert run.actuator.thermal == thermal
+        assert found[-1].path.rms_percent < 0.4 * unaware[-1].path.rms_percent
+        assert found[-1].record.temperature[-1] == pytest.approx(40.0)
+    # Without a channel the reference is taken.
+    _, blind = lived(rig_of(AgeingCourse(gain=-7, seconds=12)), aware, 20)
+    assert blind[-1].path.rms_percent == pytest.approx(unaware[-1].path.rms_percent, rel=0.05)
+    assert blind[-1].record.temperature is None

@@ -8,10 +8,11 @@ import pytest
 from plain_records import plant
 
 from dehyst.control import ClampWarning
+from dehyst.instruments import DeviceError, RigError, open_rig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
 from dehyst.virtual.modelled import VIRTUAL, virtual_actuator
-from dehyst.waveforms import Sampling, standard
+from dehyst.waveforms import Excitation, Sampling, standard
 
 
 @pytest.mark.parametrize("kind", VIRTUAL)
@@ -47,3 +48,20 @@ def test_an_identified_actuators_limits_are_the_devices():
     with pytest.warns(ClampWarning):
         assert rig.set_voltage(100) == 80
     assert rig.instrument.axis.log.highest == 80
+
+
+def test_further_channels_of_a_rig_are_in_its_records_and_must_be_those_it_declares():
+    rig = open_rig("sim://play?gain=-6,kelvins=30,seconds=2", limits=(0, 100))
+    wave = Excitation("wave", np.linspace(0, 100, 400), 100.0)
+    batches = []
+    record = rig.play(wave, batches.append)
+    assert rig.others == ("temperature_C",)
+    np.testing.assert_allclose(record.temperature, 20 + 30 * np.clip(record.time / 2, 0, 1))
+    assert sum(one.others["temperature_C"].size for one in batches) == len(record)
+    assert batches[0].axis(0).others.keys() == {"temperature_C"}
+    rig.others = ("load_N",)
+    with pytest.raises(DeviceError, match="temperature_C"):
+        rig.play(wave)
+    assert open_rig("sim://play", limits=(0, 100)).play(wave).temperature is None
+    with pytest.raises(RigError, match="kelvins"):
+        open_rig("sim://play?kelvin=3")

@@ -39,6 +39,8 @@ def test_ageing_is_read_from_a_text():
     given = AgeingCourse.parse("gain=-7, width=25,seconds=60")
     assert given == AgeingCourse(-7, 25, 0, 60)
     assert AgeingCourse.parse(str(given)) == given
+    warm = AgeingCourse(-7, kelvins=20)
+    assert AgeingCourse.parse(str(warm)) == warm
     for text in ("gain", "gain=x", "colour=3", ""):
         with pytest.raises(ValueError, match="need some of gain"):
             AgeingCourse.parse(text)

@@ -56,7 +56,8 @@ class PathRun:
     ----------
     rig : AbstractRig
     actuator : Actuator
-        The model, at its reference temperature; the resonance of a mass is not compensated.
+        The model; the resonance of a mass is not compensated. If it depends on temperature, a repetition is planned at
+        the last temperature that the rig recorded, or at the reference; the weights adapt at the reference.
     displacement : (n,) array_like
         The path [m].
     sample_rate : float
@@ -94,7 +95,10 @@ class PathRun:
         self.rate = rig.nearest_rate(sample_rate)
         (low, high), period = actuator.voltage_range, 1 / self.rate
         limits = max(low, rig.limits.low), min(high, rig.limits.high)
-        self._planner = Compensator(actuator, limits, rig.slew_rate, period=period, warns=False)
+        self._thermal = actuator.thermal
+        self._temperature = 0.0 if self._thermal is None else self._thermal.reference
+        at_reference = actuator if self._thermal is None else replace(actuator, thermal=None)
+        self._planner = Compensator(at_reference, limits, rig.slew_rate, period=period, warns=False)
         if sentence := self._planner.strays(self._path):
             raise ModelError(sentence)
         if self._wanted.size < FEWEST:
@@ -105,7 +109,8 @@ class PathRun:
     @property
     def actuator(self) -> Actuator:
         """The model in use."""
-        return self._loop.actuator
+        found = self._loop.actuator
+        return found if self._thermal is None else replace(found, thermal=self._thermal)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -145,6 +150,7 @@ class PathRun:
         count = round((times[-1] - times[0]) * self.rate)
         at = times[-1] - np.arange(max(count, 1), -1, -1) / self.rate
         record = self._play("homing", np.interp(at, times, way.voltage), None, listener)
+        self._warm(record)
         self._loop = self._begun(way.state)
         return float(record.time[-1])
 
@@ -162,6 +168,8 @@ class PathRun:
         loop, wanted, size = self._loop, self._wanted, self._wanted.size
         at = np.arange(size) / self.rate
         ahead = np.interp(at + loop.actuator.delay, at, wanted, period=size / self.rate)
+        if self._thermal is not None:
+            ahead = self._thermal.at_reference(ahead, self._temperature)
         with warnings.catch_warnings():
             # They are counted.
             warnings.simplefilter("ignore", ClampWarning)
@@ -169,7 +177,7 @@ class PathRun:
         record = self._play(name, voltage, wanted, listener)
         rows = self._rig.rows(size)
         measured = np.full(size, np.nan)
-        measured[rows] = record.displacement
+        measured[rows] = self._warm(record)
         pause = max(0.0, float(record.time[0]) - end - 1 / self.rate)
         loop.learn(ahead, voltage, measured, pause)
         along = rows < self._path.size
@@ -179,6 +187,15 @@ class PathRun:
             last = loop.log[-1]
             repetition = replace(repetition, drift=loop.drift, used=last.used, reason=last.reason)
         return repetition, pause
+
+    def _warm(self, record: Record) -> Array:
+        """Take over the last temperature of a record; return its displacement (n,) [m] at the reference."""
+        if self._thermal is None:
+            return record.displacement
+        if record.temperature is None:
+            return self._thermal.at_reference(record.displacement, self._temperature)
+        self._temperature = float(record.temperature[-1])
+        return self._thermal.at_reference(record.displacement, record.temperature)
 
     def _play(self, name: str, voltage: Array, wanted: Array | None, listener: ProgressListener) -> Record:
         excitation, count = Excitation(name, voltage, self.rate), 0

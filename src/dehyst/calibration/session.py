@@ -142,7 +142,12 @@ class Session:
         }
         rows = self.rig.rows(len(excitation))
         files = [
-            Recording(path, name=f"{name}, axis {axis}" if self._several else name, meta={**meta, "axis": axis})
+            Recording(
+                path,
+                name=f"{name}, axis {axis}" if self._several else name,
+                meta={**meta, "axis": axis},
+                others=self.rig.others,
+            )
             for path, axis in zip(paths, self.rig.axes, strict=True)
         ]
         try:
@@ -160,7 +165,8 @@ class Session:
                 columns = Samples(played.time, played.voltage, played.displacement)
                 for j, one in enumerate(files):
                     meta = {**played.meta, "axis": self.rig.axes[j]}
-                    one.finish(Record(*columns.axis(j), one.name, meta))
+                    time, voltage, displacement, _ = columns.axis(j)
+                    one.finish(Record(time, voltage, displacement, one.name, meta, others=played.others))
         except BaseException:
             for one in files:
                 if not one.samples:

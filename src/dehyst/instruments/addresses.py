@@ -30,7 +30,8 @@ def open_rig(
         ``pi://host:port``, ``pi://host:port/axis`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
         ``epics://PREFIX``: process variables with this prefix.
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
-        without a link, as fast as it computes.
+        without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, as of
+        ``dehyst rig serve --ageing``, and records its temperature.
         ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
@@ -120,11 +121,21 @@ def _epics(prefix: str, options: _Options) -> AbstractRig:
 
 def _sim(name: str, options: _Options) -> AbstractRig:
     from dehyst.instruments.simulated import SimulatedRig
-    from dehyst.virtual import virtual_actuator
+    from dehyst.model import Actuator
+    from dehyst.virtual import AgeingActuator, AgeingCourse, virtual_actuator
 
     if not name:
         raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json after it")
-    return SimulatedRig(virtual_actuator(name), **options)
+    name, _, changes = name.partition("?")
+    truth = virtual_actuator(name)
+    if changes:
+        if isinstance(truth, Actuator):
+            raise RigError(f"sim://{name}?{changes}: a model does not change with time; need play, creep, ...")
+        try:
+            truth = AgeingActuator(truth, AgeingCourse.parse(changes))
+        except ValueError as error:
+            raise RigError(f"sim://{name}?{changes}: {error}") from error
+    return SimulatedRig(truth, **options)
 
 
 def _ni(rest: str, options: _Options) -> AbstractRig:

@@ -100,6 +100,8 @@ class AbstractRig(ABC):
         Name of the axis; for several axes, their names joined by commas. They are `axes`.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
+    others : sequence of str, optional
+        Names with units of further channels in the `Samples` of `_wave`, such as "temperature_C"; records have them.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -120,7 +122,9 @@ class AbstractRig(ABC):
         longest: int | None = None,
         axis: str = "1",
         identity: str | None = None,
+        others: Sequence[str] = (),
     ) -> None:
+        self.others = tuple(others)
         self.name, self.longest, self.identity = name, longest, identity or name
         self._limits: VoltageLimits | None = None
         self._parts: tuple[AbstractRig, ...] = ()
@@ -241,6 +245,12 @@ class AbstractRig(ABC):
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
                 with closing(inspected(self.name, wave, piece, spans=spans, after=after, axes=axes)) as arriving:
                     for samples in arriving:
+                        if set(samples.others) != set(self.others):
+                            found = ", ".join(samples.others) or "none"
+                            raise DeviceError(
+                                f"{self.name}: got further channels {found}, need {', '.join(self.others) or 'none'}; "
+                                "check the rig's _wave"
+                            )
                         batches.append(samples)
                         for one, last in zip(self.rigs, np.ravel(samples.voltage[-1]).tolist(), strict=True):
                             one._last_voltage = last
@@ -248,9 +258,11 @@ class AbstractRig(ABC):
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
                             sensor.observe(voltage, displacement)
-        times, voltages, displacements = (np.concatenate(column) for column in zip(*batches, strict=True))
+        times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
+        others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}
-        return Record(times, voltages, displacements, excitation.name, meta, axes=axes)
+        further: Any = others
+        return Record(times, voltages, displacements, excitation.name, meta, axes=axes, others=further)
 
     @final
     def check(self, excitation: Excitation) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -30,17 +31,19 @@ class Reading(NamedTuple):
 class Samples(NamedTuple):
     """Consecutive samples of a record: `time` (n,) [s], `voltage` [V] and `displacement` [m].
 
-    Voltage and displacement are (n,) for one axis, (n, axes) for several.
+    Voltage and displacement are (n,) for one axis, (n, axes) for several. `others`: further channels (n,) by name with
+    unit, such as "temperature_C": those of `AbstractRig.others`.
     """
 
     time: Array
     voltage: Array
     displacement: Array
+    others: Mapping[str, Array] = MappingProxyType({})
 
     def axis(self, index: int) -> Samples:
         """Return the samples of the axis of an `index`, with arrays (n,)."""
-        columns = (columns_of(values)[index] for values in (self.voltage, self.displacement))
-        return Samples(self.time, *map(np.ascontiguousarray, columns))
+        voltage, displacement = (columns_of(values)[index] for values in (self.voltage, self.displacement))
+        return Samples(self.time, np.ascontiguousarray(voltage), np.ascontiguousarray(displacement), self.others)
 
 
 Listener = Callable[[Samples], None]
@@ -119,7 +122,7 @@ def admitted(name: str, samples: Samples, sent: Array, count: int, after: float)
     for the `sent` voltages, not finite, or times that do not increase.
     """
     try:
-        columns = [plain(values, what) for values, what in zip(samples, Samples._fields, strict=True)]
+        columns = [plain(values, what) for values, what in zip(samples[:3], Samples._fields, strict=False)]
     except ModelError as error:
         raise LinkError(f"{name}: {error}; check the driver") from error
     time, voltage, displacement = (np.asarray(column, dtype=np.float64) for column in columns)
@@ -137,7 +140,12 @@ def admitted(name: str, samples: Samples, sent: Array, count: int, after: float)
             f"{name}: got a sample of {times[first + 1]:.9g} s after one of {times[first]:.9g} s, need increasing "
             "times; check the link and the device's clock"
         )
-    return Samples(time, voltage, displacement)
+    others = {}
+    for column, values in samples.others.items():
+        others[column] = channel = np.asarray(values, dtype=np.float64)
+        if channel.shape != time.shape or not np.isfinite(channel).all():
+            raise LinkError(f"{name}: {column}: got {channel.shape} values, need one finite number a sample")
+    return Samples(time, voltage, displacement, others)
 
 
 class SensorWatch:

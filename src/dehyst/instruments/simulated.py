@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from dehyst._errors import DeviceError
@@ -23,7 +23,7 @@ class SimulatedRig(AbstractRig):
     The actuator is a `truth`, virtual or a model, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and
     `slew_rate` [V/s] are those that the user allows, `device_limits` [V] the range of the amplifier, by default the
     actuator's limits, or 0 V to its highest voltage. Other `options` are those of `VirtualBench`, which is the
-    `instrument`.
+    `instrument`. A truth with a method ``temperature(time)`` [degrees Celsius] gives records a channel of it.
     """
 
     def __init__(
@@ -41,6 +41,7 @@ class SimulatedRig(AbstractRig):
         self._time = 0.0
         self.instrument = VirtualBench(truth, limits=device_limits, clock=lambda: self._time, **options)
         longest = min(self.instrument.wave_points, self.instrument.record_points)
+        self._warmth: Callable[[Array], Array] | None = getattr(truth, "temperature", None)
         super().__init__(
             name,
             VoltageLimits(*self.instrument.axis.limits),
@@ -48,6 +49,7 @@ class SimulatedRig(AbstractRig):
             slew_rate=slew_rate,
             longest=longest,
             identity=f"simulated {self.instrument.serial}",
+            others=() if self._warmth is None else ("temperature_C",),
         )
 
     def nearest_rate(self, sample_rate: float) -> float:
@@ -74,7 +76,9 @@ class SimulatedRig(AbstractRig):
         batch = max(1, voltage.size // _BATCHES)
         count = 0
         while bench.playing or count < bench.recorded:
-            yield Samples(*bench.samples(count))
+            time, voltages, displacements = bench.samples(count)
+            others = {} if self._warmth is None else {"temperature_C": self._warmth(time)}
+            yield Samples(time, voltages, displacements, others)
             count = bench.recorded
             if bench.playing:
                 self._wait(min(batch, voltage.size - count) * period)

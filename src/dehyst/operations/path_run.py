@@ -9,6 +9,7 @@ import numpy as np
 
 import dehyst._validation as check
 from dehyst._errors import ModelError, RecordError
+from dehyst._types import Array
 from dehyst.adaptation import AdaptiveCompensator
 from dehyst.calibration.path_run import PathRun, Repetition
 from dehyst.calibration.plan import even_rate
@@ -19,7 +20,7 @@ from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
 from dehyst.operations.paths import PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import largest, rms
+from dehyst.records import Record, largest, rms
 from dehyst.records.files import demand_text
 from dehyst.trust import judge_planned
 
@@ -78,7 +79,7 @@ def run_path(
     zero
         Zero of the path, as of dehyst compensate.
     """
-    columns.demand(PATH, "on a path")
+    columns.demand([key for key in PATH if key != "temperature"], "on a path that is run")
     check.between(cycles, "cycles", 1, 1_000_000)
     if output is not None:
         demand_text(output)
@@ -99,8 +100,11 @@ def run_path(
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
         for remark in reach_remarks(actuator, wanted, follower.limits, zero):
             run.note(remark)
-        judged = judge_planned(actuator, follower.planned())
-        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged, PathTemperature())}
+        # Before the homing nobody knows the temperature that a rig measures; it is known along the path.
+        measured = any("temp" in name for name in instrument.others)
+        warmth = PathTemperature(actuator.thermal.reference if actuator.thermal and measured else None)
+        judged = judge_planned(actuator, follower.planned(), temperature=warmth.values)
+        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged, warmth)}
         run.known = promise
         for line in promise["promise"]:
             run.say(line)
@@ -172,12 +176,17 @@ def _written(done: list[Repetition], actuator: Actuator, output: Path | None, up
             "voltage_V": np.concatenate([one.voltage for one in records]),
             "displacement_um": 1e6 * np.concatenate([one.displacement for one in records]),
             "wanted_um": 1e6 * np.concatenate([one.wanted for one in done]),
+            **{name: np.concatenate([_others(one)[name] for one in records]) for name in _others(records[0])},
             "repetition": np.repeat(np.arange(1, len(done) + 1), [len(one) for one in records]),
         }
         write_table(output, columns)
     if updated is not None:
         _judged(actuator, done).save(updated)
     return files(Record=output, Model=updated)
+
+
+def _others(record: Record) -> dict[str, Array]:
+    return {one.column: one.values for one in record.others}
 
 
 def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:

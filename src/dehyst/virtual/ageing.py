@@ -16,6 +16,8 @@ from dehyst.virtual.plays import PlayActuator
 
 # Width of the loop that is added or taken away, and seconds of a slow cycle by which widths are measured.
 _WIDE, _SLOWLY = 0.95, 1e4
+# Temperature of a new actuator [degC].
+_ROOM = 20.0
 
 
 @dataclass(frozen=True)
@@ -23,18 +25,19 @@ class AgeingCourse:
     """The course of ageing: changes that grow evenly with time, until `seconds` [s] have passed.
 
     `gain`: of the displacement [%]. `width`: of the loop, relative to its own width [%]. `offset`: of the sensor's zero
-    [% of the stroke].
+    [% of the stroke]. `kelvins`: rise of the temperature from 20 degrees Celsius, which may cause all this [K].
     """
 
     gain: float = 0.0
     width: float = 0.0
     offset: float = 0.0
     seconds: float = 600.0
+    kelvins: float = 0.0
 
-    metavar: ClassVar[str] = "gain=G,width=W,offset=O,seconds=S"
+    metavar: ClassVar[str] = "gain=G,width=W,offset=O,seconds=S,kelvins=K"
 
     def __post_init__(self) -> None:
-        values = self.gain, self.width, self.offset, self.seconds
+        values = self.gain, self.width, self.offset, self.seconds, self.kelvins
         if not np.all(np.isfinite(values)) or self.seconds <= 0 or min(self.gain, self.width) <= -100:
             raise ModelError(argument="ageing", got=str(self), need="percents above -100, and seconds above 0")
 
@@ -51,7 +54,8 @@ class AgeingCourse:
 
     def __str__(self) -> str:
         """Return the text."""
-        return f"gain={self.gain:g},width={self.width:g},offset={self.offset:g},seconds={self.seconds:g}"
+        changes = f"gain={self.gain:g},width={self.width:g},offset={self.offset:g},seconds={self.seconds:g}"
+        return f"{changes},kelvins={self.kelvins:g}" if self.kelvins else changes
 
 
 class AgeingActuator(VirtualActuator):
@@ -60,7 +64,8 @@ class AgeingActuator(VirtualActuator):
     h is a closed loop of the voltage, 0 at the lowest voltage. Its share w makes the loop wider as requested. `relax`
     makes the actuator new. `play` needs the time.
 
-    `new`: the actuator before it ages. `ageing`: its changes.
+    `new`: the actuator before it ages. `ageing`: its changes. `temperature`: function of the time (n,) [s] that returns
+    the temperature (n,) [degrees Celsius]; None if that does not change.
     """
 
     def __init__(self, new: VirtualActuator, ageing: AgeingCourse) -> None:
@@ -69,6 +74,7 @@ class AgeingActuator(VirtualActuator):
         self.noise, self.seed = getattr(new, "noise", 0.0), getattr(new, "seed", 0)
         self._sensor = deepcopy(new._sensor)
         self._loop = PlayActuator(stroke=new.stroke, highest=new.highest, width=_WIDE, noise=0.0)
+        self.temperature = self._warmth if ageing.kelvins else None
         self._share = 0.01 * ageing.width * _width(new) / _width(self._loop)
 
     def relax(self) -> None:
@@ -76,13 +82,20 @@ class AgeingActuator(VirtualActuator):
         self.new.relax()
         self._loop.relax()
 
+    def _warmth(self, time: ArrayLike) -> Array:
+        """Return the temperature (n,) [degrees Celsius] at `time` (n,) [s]."""
+        return np.asarray(_ROOM + self.ageing.kelvins * self._age(time))
+
+    def _age(self, time: ArrayLike) -> Array:
+        return np.asarray(np.clip(np.asarray(time, dtype=np.float64) / self.ageing.seconds, 0.0, 1.0))
+
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:
         """Move, and age until the `time` of each sample."""
         if time is None:
             raise ModelError("this actuator ages: it needs the time of each sample; give the time [s]")
         y, line = self.new.play(v, time=time, measured=False), self.stroke * v / self.highest
         loop = self._loop.play(v, measured=False) - line
-        age = np.clip(np.asarray(time, dtype=np.float64) / self.ageing.seconds, 0.0, 1.0)
+        age = self._age(time)
         aged = (1 + 0.01 * self.ageing.gain * age) * (y + self._share * age * loop)
         return np.asarray(aged + 0.01 * self.ageing.offset * age * self.stroke)
 

@@ -84,8 +84,8 @@ class LiveFeed:
         """Send `samples` that are on disk; `expected` (n,) [m] is their wanted displacement."""
         if samples.time.size:
             wanted = np.full(samples.time.size, np.nan) if expected is None else np.asarray(expected, dtype=np.float64)
-            self._batches.append((*samples, wanted))
-            self.last = last = Reading(*(float(column[-1]) for column in samples))
+            self._batches.append((*samples[:3], wanted))
+            self.last = last = Reading(*(float(column[-1]) for column in samples[:3]))
             self.seen_at = time.monotonic()
             self.count += samples.time.size
             self._first = float(samples.time[0]) if self._first is None else self._first
@@ -97,7 +97,8 @@ class LiveFeed:
 
     def reading(self, reading: Reading) -> None:
         """Send one `reading` of a rig at rest."""
-        self.samples(Samples(*(np.array([value]) for value in reading)))
+        time, voltage, displacement = (np.array([value]) for value in reading)
+        self.samples(Samples(time, voltage, displacement))
 
     def end(self) -> None:
         """End the last step."""
