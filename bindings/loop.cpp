@@ -236,8 +236,8 @@ struct Loop {
         demand_free();
         demand(dehyst_loop_scale(&loop, gain, offset));
     }
-    // Gain and offset by a reading of the sensor; other numbers begin anew.
-    bool follow(double reading, double rate, double most_gain, double most_offset) {
+    // Gain and offset by a reading of the sensor: 0, 1 or 2 as in C; other numbers begin anew.
+    int follow(double reading, double rate, double most_gain, double most_offset) {
         demand_free();
         if (rate != following.rate || most_gain != following.gain || most_offset != following.offset) {
             dehyst_follow begun{};

@@ -144,7 +144,8 @@ dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *
  * A sample counts if the actuator has moved by two breakaway elongations and by a fiftieth of its range since the last one.
  * Nothing is learnt from a sample whose voltage was clamped, from a reading that is not a number or has not changed, and as
  * long as readings do not follow the displacement. For models without delay.
- * @return 1 if gain and offset are new, else 0 */
+ * @return 0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound: the sensor
+ *         asks for more. Once or twice is noise; always is a sensor in other units (micrometres), or too narrow a bound */
 int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
                        dehyst_real reading);
 /* Go on with another model of the same shape, for instance with adapted weights, between two periods. What the loop

@@ -240,7 +240,7 @@ int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehys
     dehyst_follow *f = follow;
     const dehyst_real m = unscaled(model, loop, memory);
     const unsigned long clamped = stopped(loop);
-    dehyst_real gain, offset;
+    dehyst_real slope, gain, zero, offset;
     if (clamped != f->clamped) {
         f->clamped = clamped;
         return 0;
@@ -261,11 +261,12 @@ int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehys
         f->refused++;
         return 0;
     }
-    gain = f->common / f->moved;
-    gain = gain > 1 + f->gain ? 1 + f->gain : gain < 1 - f->gain ? 1 - f->gain : gain;
-    offset = f->read - gain * f->mean;
-    offset = offset > f->offset ? f->offset : offset < -f->offset ? -f->offset : offset;
-    return dehyst_loop_scale(loop, gain, offset) == DEHYST_OK;
+    slope = f->common / f->moved;
+    gain = slope > 1 + f->gain ? 1 + f->gain : slope < 1 - f->gain ? 1 - f->gain : slope;
+    zero = f->read - gain * f->mean;
+    offset = zero > f->offset ? f->offset : zero < -f->offset ? -f->offset : zero;
+    if (dehyst_loop_scale(loop, gain, offset) != DEHYST_OK) return 0;
+    return gain != slope || (f->offset > 0 && offset != zero) ? 2 : 1;
 }
 
 /* Return the displacement of the elements or the mass that makes u: without creep behind them, gain and offset. */

@@ -360,6 +360,8 @@ static void follow_a_sensor(bench *b)
         const dehyst_real said = bits() & 3 ? (dehyst_real)between(-1, 2) * place + (dehyst_real)0.01 : wild[below(5)];
         const int learnt = dehyst_loop_follow(m, &loop, memory, &follow, said);
         demand(learnt || loop.gain == before, "another gain without a word", k);
+        demand(learnt != 2 || loop.gain == 1 + gain || loop.gain == 1 - gain || fabs((double)loop.offset) == (double)offset,
+               "a bound that is not reached", k);
         demand(fabs((double)(loop.gain - 1)) <= (double)gain * (1 + 1e-6), "a gain beyond its bound", k);
         demand(fabs((double)loop.offset) <= (double)offset, "an offset beyond its bound", k);
         last = loop.sent;

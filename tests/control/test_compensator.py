@@ -617,6 +617,27 @@ def test_gain_and_offset_follow_a_sensor():
     assert loop.scaling[1] == 0.05 * STROKE
 
 
+def test_a_sensor_that_asks_for_more_than_the_bounds_is_said():
+    sensors = {"true": 0.93, "micrometres": 1e6, "far gain": 1.5}
+    for name, gain in sensors.items():
+        loop, said = Compensator(PLANT, WIDE, state=PLANT.turned(0.3 * STROKE, rising=False), warns=False), []
+        for wanted in np.tile(STROKE * (0.45 - 0.4 * np.cos(2 * np.pi * np.arange(120) / 120)), 10).tolist():
+            loop.step(wanted)
+            said.append(loop.follow_sensor(gain * loop._loop.displacement() / loop.scaling[0], rate=0.1))
+        new = [one for one in said if one]
+        assert len(new) > 50
+        assert set(new[-30:]) == ({1} if name == "true" else {2})
+        assert loop.scaling[0] == (pytest.approx(0.93, abs=0.01) if name == "true" else 1.2)
+    # A zero that may drift is no bound, one that is learnt has one.
+    for offset, expected in ((0.0, 1), (0.01 * STROKE, 2)):
+        loop, said = Compensator(PLANT, WIDE, state=PLANT.turned(0.3 * STROKE, rising=False), warns=False), []
+        for wanted in np.tile(STROKE * (0.45 - 0.4 * np.cos(2 * np.pi * np.arange(120) / 120)), 10).tolist():
+            loop.step(wanted)
+            reading = (loop._loop.displacement() - loop.scaling[1]) / loop.scaling[0] + 0.1 * STROKE
+            said.append(loop.follow_sensor(reading, rate=0.1, offset=offset))
+        assert {one for one in said[-200:] if one} == {expected}
+
+
 def test_a_bad_sensor_is_not_followed():
     rng = np.random.default_rng(0)
     bad = {

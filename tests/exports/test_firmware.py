@@ -651,9 +651,7 @@ def test_a_temperature_gives_the_bits_of_python(tmp_path, unmeasured):
     cold = compiled_exports.plain()
     actuator = replace(cold.actuator, thermal=dehyst.Thermal(-0.0037, 3.3e-9, 24.7))
     folder = written(tmp_path / "c", dehyst.Compensator(actuator, cold.limits))
-    assert "temperature" not in (written(tmp_path / "cold", cold) / "piezo.h").read_text().replace(
-        "for a temperature", ""
-    )
+    assert "piezo_temperature" not in (written(tmp_path / "cold", cold) / "piezo.h").read_text()
     (folder / "warming.c").write_text(WARMING)
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
     subprocess.run(["gcc", *flags, "warming.c", "piezo.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)

@@ -438,8 +438,8 @@ class Compensator(ReadOnly):
         except CoreError as error:
             raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
 
-    def follow_sensor(self, measured: float, *, rate: float = 0.01, gain: float = 0.2, offset: float = 0.0) -> bool:
-        """Learn gain and offset of the displacement from a sensor, between two steps; return whether they are new.
+    def follow_sensor(self, measured: float, *, rate: float = 0.01, gain: float = 0.2, offset: float = 0.0) -> int:
+        """Learn gain and offset of the displacement from a sensor, between two steps.
 
         This is what `dehyst_loop_follow` does on a microcontroller, bit for bit; `AdaptiveCompensator` learns more. A
         sample counts if the actuator has moved by two breakaway elongations and a fiftieth of its range since the last
@@ -456,6 +456,12 @@ class Compensator(ReadOnly):
             Most by which the gain may differ from 1.
         offset : float, optional
             Most by which the offset may differ from 0 [m, or `units`]; 0: the zero of the sensor may drift.
+
+        Returns
+        -------
+        int
+            0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound. If this
+            happens again and again, the sensor has other units (micrometres, say), or the bound is too narrow.
 
         Raises
         ------

@@ -76,10 +76,13 @@ export class Compensator {
   /** Set gain and offset for a temperature [degrees Celsius] between two steps; needs a model that depends on it. */
   setTemperature(degrees: number): void;
   /**
-   * Learn gain and offset from a sensor [m] between two steps; return whether they are new. NaN: not measured. `rate`:
-   * weight of a sample, 0.01. `gain`, `offset` [m]: how far they may go from 1 and 0, by default 0.2 and 0.
+   * Learn gain and offset from a sensor [m] between two steps. NaN: not measured. `rate`: weight of a sample, 0.01.
+   * `gain`, `offset` [m]: how far they may go from 1 and 0, by default 0.2 and 0.
+   *
+   * Return 0 if nothing is new, 1 if they are new, 2 if they are new and one is held at its bound. If it is 2 again and
+   * again, the sensor has other units (micrometres instead of metres), or the bound is too narrow.
    */
-  followSensor(measured: number, options?: { rate?: number; gain?: number; offset?: number }): boolean;
+  followSensor(measured: number, options?: { rate?: number; gain?: number; offset?: number }): 0 | 1 | 2;
   /** Return the voltage [V] to send for a displacement [m], which then counts as sent. */
   step(displacement: number): number;
   /** Return the voltage [V] for a displacement [m]; nothing moves until a voltage is committed. */

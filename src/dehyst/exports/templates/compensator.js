@@ -93,14 +93,14 @@ export class Compensator {
     this.scale(1 + thermal.gain * kelvins, thermal.offset * kelvins);
   }
 
-  /** Learn gain and offset from a sensor, between two steps; return whether they are new. */
+  /** Learn gain and offset from a sensor, between two steps; return 0, 1 if they are new, 2 if one is at its bound. */
   followSensor(measured, { rate = 0.01, gain = 0.2, offset = 0 } = {}) {
     const options = [rate, gain, offset];
     if (String(options) !== String(this.#followed)) {
       if (this.#core.follow_begin(...options)) throw new RangeError(`rate, gain, offset: got ${options}`);
       this.#followed = options;
     }
-    return Boolean(this.#core.follow(measured));
+    return this.#core.follow(measured);
   }
 
   /** Return the voltage to send for a displacement, which then counts as sent. */
