@@ -68,6 +68,13 @@ def test_two_changes_are_told_apart():
     assert effects == sorted(effects, reverse=True)
 
 
+def test_a_change_of_loops_over_a_part_of_the_range_is_said_to_be_theirs():
+    whole, part = (loops.later(width=loops.WIDTH, tops=tops) for tops in ((200.0, 120.0), (140.0, 120.0)))
+    for record, remarks in ((whole, 0), (part, 1)):
+        found = dehyst.check(loops.model(), record).remarks
+        assert sum("tell them apart" in one for one in found) == remarks
+
+
 def test_a_sensor_that_drifts_in_proportion_to_time_drifts():
     moved = 0.02 * STROKE
     recheck = dehyst.check(loops.model(), loops.later(slow=lambda time: moved * time / time[-1]))

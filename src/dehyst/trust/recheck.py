@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -234,8 +235,8 @@ _STEPS, _CLOSE = 8, 1e-5
 # Part of a cycle from which on the time of creep is counted.
 _EARLY = 0.1
 # Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
-# them, it says nothing of the longest elements.
-_BEYOND, _LITTLE = 1e-3, 0.5
+# them, it says nothing of the longest elements; with less than most of them, gain and width are those of its own loops.
+_BEYOND, _LITTLE, _WHOLE = 1e-3, 0.5, 0.9
 # Of hashes; and what of a model file is not part of the model.
 _DIGITS = 16
 _NO_NUMBERS = DESCRIPTION | {"state"}
@@ -289,6 +290,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         warmth = record.temperature
         promised = promise(origin.validity, record.voltage, record.time, thermal=actuator.thermal, temperature=warmth)
     known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
+    changes = find_changes(trace, slow, known, _PART * goal / 100 * stroke)
     return Recheck(
         record=record.name,
         model=actuator.name,
@@ -303,8 +305,8 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         stroke=stroke,
         goal=goal,
         drift=drift,
-        changes=find_changes(trace, slow, known, _PART * goal / 100 * stroke),
-        remarks=(*_warmth(actuator, record), *_remarks(actuator, record), *prepared.sentences),
+        changes=changes,
+        remarks=(*_warmth(actuator, record), *_remarks(actuator, record, changes), *prepared.sentences),
         trace=trace,
         promise=promised,
     )
@@ -378,7 +380,7 @@ def _warmth(actuator: Actuator, record: Record) -> list[str]:
     ]
 
 
-def _remarks(actuator: Actuator, record: Record) -> list[str]:
+def _remarks(actuator: Actuator, record: Record, changes: Sequence[Change]) -> list[str]:
     """Return sentences on voltages outside of the model's limits, and on voltages that the record does not cover."""
     if actuator.limits is None:
         return []
@@ -396,5 +398,11 @@ def _remarks(actuator: Actuator, record: Record) -> list[str]:
         remarks.append(
             f"{record.name}: covers {100 * max(covered, 0.0):.0f} % of the model's voltages: what lies beyond was not "
             "checked. Record a loop over the whole range."
+        )
+    if covered < _WHOLE and any(change.counts and change.name in LEARNT for change in changes):
+        remarks.append(
+            f"{record.name}: gain and width are those of its own loops, over {100 * max(covered, 0.0):.0f} % of the "
+            "model's voltages. A change of one looks like a change of both there: record a loop over the whole range "
+            "to tell them apart."
         )
     return remarks
