@@ -17,7 +17,7 @@ _BINS = 64
 _TURN = 0.02
 # Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
 _ALIKE = 0.5
-# Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so many median steps at most.
+# Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
 _BRIEF, _STEP = 0.02, 1.5
 # Most transients that are named one by one.
 _SHOWN = 5
