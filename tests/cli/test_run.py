@@ -46,6 +46,8 @@ def test_the_model_is_kept_true_and_written(folder):
     assert adapted["cycles"][-1]["rms_percent"] < 0.4 * frozen["cycles"][-1]["rms_percent"]
     assert adapted["cycles"][-1]["gain_percent"] == pytest.approx(-7, abs=4)
     assert len(dehyst.read(folder / "run.csv")) == 25 * 200
+    checked = json.loads(run("check", "new.json", "run.csv", "--json", cwd=folder)[1])
+    assert not [words for words in checked["remarks"] if "gap" in words]
     new, old = (dehyst.Actuator.load(folder / name) for name in ("new.json", "model.json"))
     assert new.slip.breakaway.tolist() == old.slip.breakaway.tolist()
     assert new.slip.stiffness.tolist() != old.slip.stiffness.tolist()

@@ -28,7 +28,8 @@ def workbench(
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage, drive a rig.
 
     Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this
-    machine only; a printed link lets one browser in, once, within a minute, and Enter prints another. Ctrl-C ends it.
+    machine only; a printed link lets one browser in, once, within a minute; in a terminal, Enter prints another.
+    Ctrl-C ends it.
 
     Parameters
     ----------
@@ -44,10 +45,12 @@ def workbench(
         if door.remark:
             run.note(door.remark)
         run.say(f"Workbench of {folder}: {door.link()}")
-        run.say("The link lets one browser in, once, within a minute. Enter prints another, Ctrl-C ends the workbench.")
+        typed = sys.stdin is not None and sys.stdin.isatty()
+        another = "Enter prints another, " if typed else ""
+        run.say(f"The link lets one browser in, once, within a minute. {another}Ctrl-C ends the workbench.")
         if browser:
             threading.Thread(target=_open, args=(door,), daemon=True).start()
-        if sys.stdin is not None and sys.stdin.isatty():
+        if typed:
             # In the background, reading fails then, instead of stopping the server.
             signal.signal(signal.SIGTTIN, signal.SIG_IGN)
             threading.Thread(target=_print_links, args=(run, door, sys.stdin.fileno()), daemon=True).start()

@@ -118,6 +118,16 @@ def test_a_short_gap_on_a_slope_is_bridged():
     assert fit.repairs == ("slow: a gap of 0.03 s after 10.24 s was bridged.",)
 
 
+def test_a_pause_between_two_repetitions_is_not_mentioned():
+    cycle = plain_records.loops(PLANT, plain_records.MAJOR[:3])
+    step = cycle.sample_time
+    time = np.concatenate([cycle.time, cycle.time[-1] + 3 * step + cycle.time - cycle.time[0]])
+    twice = Record(time, np.tile(cycle.voltage, 2), np.tile(cycle.displacement, 2), "twice")
+    assert len(twice.gaps()) == 1
+    pieces, said = cleaning.split_at_gaps(twice)
+    assert ([len(piece) for piece in pieces], said) == ([len(twice)], [])
+
+
 def test_many_gaps_are_summed_up():
     slow = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, samples=400, name="slow")
     for start in range(8000, 2000, -900):

@@ -17,6 +17,8 @@ _BINS = 64
 _TURN = 0.02
 # Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
 _ALIKE = 0.5
+# Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
+_BRIEF, _STEP = 0.02, 1.5
 # Most transients that are named one by one.
 _SHOWN = 5
 # A voltage rests within this part of its range; so many of its samples are kept. A shorter rest, in cycles, stays.
@@ -211,10 +213,12 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
     Returns
     -------
     list of Record, list of str
-        The pieces, and a sentence for each gap.
+        The pieces, and a sentence for each gap; none for a brief one in which the voltage hardly moved, as between
+        two repetitions of a wave.
     """
     cuts, sentences = [0], []
     cycle, known_holes = cycle_time(record), holes or {}
+    step = _STEP * float(np.median(np.abs(np.diff(record.voltage))))
     for i, length in record.gaps():
         jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
         hidden = known_holes.get(float(record.time[i]))
@@ -226,7 +230,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
         if hidden:
             cuts.append(i + 1)
             sentences.append(f"{where} may hide a reversal; the record was cut there.")
-        else:
+        elif jump > step or length > _BRIEF * cycle:
             sentences.append(f"{where} was bridged.")
     if len(sentences) > 5:
         sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
