@@ -44,6 +44,8 @@ COUNTS = {
     "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0},
     "N": {"N": 1.0, "mN": 1e3, "uN": 1e6, "µN": 1e6, "μN": 1e6, "kN": 1e-3},
 }
+# Temperatures of a laboratory [degC].
+COLDEST, HOTTEST = -273.15, 1000.0
 _ZEROS = {"K": 273.15}
 # The quantities and their units: SI units (degrees Celsius) in one of each.
 SI = {"time": "s", "voltage": "V", "displacement": "m", "temperature": "degC", "load": "N"}

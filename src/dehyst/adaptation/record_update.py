@@ -106,7 +106,7 @@ class Update:
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
-        found = list(self.recheck.change_sentences())
+        found = list(self.recheck.change_sentences(remedy=not self.used))
         if self.used and self.shape > 2 * self.shape_error:
             size, error = (lines.percent(value, self.stroke) for value in (self.shape, self.shape_error))
             found.append(f"The shape of the loops has changed by {size} ± {error} of the stroke (RMS).")
@@ -180,8 +180,12 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     RecordError
         If the record cannot be used: no loop, too few samples, columns swapped, a clipped sensor.
     IdentifyError
-        If the record clearly belongs to another actuator, or no sample counts.
+        If the record clearly belongs to another actuator, no sample counts, or an argument is of another type.
     """
+    if not isinstance(actuator, Actuator):
+        raise IdentifyError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
+    if not isinstance(record, Record):
+        raise IdentifyError(argument="record", got=type(record).__name__, need="a record, as of dehyst.read(path)")
     creep, thermal = actuator.displacement_creep, actuator.thermal
     if creep is not None or thermal is not None:
         found = update(replace(actuator.before_creep, thermal=None), _before(actuator, record), goal=goal)

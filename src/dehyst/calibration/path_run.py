@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
-from dehyst._validation import vector
+from dehyst._validation import number, vector
 from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
 from dehyst.calibration.tracking import TrackedPath
@@ -92,6 +92,8 @@ class PathRun:
     ) -> None:
         self._rig, self._path, self._adapt = rig, vector(displacement, "displacement"), bool(adapt)
         self._wanted = _closed(self._path)
+        if not 0 < number(sample_rate, "sample_rate") < np.inf:
+            raise ModelError(argument="sample_rate", got=sample_rate, need="a positive number of hertz")
         self.rate = rig.nearest_rate(sample_rate)
         (low, high), period = actuator.voltage_range, 1 / self.rate
         limits = max(low, rig.limits.low), min(high, rig.limits.high)

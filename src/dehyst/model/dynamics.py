@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._native import StepCoefficients, output_creep, steps, strains
 from dehyst._types import Array
+from dehyst._units import COLDEST, HOTTEST
 from dehyst._validation import demand_divisors, demand_magnitudes, demand_result, keep, number, untimely, vector
 from dehyst._views.lines import brief
 from dehyst.model.elements import Spring
@@ -205,6 +206,11 @@ class Thermal:
         if each and given.size != samples:
             raise ModelError(
                 argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one a sample"
+            )
+        if np.any((given < COLDEST) | (given > HOTTEST)):
+            worst = float(given[int(np.argmax(np.abs(given)))])
+            raise ModelError(
+                argument="temperature", got=f"{worst:g}", need=f"degrees Celsius between {COLDEST:g} and {HOTTEST:g}"
             )
         kelvins = given - self.reference
         gain = 1 + self.gain * kelvins

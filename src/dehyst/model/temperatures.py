@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
+from dehyst._units import COLDEST, HOTTEST
 from dehyst.model.dynamics import Thermal
 from dehyst.records import Record
 
@@ -42,8 +43,9 @@ def temperatures_to_record(
     if used is None:
         return ()
     low, high = used
-    if not -np.inf < low <= high < np.inf:
-        raise ModelError(argument="temperatures", got=f"{low:g} to {high:g}", need="the lower one first")
+    if not COLDEST <= low <= high <= HOTTEST:
+        need = f"degrees Celsius between {COLDEST:g} and {HOTTEST:g}, the lower one first"
+        raise ModelError(argument="temperatures", got=f"{low:g} to {high:g}", need=need)
     if tested is None:
         steps = _FEWEST if high - low >= NEAR_KELVINS else 1
         return tuple(np.linspace(low, high, steps).tolist()) if steps > 1 else (0.5 * (low + high),)

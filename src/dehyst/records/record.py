@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
-from dehyst._units import SI, in_si, per_metre, plain
+from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre, plain
 from dehyst._validation import DEFAULT_AXES, axis_names, keep
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
@@ -34,8 +34,6 @@ __all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 Span: TypeAlias = "slice[int, int, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
-# Temperatures of a laboratory [degC].
-_COLDEST, _HOTTEST = -273.15, 1000.0
 
 
 class Channel(NamedTuple):
@@ -83,11 +81,11 @@ class Channel(NamedTuple):
             return f"got {self.column!r}, need a name with its unit, as 'temperature_C', 'load_N' or 'humidity [%]'"
         if words := quality.fault_of(self.values, self.name, self.unit):
             return words
-        bad = np.flatnonzero((self.values < _COLDEST) | (self.values > _HOTTEST))
+        bad = np.flatnonzero((self.values < COLDEST) | (self.values > HOTTEST))
         if self.role != "temperature" or not bad.size:
             return ""
         return (
-            f"{self.name}[{bad[0]}] = {self.values[bad[0]]:.6g} degC, need {_COLDEST:g} to {_HOTTEST:g} degC; check "
+            f"{self.name}[{bad[0]}] = {self.values[bad[0]]:.6g} degC, need {COLDEST:g} to {HOTTEST:g} degC; check "
             "its unit, or leave it out"
         )
 

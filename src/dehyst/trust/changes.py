@@ -80,11 +80,15 @@ class Change:
         scale = self.value / self.effect if self.effect else np.inf
         return float(self.value / max(self.error, self.least * abs(scale) / SIGMAS))
 
-    def sentence(self, stroke: float) -> str:
-        """Return the change as a sentence; creep and drift relative to `stroke` [m]."""
+    def sentence(self, stroke: float, *, remedy: bool = True) -> str:
+        """Return the change as a sentence; creep and drift relative to `stroke` [m].
+
+        `remedy`: whether it says what to do.
+        """
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
-        return f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke. {_REMEDIES[self.name]}"
+        text = f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke."
+        return f"{text} {_REMEDIES[self.name]}" if remedy else text
 
     def amount(self, stroke: float) -> str:
         """Return size and standard error as text; creep and drift relative to `stroke` [m]."""

@@ -17,6 +17,9 @@ from dehyst.records import largest as largest_of
 from dehyst.records import rms as rms_of
 from dehyst.trust.prediction_band import PredictionBand
 
+# Of the promised error: what a homing may leave open without a word.
+_IN_PROMISE = 0.05
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -59,7 +62,9 @@ class Judgement:
         """Return the promise of a path with its start, then what the records do not test; empty if it is not known."""
         if not (words := self.words(stroke)):
             return []
-        adds = f", which adds up to {100 * self.start / stroke:.2g} %" if self.start and self.begins != "homed" else ""
+        # A homing leaves a little open always; what is small beside the promise is in it.
+        open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins == "homed" else 0.0)
+        adds = f", which adds up to {100 * self.start / stroke:.2g} %" if open_ else ""
         begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
         start = begins.get(self.begins, f", from the start {self.begins}")
         return [f"expect this path {words} of the stroke{start}{adds}", *self.untested]

@@ -189,9 +189,13 @@ class Recheck:
     def _percent(self, length: float) -> str:
         return lines.percent(length, self.stroke)
 
-    def change_sentences(self) -> tuple[str, ...]:
-        """Return a sentence for each change that counts, the largest effect first; none of another actuator."""
-        return () if self.mismatch else tuple(change.sentence(self.stroke) for change in self.changed)
+    def change_sentences(self, *, remedy: bool = True) -> tuple[str, ...]:
+        """Return a sentence for each change that counts, the largest effect first; none of another actuator.
+
+        `remedy`: whether with what to do.
+        """
+        changed = () if self.mismatch else self.changed
+        return tuple(change.sentence(self.stroke, remedy=remedy) for change in changed)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
