@@ -10,7 +10,7 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.baselines import BASELINES, ModelComparison, compare
+from dehyst.baselines import BASELINES, AbstractBaseline, ModelComparison, compare
 from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
 from dehyst.baselines.linear import Linear
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
@@ -202,6 +202,33 @@ def test_a_baseline_that_fails_gets_a_row_with_its_sentence(records):
     ]
     assert all(row.scores == () and row.simulate is None for row in found.rows[:-1])
     assert json.loads(json.dumps(found.as_dict()))["models"][1]["said"] == "division by zero"
+
+
+class Broken(AbstractBaseline):
+    """A model whose code fails."""
+
+    state = 0.0
+
+    def _run(self, *_, **__):
+        return 5
+
+
+OTHERS = {
+    "empties": lambda records: (records.clear(), Linear(1e-7))[1],
+    "nothing": lambda _: None,
+    "a class": lambda _: Linear,
+    "broken": lambda _: Broken(),
+    "wrong": lambda _: {}["key"],
+}
+
+
+def test_models_of_others_fail_in_their_own_rows_only(records):
+    chosen = {**OTHERS, "truth": plant}
+    found = {row.name: row for row in compare(records, validate=records[1], models=chosen).rows}
+    assert {name for name, row in found.items() if row.failure} == {"nothing", "a class", "broken", "wrong"}
+    assert "returned a NoneType" in found["nothing"].failure
+    assert found["wrong"].failure.startswith("KeyError")
+    assert [len(row.scores) for row in (found["empties"], found["truth"])] == [3, 3]
 
 
 def test_refusals(records):

@@ -1,5 +1,6 @@
 """Plug-ins: what they add, what they may not replace, and that a broken one takes nothing else down."""
 
+import contextlib
 import importlib
 import json
 import os
@@ -12,6 +13,7 @@ import places
 import pytest
 from command_line import DEHYST, run
 from fake_rig import FakeRig
+from fleet_records import until
 from plugged_in import describe, plugged_in, write_distribution
 
 import dehyst
@@ -28,11 +30,30 @@ from dehyst.workbench.forms import connect_form, exports, rig_address
 
 REGISTRIES = {"readers": LOADERS, "rigs": SCHEMES, "baselines": BASELINES, "targets": TARGETS}
 READER = """
-import os, signal
+import fcntl, os, signal, sys, time
 import numpy as np
 from dehyst.records import Column
+from dehyst.records.formats import reader_process
+
+if sys.argv[0] == "-c":  # in the reader's process
+    reader_process._SECONDS, reader_process._BUSY = 1, 4
 
 def read(data, allowance):
+    if data == b"sleep":
+        time.sleep(1e6)
+    if data == b"deaf":
+        signal.signal(signal.SIGXCPU, signal.SIG_IGN)
+        while True:
+            pass
+    if data == b"leave":
+        os._exit(0)
+    if data.startswith(b"lock "):
+        locked = open(data[5:], "w")
+        fcntl.flock(locked, fcntl.LOCK_EX)
+        print("locked", file=locked, flush=True)
+        time.sleep(1e6)
+    if data == b"name":
+        return [Column(5, np.zeros(3))]
     if data == b"crash":
         os.kill(os.getpid(), signal.SIGSEGV)
     if data == b"memory":
@@ -166,6 +187,10 @@ def test_what_is_no_member_is_refused(tmp_path, group, entry):
         ("crash", signal.SIGSEGV.name),
         ("memory", "takes more memory"),
         ("bare", "need Columns"),
+        ("name", "the name 5 .*, need text"),
+        ("sleep", "its plug-in did not finish it in .* s in all"),
+        ("deaf", "its plug-in did not finish it in .* s of CPU time"),
+        ("leave", r"its plug-in ended without an answer \(status 0\).*author"),
         ("allowance", "the header declares 8000 MB"),
         ("no numbers", "not a readable .daq file"),
     ],
@@ -175,6 +200,30 @@ def test_a_reader_of_a_plug_in_runs_within_the_limits_of_the_readers_process(tmp
     (tmp_path / "a.daq").write_text(content)
     with plugged_in(tmp_path), pytest.raises(FileFormatError, match=f"a.daq: .*{message}|{message}"):
         dehyst.read(tmp_path / "a.daq", max_bytes=1e6)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="only a forked reader can outlive its process")
+@pytest.mark.parametrize("end", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+def test_no_reader_outlives_the_process_that_asked(tmp_path, end):
+    import fcntl
+
+    write_distribution(tmp_path, "reads", {"readers": ".daq = reads:read"}, READER.replace("= 1, 4", "= 1000, 1000"))
+    lock, file = tmp_path / "lock", tmp_path / "a.daq"
+    file.write_text(f"lock {lock}")
+    given = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    code = "import signal, sys, dehyst; signal.signal(2, signal.default_int_handler); dehyst.read(sys.argv[1])"
+    asker = subprocess.Popen([sys.executable, "-c", code, file], env=given, stderr=subprocess.DEVNULL)
+    assert until(lambda: lock.exists() and lock.read_text() == "locked\n", 60)
+    asker.send_signal(signal.Signals[end])
+    assert asker.wait(10) != 0
+
+    def is_free():
+        with lock.open() as held, contextlib.suppress(BlockingIOError):
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        return False
+
+    assert until(is_free, 10)
 
 
 def test_a_rig_of_a_plug_in_keeps_what_every_rig_keeps(tmp_path):

@@ -75,6 +75,11 @@ def test_a_change_of_loops_over_a_part_of_the_range_is_said_to_be_theirs():
         assert sum("tell them apart" in one for one in found) == remarks
 
 
+def test_a_record_shorter_than_the_delay_of_the_model_is_refused_with_both():
+    with pytest.raises(IdentifyError, match=r"later-1: .* s, and the model lags by 1e\+04 s"):
+        dehyst.check(replace(loops.model(), delay=1e4), loops.later())
+
+
 def test_a_sensor_that_drifts_in_proportion_to_time_drifts():
     moved = 0.02 * STROKE
     recheck = dehyst.check(loops.model(), loops.later(slow=lambda time: moved * time / time[-1]))

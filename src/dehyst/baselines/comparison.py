@@ -315,25 +315,41 @@ def _row(
     fitted: dict[int, AbstractModel] = {}
     row, tracking, failures = ModelScore(name), dict[str, TrackingErrors](), list[str]()
     begin = time.perf_counter()
+    # Models of others may fail in any way.
+    failing = _FAILURES if name in (OURS, _PAPERS, *_OWN) else Exception
     try:
-        model = fitted[id(training)] = fit(training)
+        model = fitted[id(training)] = _fitted(fit, training)
         row = replace(row, seconds=time.perf_counter() - begin, parameters=parameters_of(model))
         progress(f"simulating {name}")
         simulate, compensate = speeds(model, played[0].item.record)
         scores = tuple(one.score(model, stroke) for one in played)
         row = replace(row, scores=scores, simulate=simulate, compensate=compensate)
         row = replace(row, promised=_promised(model, row.worst("training"), training, played, stroke))
-    except _FAILURES as error:
-        failures.append(str(error) or type(error).__name__)
+    except failing as error:
+        failures.append(_said(error))
     for item, records in trials:
         if records is training and not fitted:
             continue
         progress(f"tracking with {name} on {item.name}")
         try:
-            tracking[item.name] = item.track(fitted.get(id(records)) or fit(records))
-        except _FAILURES as error:
-            failures.append(f"{item.name}: {str(error) or type(error).__name__}")
+            tracking[item.name] = item.track(fitted.get(id(records)) or _fitted(fit, records))
+        except failing as error:
+            failures.append(f"{item.name}: {_said(error)}")
     return replace(row, tracking=tracking, failure=" ".join(failures))
+
+
+def _fitted(fit: Identification, records: list[Record]) -> AbstractModel:
+    """Return the model of a copy of the list of records, which a function of others may change."""
+    model = fit(list(records))
+    if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
+        raise PluginError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
+    return model
+
+
+def _said(error: Exception) -> str:
+    """Return the words of an error, with its type if that says more."""
+    words = str(error)
+    return words if words and isinstance(error, _FAILURES) else f"{type(error).__name__}: {words}".removesuffix(": ")
 
 
 def _promised(

@@ -8,6 +8,7 @@ from itertools import count, pairwise
 
 import numpy as np
 
+from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
@@ -257,7 +258,7 @@ def compare(
     """Compare a record with a model: fit constants, datum and drift by least squares with the model fixed.
 
     `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
-    whether a drift is fitted too.
+    whether a drift is fitted too. Raise `IdentifyError` if no sample counts.
     """
     creep = actuator.displacement_creep
     if creep is not None:
@@ -270,6 +271,12 @@ def compare(
         pieces = [one._replace(path=path) for one, path in zip(measured, paths, strict=True)]
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
     source = RowSource.of(pieces, grid, [left_of(few.noise, stroke)] * len(pieces), leads=[few.lead])
+    if not len(source):
+        lasts = float(np.ptp(record.record.time))
+        raise IdentifyError(
+            f"{record.record.name}: no sample counts; it lasts {lasts:.3g} s, and the model lags by "
+            f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
+        )
     spring, model = actuator.spring, Coefficients.from_actuator(actuator)
     regression = Regression(
         source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS),

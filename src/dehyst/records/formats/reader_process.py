@@ -1,6 +1,7 @@
 """The readable formats; those of plug-ins, or with a library in C, are read in a child process, which may crash.
 
-One helper process imports the libraries once, and forks a child with bounds of memory and CPU time for each file.
+One helper process imports the libraries once, and forks a child with bounds of memory and time for each file. No child
+outlives the process that asked.
 """
 
 from __future__ import annotations
@@ -8,10 +9,12 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -67,6 +70,9 @@ def _of_plugin(suffix: str, reader: Callable[[bytes, Allowance], list[Column]]) 
         columns = list(reader(data, allowance))
         if not all(isinstance(one, Column) and np.ndim(one.data) == 1 for one in columns):
             raise TypeError(f"its reader returned {str(columns)[:100]}, need Columns of one dimension")
+        for one in columns:
+            if not isinstance(one.name, str) or not isinstance(one.unit, str):
+                raise TypeError(f"its reader returned the name {one.name!r} with the unit {one.unit!r}, need text")
         return [replace(one, data=np.asarray(one.data, dtype=np.float64)) for one in columns]
 
     return Format(checked)
@@ -84,8 +90,10 @@ _OWN = {
     ".npz": Format(containers.read_npz),
 }
 LOADERS: Registry[Format] = Registry("readers", _OWN, _of_plugin)
-# CPU time for a file [s], and the bytes that add another second.
-_SECONDS, _A_SECOND = 5, 5_000_000
+# CPU time for a file [s], the bytes that add another second, and how many times longer it may take on a busy computer.
+_SECONDS, _A_SECOND, _BUSY = 5, 5_000_000, 10
+# How often the helper looks whether the process that asked is still there [s].
+_TICK = 0.5
 # Memory of the libraries beside twice the numbers of a file [bytes].
 _BESIDE = 256_000_000
 # Exit status of the helper after a signal ended a child: this plus the signal's number.
@@ -173,7 +181,6 @@ class _Helper:
             raise
         except BaseException:
             # An interrupted exchange cannot be resumed.
-            process.kill()
             self.close()
             raise
         if answer is None:
@@ -183,8 +190,15 @@ class _Helper:
         return answer
 
     def close(self) -> None:
+        """Kill the helper, and the child that reads a file."""
         process, self._process = self._process, None
         if process is not None and self._owner == os.getpid():
+            if process.poll() is None:
+                # The helper leads the group of its children.
+                if hasattr(os, "killpg"):
+                    os.killpg(process.pid, signal.SIGKILL)
+                else:
+                    process.kill()
             for pipe in (process.stdin, process.stdout):
                 with suppress(BrokenPipeError):
                     pipe.close()  # type: ignore[union-attr]
@@ -227,14 +241,15 @@ def _exchange(requests: BinaryIO, answers: BinaryIO, content: Content) -> Loaded
 
 def _crash_message(content: Content, status: int) -> str:
     number = status - _SIGNAL if status > _SIGNAL else -status
-    word = signal.Signals(number).name if number in set(signal.Signals) else f"status {status}"
-    how = f"crashed on it ({word})"
+    word = signal.Signals(number).name if number in set(signal.Signals) else ""
+    how = f"crashed on it ({word})" if word else f"ended without an answer (status {status})"
     if word in ("SIGXCPU", "SIGKILL"):
-        how = f"did not finish it in {_seconds(content)} s of CPU time, or was killed"
-    return (
-        f"{content.path}: not a readable {content.suffix} file: its library {how}; the file is damaged: take it from a "
-        "copy, or export the measurement again"
-    )
+        seconds = _seconds(content)
+        how = f"did not finish it in {seconds} s of CPU time, or {_BUSY * seconds} s in all, or was killed"
+    who, advice = "library", "the file is damaged: take it from a copy, or export the measurement again"
+    if content.suffix not in LOADERS.own:
+        who, advice = "plug-in", "try another file, and report it to the plug-in's author"
+    return f"{content.path}: not a readable {content.suffix} file: its {who} {how}; {advice}"
 
 
 def _seconds(content: Content) -> int:
@@ -254,42 +269,57 @@ def serve() -> None:
                 return
             if not hasattr(os, "fork"):
                 _answer(content, answers)
-            elif status := _answer_in_child(content, answers):
+            elif (status := _answer_in_child(content, answers)) is not None:
                 os._exit(status)
 
 
-def _answer_in_child(content: Content, answers: BinaryIO) -> int:
-    """Answer in a forked child; return 0, or the status with which it ended."""
+def _answer_in_child(content: Content, answers: BinaryIO) -> int | None:
+    """Answer in a forked child; return the status with which it ended if it did not answer, else None."""
     if module := _library(content):  # Once, not in each child, as are plug-ins.
         with suppress(ImportError):
             import_module(module)
+    asker, end = os.getppid(), time.monotonic() + _BUSY * _seconds(content)
+    done, answered = os.pipe()
     child = os.fork()
     if not child:
         try:
             _limit(content)
             _answer(content, answers)
+            os.write(answered, b"\n")
             os._exit(0)
         finally:
             os._exit(1)
+    os.close(answered)
+    ended: list[int] = []
+    while not ended and os.getppid() == asker and time.monotonic() < end:
+        ended, _, _ = select.select([done], [], [], _TICK)
+    finished = bool(ended) and os.read(done, 1) != b""
+    os.close(done)
+    if not finished:
+        os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
+    if finished:
+        return None
     return _SIGNAL + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
 
 
 def _limit(content: Content) -> None:
-    """Bound the memory and the CPU time of this process."""
+    """Bound the memory and the CPU time of this process, for good."""
     import resource
 
     try:
         present = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         present = 1 << 32
-    for kind, allowed in (
-        (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_CPU, _seconds(content)),
-        (resource.RLIMIT_AS, present + 2 * content.most + _BESIDE),
+    seconds, memory = _seconds(content), present + 2 * content.most + _BESIDE
+    for kind, soft, hard in (
+        (resource.RLIMIT_CORE, 0, 0),
+        # A second later, SIGKILL ends what ignores SIGXCPU.
+        (resource.RLIMIT_CPU, seconds, seconds + 1),
+        (resource.RLIMIT_AS, memory, memory),
     ):
-        _, hard = resource.getrlimit(kind)
-        resource.setrlimit(kind, (allowed if hard == resource.RLIM_INFINITY else min(allowed, hard), hard))
+        _, most = resource.getrlimit(kind)
+        resource.setrlimit(kind, (soft, hard) if most == resource.RLIM_INFINITY else (min(soft, most), min(hard, most)))
 
 
 def _answer(content: Content, answers: BinaryIO) -> None:
