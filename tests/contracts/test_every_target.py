@@ -46,8 +46,8 @@ def by_node(path, wanted):
 
 # Voltages of an FMU are compared in tests/exports/test_fmu.py.
 TARGETS_HERE = [
-    TargetCandidate("", by_c, tolerance=0.0),
-    TargetCandidate(".wasm", by_node, tolerance=0.0),
+    TargetCandidate("", by_c, tolerance=0.0, temperature=True),
+    TargetCandidate(".wasm", by_node, tolerance=0.0, temperature=True),
     TargetCandidate(".fmu"),
 ]
 

@@ -242,6 +242,17 @@ def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name):
         rig.retreat() if name == "_halt" else rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
 
 
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -5.0])
+def test_a_rate_that_no_device_can_have_is_refused_with_nothing_sent(rate):
+    rig = FakeRig()
+    rig.nearest_rate = lambda _: rate
+    with pytest.raises(
+        DeviceError, match=r"fake: nearest_rate of 100 Hz is .*, need a positive number.*nothing was sent"
+    ):
+        rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
+    assert rig.done == []
+
+
 @pytest.mark.parametrize("error", [LinkError("lost"), OSError("gone"), ZeroDivisionError("a leaf's own mistake")])
 def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
     rig = FakeRig()

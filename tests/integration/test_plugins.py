@@ -12,6 +12,7 @@ import numpy as np
 import places
 import pytest
 from command_line import DEHYST, run
+from fake_rig import FakeRig
 from fleet_records import until
 from plugged_in import describe, plugged_in, write_distribution
 
@@ -249,6 +250,37 @@ def test_a_rig_of_a_plug_in_keeps_what_every_rig_keeps(tmp_path):
 def test_no_rig_replaces_what_limits_and_retreat_rely_on(name):
     with pytest.raises(TypeError, match=f"Own: replaces {name} of AbstractRig; a rig writes only nearest_rate, _read"):
         type("Own", (AbstractRig,), {name: None})
+
+
+@pytest.mark.parametrize("name", ["play", "limits", "read", "close", "__exit__", "__getattribute__", "_ramp"])
+def test_no_base_of_a_rig_replaces_what_limits_and_retreat_rely_on(name):
+    mixin = type("Mixin", (), {name: None})
+    with pytest.raises(TypeError, match=rf"Own: replaces {name} \(in Mixin\) of AbstractRig"):
+        type("Own", (mixin, FakeRig), {})
+
+
+def test_a_rig_whose_bases_hide_the_check_of_its_class_cannot_be_constructed():
+    class Silent:
+        def __init_subclass__(cls):
+            pass
+
+    class Own(Silent, FakeRig):
+        def play(self, excitation):
+            pass
+
+    with pytest.raises(TypeError, match="Own: replaces play of AbstractRig"):
+        Own()
+
+
+def test_a_base_of_a_rig_may_have_what_a_driver_writes():
+    class Mixin:
+        def _wait(self, seconds):
+            self.instrument.wait(seconds)
+
+        def home(self):
+            return self.set_voltage(0.0)
+
+    assert type("Own", (Mixin, FakeRig), {})().home() == 0.0
 
 
 def test_a_baseline_of_a_plug_in_is_compared(tmp_path):

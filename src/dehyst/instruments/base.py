@@ -58,6 +58,8 @@ _SLACK = 1e-6
 
 # Methods that a driver writes or may replace.
 _DRIVERS = ("nearest_rate", "_read", "_put", "_wave", "_halt", "_close", "_wait")
+# Special methods that no driver may have.
+_SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
 # What a device does that no command reaches.
 BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
 
@@ -82,7 +84,7 @@ class AbstractRig(ABC):
     send a voltage are final. A rig of several axes contains a rig for each axis and uses its limits, readings, ramps
     and stops; it implements only `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no
     voltage is allowed by both device and user, or two axes have one name. A class that replaces what limits and
-    retreat rely on cannot be defined: it raises TypeError.
+    retreat rely on, or inherits a replacement from another base, raises TypeError when it is defined or constructed.
 
     Parameters
     ----------
@@ -107,10 +109,7 @@ class AbstractRig(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse a driver that replaces what limits, ramps and retreat rely on; typing's `final` does so too late."""
         super().__init_subclass__(**options)
-        replaced = [name for name in vars(cls) if name in vars(AbstractRig) and name not in _DRIVERS]
-        if any(not name.startswith("__") for name in replaced):
-            names = ", ".join(name for name in replaced if not name.startswith("__"))
-            raise TypeError(f"{cls.__name__}: replaces {names} of AbstractRig; a rig writes only {', '.join(_DRIVERS)}")
+        _refuse_replacements(cls)
 
     def __init__(
         self,
@@ -124,6 +123,8 @@ class AbstractRig(ABC):
         identity: str | None = None,
         others: Sequence[str] = (),
     ) -> None:
+        # Here too: a class may have been changed since, or its bases have an __init_subclass__ of their own.
+        _refuse_replacements(type(self))
         self.others = tuple(others)
         self.name, self.longest, self.identity = name, longest, identity or name
         self._limits: VoltageLimits | None = None
@@ -278,6 +279,11 @@ class AbstractRig(ABC):
         for one, column in zip(self.rigs, columns, strict=True):
             with driver_errors(self.name, "nearest_rate"):
                 rates.add(rate := float(one.nearest_rate(excitation.sample_rate)))
+            if not 0 < rate < math.inf:
+                raise DeviceError(
+                    f"{one.name}: nearest_rate of {excitation.sample_rate:.6g} Hz is {rate:g} Hz, need a positive "
+                    "number; check the rig's nearest_rate, or the device; nothing was sent"
+                )
             name, limits = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name, one.limits
             low, high = float(column.min()), float(column.max())
             if low < limits.low or high > limits.high:
@@ -461,6 +467,19 @@ class AbstractRig(ABC):
             why = "" if str(error) == str(cause) else f" ({error})"
             failure = f"The voltage{of} could not be brought to {safe} V{why}"
             return VoltageNote(f"{failure}: {BY_HAND}.", safe=False)
+
+
+def _refuse_replacements(kind: type[AbstractRig]) -> None:
+    """Raise TypeError if a class finds a method of AbstractRig, other than a driver's, in another class."""
+    found = []
+    own = [name for name, value in vars(AbstractRig).items() if callable(value) or isinstance(value, property)]
+    for name in (*(one for one in own if one not in _DRIVERS and not one.startswith("__")), *_SPECIAL):
+        owner = next(one for one in kind.__mro__ if name in vars(one))
+        if owner not in (AbstractRig, object):
+            found.append(name if owner is kind else f"{name} (in {owner.__name__})")
+    if found:
+        drivers = ", ".join(_DRIVERS)
+        raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +12,23 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.cli import main
 from dehyst.control import Compensator
 from dehyst.exports import TARGETS
-from dehyst.model import Actuator, Creep, MaxwellSlip, Spring, Transformer
+from dehyst.model import (
+    Actuator,
+    Creep,
+    DisplacementCreep,
+    Dynamics,
+    GradedSlip,
+    MaxwellSlip,
+    SmoothSlip,
+    Spring,
+    Thermal,
+    Transformer,
+)
 
 _PERIOD = 1e-3
 _PLAIN = Actuator(
@@ -25,13 +37,40 @@ _PLAIN = Actuator(
     limits=(0.0, 80.0),
     name="plain",
 )
+# Fields of an actuator that every target has, or that have no effect on the voltages of a compensator.
+_COMMON = ("slip", "spring", "state", "limits", "delay", "name", "provenance", "identification", "recorded_slew_rate")
+# The other fields, with a part for each; a field without one makes this an error, so that no part goes untested.
+_PARTS: dict[str, Any] = {
+    "transformer": Transformer([0, 30, 80], [0, 35, 80]),
+    "creep": Creep([0.01, 1.0], [4e6, 5e6]),
+    "dynamics": Dynamics(2 * np.pi * 50, 0.1, series=1e6),
+    "lag": 2e-3,
+    "load_stiffness": 1e7,
+    "smooth": SmoothSlip([2e-6], [0.8], [2e6]),
+    "displacement_creep": DisplacementCreep([0.01, 1.0], [0.02, 0.03]),
+    "thermal": Thermal(1e-3, 1e-8),
+}
+
+
+def _with(**parts: Any) -> Actuator:
+    """Return the plain actuator with other parts, in its own state."""
+    return replace(_PLAIN, **{"state": None, **parts})
+
+
 _MODELS = {
     "plain": _PLAIN,
     "a spring alone": Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 80]), limits=(0.0, 80.0)),
-    "transformer": replace(_PLAIN, transformer=Transformer([0, 30, 80], [0, 35, 80])),
-    "creep": replace(_PLAIN, creep=Creep([0.01, 1.0], [4e6, 5e6])),
+    "graded": _with(slip=GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[3e6, 1e6], [1e6, 2e6]])),
     "foreign name": replace(_PLAIN, name="*/ #\"'<&>\n(* µm *)"),
+    **{one.name: _with(**{one.name: _PARTS[one.name]}) for one in fields(Actuator) if one.name not in _COMMON},
 }
+# Further arguments of a compensator that an export must keep to.
+_BEGINNINGS: dict[str, dict[str, Any]] = {
+    "slew rate": {"slew_rate": 5e3},
+    "state": {"state": _PLAIN.simulate([0.0, 70.0, 20.0, 45.0]).state},
+    "both": {"slew_rate": 5e3, "state": _PLAIN.simulate([80.0, 10.0, 30.0]).state},
+}
+_OPTIONS = {"number": "double", "name": None, "measure": False, "force": False, "fmu": "3.0", "kind": None}
 
 
 class TargetCandidate(NamedTuple):
@@ -40,11 +79,13 @@ class TargetCandidate(NamedTuple):
     `suffix`: of its files; empty for a folder. `voltages`: function that runs the export at a path on wanted
     displacements (n,) [m], sample by sample from the start, and returns voltages (n,) [V]; without it, nothing is known
     of what the export does. `tolerance`: how far these may be from the compensator's, as a fraction of the range.
+    `temperature`: whether the export takes a temperature; without it, models that depend on one must be refused.
     """
 
     suffix: str
     voltages: Callable[[Path, Array], Array] | None = None
     tolerance: float = 1e-9
+    temperature: bool = False
 
 
 def _export(folder: Path, actuator: Actuator, name: str, *options: str) -> tuple[int, Any, Path]:
@@ -94,8 +135,7 @@ class TargetContract:
 
     def test_an_export_leaves_the_compensator_alone(self, candidate: TargetCandidate, tmp_path: Path) -> None:
         compensator, twin = (Compensator(_PLAIN, period=_PERIOD) for _ in range(2))
-        options = {"number": "double", "name": None, "measure": False, "force": False, "fmu": "3.0", "kind": None}
-        TARGETS[candidate.suffix].write(compensator, tmp_path / f"stage{candidate.suffix}", options)
+        TARGETS[candidate.suffix].write(compensator, tmp_path / f"stage{candidate.suffix}", _OPTIONS)
         assert [compensator.step(y) for y in (1e-6, 5e-6, 2e-6)] == [twin.step(y) for y in (1e-6, 5e-6, 2e-6)]
 
     def test_the_file_of_somebody_else_is_kept(self, candidate: TargetCandidate, tmp_path: Path) -> None:
@@ -120,24 +160,51 @@ class TargetContract:
             assert kind != "plain", values
             assert (status, path.exists()) == (2, False), values
             assert values["error"]["message"]
-        elif candidate.voltages is not None:
-            wanted = _wanted(actuator)
-            got = candidate.voltages(path, wanted)
-            compensator = Compensator(actuator, period=_PERIOD)
-            expected = np.array([compensator.step(y) for y in wanted.tolist()])
-            assert np.abs(got - expected).max() <= candidate.tolerance * np.ptp(expected)
+        else:
+            assert candidate.temperature or actuator.thermal is None, "written without an input for the temperature"
+            # The command begins at rest at the top, which is not every actuator's own state.
+            compensator, again = Compensator(actuator, period=_PERIOD), tmp_path / "again" / path.name
+            again.parent.mkdir()
+            TARGETS[candidate.suffix].write(compensator, again, _OPTIONS)
+            _compare(candidate, again, compensator)
+
+    @pytest.mark.parametrize("kind", _BEGINNINGS)
+    def test_slew_rate_and_state_are_kept_or_refused(
+        self, candidate: TargetCandidate, kind: str, tmp_path: Path
+    ) -> None:
+        compensator, path = (
+            Compensator(_PLAIN, period=_PERIOD, **_BEGINNINGS[kind]),
+            tmp_path / f"stage{candidate.suffix}",
+        )
+        try:
+            TARGETS[candidate.suffix].write(compensator, path, _OPTIONS)
+        except ModelError:
+            assert not path.exists()
+        else:
+            _compare(candidate, path, compensator)
 
     def test_narrower_limits_hold(self, candidate: TargetCandidate, tmp_path: Path) -> None:
         status, values, path = _export(tmp_path, _PLAIN, f"stage{candidate.suffix}", "--limits", "10", "50")
         assert status == 0, values
         if candidate.voltages is not None:
-            got = candidate.voltages(path, _wanted(_PLAIN))
+            got = candidate.voltages(path, _wanted(Compensator(_PLAIN, (10, 50), period=_PERIOD)))
             assert got.min() >= 10
             assert got.max() <= 50
 
 
-def _wanted(actuator: Actuator) -> Array:
-    """Return displacements (n,) [m] over all of the reach and beyond, with large and small turns."""
+def _compare(candidate: TargetCandidate, path: Path, compensator: Compensator) -> None:
+    """Assert that an export, if it can be run, has the voltages of the compensator."""
+    if candidate.voltages is not None:
+        wanted = _wanted(compensator)
+        got = candidate.voltages(path, wanted)
+        expected = np.array([compensator.step(y) for y in wanted.tolist()])
+        assert np.abs(got - expected).max() <= candidate.tolerance * np.ptp(expected)
+
+
+def _wanted(compensator: Compensator) -> Array:
+    """Return displacements (n,) [m]: growing turns around the start, then over all of the reach and beyond."""
+    actuator, start, dice = compensator.actuator, compensator.state.displacement, np.random.default_rng(5)
     low, high = (float(actuator.simulate([0.0, v], time=[0.0, 1.0]).displacement[-1]) for v in (0.0, 80.0))
-    share = np.random.default_rng(5).uniform(-0.1, 1.1, 400) * np.repeat([1.0, 0.5, 0.2, 0.9], 100)
-    return np.asarray(low + (high - low) * share)
+    share = dice.uniform(-0.1, 1.1, 400) * np.repeat([1.0, 0.5, 0.2, 0.9], 100)
+    near = start + (high - low) * np.linspace(0, 0.1, 100) * dice.uniform(-1, 1, 100)
+    return np.concatenate([near, low + (high - low) * share])
