@@ -133,6 +133,10 @@ class SensorError(RigError):
     """A reading that cannot be the displacement: it does not follow the voltage, or saturates."""
 
 
+class Terminated(SystemExit):
+    """A signal ends the program; SystemExit itself is what code of others may raise."""
+
+
 def library(module: str, purpose: str, extra: str) -> Any:
     """Return a `module` of an optional package; raise MissingExtraError, with the `purpose`, if it is not installed."""
     try:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
-from dehyst._errors import DehystError, PluginError
+from dehyst._errors import DehystError, PluginError, Terminated
 from dehyst._version import __version__
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ def plugin_errors(what: str) -> Iterator[None]:
     """Raise what the code of a plug-in raises, unless it is an error of dehyst, as a `PluginError`."""
     try:
         yield
-    except DehystError:
+    except (DehystError, Terminated):
         raise
-    except Exception as error:  # code of others may raise anything
+    except (Exception, SystemExit) as error:  # code of others may raise anything
         raise PluginError(
             f"{what}: a plug-in raised {type(error).__name__}: {error}; report it to its author"
         ) from error
@@ -104,6 +104,8 @@ class Registry(Mapping[str, Row], Generic[Row]):
         else:
             try:
                 self._added[name] = self._accept(name, points[0].load())
+            except Terminated:
+                raise
             except (Exception, SystemExit) as error:  # code of others may raise anything
                 fault = f"{type(error).__name__}: {error}; update or uninstall it"
         where = f"plug-in '{name}' ({self.group}) of {' and '.join(by)}"

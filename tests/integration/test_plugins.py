@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import zlib
 
 import numpy as np
 import places
@@ -315,6 +316,72 @@ def test_a_target_of_a_plug_in_is_exported_to(tmp_path):
         assert (tmp_path / "b.st").read_text() == "mine"
         assert exports()[".st"] == ("a line", "Nothing but a line.", ".st")
     assert ".st" not in exports()
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "message"),
+    [
+        ("raise ModelError(f'{path}: has creep')", 2, "a.st: has creep"),
+        ("raise RuntimeError('broken')", 2, "a plug-in raised RuntimeError: broken"),
+        ("raise SystemExit(0)", 2, "a plug-in raised SystemExit: 0"),
+        ("raise OSError(errno.ENOSPC, 'No space left on device')", 2, "No space left on device); make room"),
+        ("path.with_name('no').joinpath('x').write_text('')", 2, "a.st: cannot be written (No such file"),
+        ("open('/none/of/mine')", 2, "report it to its author"),
+        ("raise KeyboardInterrupt", 130, ""),
+        ("signal.raise_signal(signal.SIGTERM)", 143, ""),
+        ("path.unlink(); return Written({}, 'done')", 2, "a.st: a plug-in did not write "),
+        ("path.with_suffix('.log').write_text(''); return Written({}, 'done')", 2, "wrote a.log too"),
+        ("return None", 2, "write returned a NoneType"),
+        ("return Written({'a': {1}}, 'done')", 2, "set is not JSON serializable"),
+        ("return Written({}, 5)", 2, "need a dictionary, and text"),
+    ],
+)
+def test_a_target_that_fails_leaves_the_files_as_they_were(tmp_path, body, status, message):
+    code = "import errno, signal\nfrom dehyst import ModelError\nfrom dehyst.exports import Target, Written\n"
+    code += f"def write(loop, path, options):\n    path.write_text('half')\n    {body}\nTARGET = Target('x', write)\n"
+    # A module of its own for each body: modules stay imported.
+    name = f"fails_{zlib.crc32(body.encode())}"
+    write_distribution(tmp_path / "plug", name, {"targets": f".st = {name}:TARGET"}, code)
+    model, out = tmp_path / "model.json", tmp_path / "out"
+    out.mkdir()
+    dehyst.Actuator(dehyst.MaxwellSlip([1e-6], [1e6]), dehyst.Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
+    with plugged_in(tmp_path / "plug"):
+        found, shown, _ = run("export", model, out / "a.st", "--json")
+        assert found == status
+        assert message in (json.loads(shown)["error"]["message"] if message else "")
+        assert ".dehyst-" not in shown
+        assert list(out.iterdir()) == []
+        (out / "a.st").write_text("before")
+        assert run("export", model, out / "a.st", "--force")[0] == status
+        assert [one.name for one in out.iterdir()] == ["a.st"]
+        assert (out / "a.st").read_text() == "before"
+
+
+def test_a_target_whose_files_fail_and_a_rig_and_a_baseline_that_exit_are_named(tmp_path):
+    code = "import dehyst.exports as e, dehyst.instruments as i\ndef leave(*_): raise SystemExit(0)\n"
+    code += "TARGET = e.Target('x', leave, (), leave)\nRIG = i.Scheme('bench://NAME', leave)\n"
+    groups = {"targets": ".st = leaves:TARGET", "rigs": "bench = leaves:RIG", "baselines": "flat = leaves:leave"}
+    write_distribution(tmp_path, "leaves", groups, code)
+    model = tmp_path / "model.json"
+    dehyst.Actuator(dehyst.MaxwellSlip([1e-6], [1e6]), dehyst.Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
+    with plugged_in(tmp_path):
+        status, _, err = run("export", model, tmp_path / "a.st")
+        assert (status, "a plug-in raised SystemExit: 0" in err) == (2, True)
+        with pytest.raises(RigError, match="bench://x: raised SystemExit: 0"):
+            open_rig("bench://x")
+        with pytest.raises(PluginError, match="flat: a plug-in raised SystemExit: 0"):
+            BASELINES["flat"]([loops()])
+
+
+def test_a_suffix_that_nobody_registers_is_no_folder(tmp_path):
+    model = tmp_path / "model.json"
+    dehyst.Actuator(dehyst.MaxwellSlip([1e-6], [1e6]), dehyst.Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
+    status, _, err = run("export", model, tmp_path / "stage.mm", "--no-measure")
+    assert (status, "a folder for C, or a file that ends in .wasm or .fmu" in err) == (2, True)
+    assert not (tmp_path / "stage.mm").exists()
+    (tmp_path / "stage.mm").mkdir()
+    for name in ("stage.mm", "piezo-1.5"):
+        assert run("export", model, tmp_path / name, "--no-measure")[0] == 0
 
 
 def test_without_pytest_the_contracts_name_their_extra(monkeypatch):

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
-from dehyst._errors import DehystError, RigError
+from dehyst._errors import DehystError, RigError, Terminated
 from dehyst._plugins import Registry
 from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
 
@@ -64,9 +64,9 @@ def _made(address: str, make: Callable[..., Any], *given: Any, **options: Any) -
     """Return the rig that a function makes, which may be code of others; raises RigError."""
     try:
         rig = make(*given, **options)
-    except DehystError:
+    except (DehystError, Terminated):
         raise
-    except Exception as error:  # code of others may raise anything
+    except (Exception, SystemExit) as error:  # code of others may raise anything
         raise RigError(
             f"{address}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
         ) from error
@@ -195,6 +195,8 @@ def _module(path: Path) -> ModuleType:
     try:
         # Without a bytecode cache: an edit takes effect at the next attempt.
         exec(compile(path.read_bytes(), path, "exec"), module.__dict__)
-    except Exception as error:
+    except Terminated:
+        raise
+    except (Exception, SystemExit) as error:  # code of others may raise anything
         raise RigError(f"{path}: {type(error).__name__}: {error}") from error
     return module

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from dehyst._errors import Terminated
+
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -58,7 +60,7 @@ class Shield:
         handler = self._handlers[number]
         if not callable(handler):
             # The system's handler would end the process at once and leave the voltage where it is.
-            raise SystemExit(128 + number)
+            raise Terminated(128 + number)
         handler(number, frame)
         # A handler that raises nothing does not stop the block.
         self.deferring = self._stopped = False
@@ -68,7 +70,7 @@ class Shield:
 def shielded(*, defer: bool = False) -> Iterator[Shield]:
     """Let the first signal through and defer all others; with `defer` defer all.
 
-    A signal whose handler is the system's, usually SIGTERM, raises SystemExit, so that the wave is stopped too.
+    A signal whose handler is the system's, usually SIGTERM, raises Terminated, so that the wave is stopped too.
     """
     shield = Shield()
     try:

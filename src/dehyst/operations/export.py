@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from dehyst.control import Compensator, PossibleStart, StageCompensator
@@ -20,6 +21,8 @@ _UNLIMITED = -1e300, 1e300
 # Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
 _TOP = Start("top")
+# The end of the name of a file, unlike that of a folder "piezo-1.5".
+_OF_A_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")
 
 
 def _suffix(given: Values) -> str:
@@ -86,8 +89,10 @@ def export(
         Initial state of the memory, as in compensate.
     """
     target = TARGETS[_suffix({"model": model, "directory": directory})]
-    if is_stage(model) and directory.suffix and directory.suffix in TARGETS:
-        raise OperationError(argument="directory", got=str(directory), need="a folder for several axes")
+    if target.files is None and _OF_A_FILE.fullmatch(directory.suffix) and not directory.is_dir():
+        files = " or ".join(suffix for suffix in TARGETS if suffix)
+        need = "a folder for several axes" if is_stage(model) else f"a folder for C, or a file that ends in {files}"
+        raise OperationError(argument="directory", got=str(directory), need=need)
     if target.files is not None:
         demand_outputs([model], target.files(directory))
     known = AxesModel.read(run, model)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import FileFormatError, Terminated
 from dehyst._io import demand_alike, format_of, protecting
 from dehyst.operations.declaration import Operation, OperationError, Role
 
@@ -96,7 +95,7 @@ def terminable() -> Iterator[None]:
     """Treat SIGTERM as an error, so that drafts and temporary folders are removed."""
 
     def leave(number: int, _: object) -> None:
-        sys.exit(128 + number)
+        raise Terminated(128 + number)
 
     if threading.current_thread() is not threading.main_thread():
         yield
