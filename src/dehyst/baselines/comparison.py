@@ -326,7 +326,7 @@ def _row(
         row = replace(row, scores=scores, simulate=simulate, compensate=compensate)
         row = replace(row, promised=_promised(model, row.worst("training"), training, played, stroke))
     except failing as error:
-        failures.append(_said(error))
+        failures.append(_reason(error))
     for item, records in trials:
         if records is training and not fitted:
             continue
@@ -334,7 +334,7 @@ def _row(
         try:
             tracking[item.name] = item.track(fitted.get(id(records)) or _fitted(fit, records))
         except failing as error:
-            failures.append(f"{item.name}: {_said(error)}")
+            failures.append(f"{item.name}: {_reason(error)}")
     return replace(row, tracking=tracking, failure=" ".join(failures))
 
 
@@ -346,8 +346,8 @@ def _fitted(fit: Identification, records: list[Record]) -> AbstractModel:
     return model
 
 
-def _said(error: Exception) -> str:
-    """Return the words of an error, with its type if that says more."""
+def _reason(error: Exception) -> str:
+    """Return the words of an error, with its type for one of foreign code."""
     words = str(error)
     return words if words and isinstance(error, _FAILURES) else f"{type(error).__name__}: {words}".removesuffix(": ")
 

@@ -83,7 +83,7 @@ class Change:
     def sentence(self, stroke: float, *, remedy: bool = True) -> str:
         """Return the change as a sentence; creep and drift relative to `stroke` [m].
 
-        `remedy`: whether it says what to do.
+        `remedy`: whether with what to do.
         """
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
