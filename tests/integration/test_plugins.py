@@ -137,7 +137,7 @@ def test_a_plug_in_may_not_replace_a_row_of_this_package(tmp_path):
 def test_two_plug_ins_of_one_name_are_both_refused(tmp_path):
     for name in ("one", "other"):
         write_distribution(tmp_path / name, name, {"readers": ".daq = one:read"}, READER)
-    refused = pytest.raises(PluginError, match=r"of one 1\.0 and other 1\.0 cannot be used: both have this name")
+    refused = pytest.raises(PluginError, match=r"one 1\.0 .*other 1\.0")
     with plugged_in(tmp_path / "one", tmp_path / "other"), pytest.warns(PluginWarning), refused:
         dehyst.read(tmp_path / "a.daq")
 
@@ -148,7 +148,7 @@ def test_a_plug_in_that_fails_is_named_and_the_others_work(tmp_path):
     write_distribution(tmp_path, "works", {"readers": ".daq = works:read\n.gone = works:gone"}, READER)
     (tmp_path / "a.daq").write_text("0;0;0\n1;2;3\n2;1;2")
     with plugged_in(tmp_path):
-        with pytest.warns(PluginWarning, match="fails 1.0 .* SystemExit: no licence") as caught:
+        with pytest.warns(PluginWarning, match=r"fails 1\.0 .*SystemExit") as caught:
             assert dehyst.read(tmp_path / "a.daq").voltage.tolist() == [0, 2, 1]
         assert sum("works 1.0" in str(one.message) for one in caught) == 1
         with pytest.raises(PluginError, match=r"'\.bad' \(readers\) of fails 1\.0"):
@@ -177,7 +177,7 @@ def test_a_plug_in_that_fails_is_named_and_the_others_work(tmp_path):
 )
 def test_what_is_no_member_is_refused(tmp_path, group, entry):
     write_distribution(tmp_path, "wrong", {group: entry}, f"{RIG}{TARGET}word = 'no'\ndef read(*_): pass")
-    with plugged_in(tmp_path), pytest.warns(PluginWarning, match="wrong 1.0 cannot be used: .*need"):
+    with plugged_in(tmp_path), pytest.warns(PluginWarning, match=r"wrong 1\.0"):
         assert list(REGISTRIES[group]) == list(REGISTRIES[group].own)
 
 
@@ -232,7 +232,7 @@ def test_a_rig_of_a_plug_in_keeps_what_every_rig_keeps(tmp_path):
     with plugged_in(tmp_path):
         with open_rig("bench://1", limits=(0, 60), slew_rate=500) as rig:
             assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (0, 60, 500)
-        with pytest.raises(RigError, match=r"0 to 100 V.* but 0 to 60 V.* were requested"):
+        with pytest.raises(RigError, match=r"0 to 100 V.*0 to 60 V"):
             open_rig("bench://careless", limits=(0, 60))
         with pytest.raises(RigError, match="bench://none: returned a NoneType"):
             open_rig("bench://none")

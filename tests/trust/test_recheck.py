@@ -72,11 +72,11 @@ def test_a_change_of_loops_over_a_part_of_the_range_is_said_to_be_theirs():
     whole, part = (loops.later(width=loops.WIDTH, tops=tops) for tops in ((200.0, 120.0), (140.0, 120.0)))
     for record, remarks in ((whole, 0), (part, 1)):
         found = dehyst.check(loops.model(), record).remarks
-        assert sum("tell them apart" in one for one in found) == remarks
+        assert sum("70 %" in one for one in found) == remarks
 
 
 def test_a_record_shorter_than_the_delay_of_the_model_is_refused_with_both():
-    with pytest.raises(IdentifyError, match=r"later-1: .* s, and the model lags by 1e\+04 s"):
+    with pytest.raises(IdentifyError, match=r"later-1.*1e\+04"):
         dehyst.check(replace(loops.model(), delay=1e4), loops.later())
 
 

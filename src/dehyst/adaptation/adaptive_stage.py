@@ -21,8 +21,8 @@ class AdaptiveStageCompensator:
     """A `StageCompensator` whose models are adapted to the displacements that the sensors of all axes measure.
 
     ``w = coupling^-1 y`` gives what each actuator should move, and what it has moved; from these two each axis learns
-    as an `AdaptiveCompensator`. The coupling is not learnt: `dehyst.check` tells whether it has changed. A step in
-    which a sensor of any axis is missing counts for no axis.
+    as an `AdaptiveCompensator`. The coupling is not learnt; `dehyst.trust.check_stage` reports a change of it. A step
+    without a measurement of any one axis counts for no axis.
 
     Parameters
     ----------

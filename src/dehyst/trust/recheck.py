@@ -406,7 +406,7 @@ def _remarks(actuator: Actuator, record: Record, changes: Sequence[Change]) -> l
     if covered < _WHOLE and any(change.counts and change.name in LEARNT for change in changes):
         remarks.append(
             f"{record.name}: gain and width are those of its own loops, over {100 * max(covered, 0.0):.0f} % of the "
-            "model's voltages. A change of one looks like a change of both there: record a loop over the whole range "
-            "to tell them apart."
+            "model's voltages. A change of one looks like a change of both there: a loop over the whole "
+            "range separates them."
         )
     return remarks

@@ -37,7 +37,7 @@ class Ioc:
     VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
     POSITION, TIME              the sensor's reading [um], and the device's time [s]
     IDN, ERROR                  text; the last error stays until it is overwritten
-    LIMIT:LOW, LIMIT:HIGH, SLEW limits of the amplifier [V, V, V/s]; a slew rate of 0 is none
+    LIMIT:LOW, LIMIT:HIGH, SLEW limits of the amplifier [V, V, V/s]; a slew rate of 0 means no limit
     WAVE:VOLTAGE, WAVE:PERIOD   wave [V] and seconds a sample, rounded to whole servo periods
     WAVE:START, STOP, BUSY      a 1 starts and stops; 1 while it is played
     REC:COUNT                   samples recorded of the present or last wave

@@ -333,7 +333,7 @@ def _wave_lengths(controller: Controller, words: _Words) -> list[str]:
 
 
 def _select_waves(controller: Controller, words: _Words) -> None:
-    """Do WSL {generator table}, where table 0 is none."""
+    """Do WSL {generator table}, where 0 selects no table."""
     pairs = _groups(words, 2, len(controller.axes))
     chosen = [(controller.generator(number), _whole(table, 0, len(controller.tables))) for number, table in pairs]
     for axis, table in chosen:
