@@ -5,6 +5,7 @@ from contextlib import contextmanager
 import epics_on_ioc
 import fake_nidaqmx
 import numpy as np
+import nv200_on_emulator
 import pi_on_emulator
 import pytest
 from fake_rig import FakeRig
@@ -89,6 +90,8 @@ RIGS = [
     # Microvolts are sent.
     RigCandidate("pi", pi_on_emulator.by_pipe, GAIN, volts=1e-6),
     RigCandidate("pi by tcp", pi_on_emulator.by_tcp, GAIN, volts=1e-6),
+    # Millivolts are recorded, and a busy host keeps the time.
+    RigCandidate("jena", nv200_on_emulator.by_library, GAIN, volts=1e-3, rate=2.0),
     RigCandidate("epics", epics_on_ioc.by_channel_access, GAIN, real_time=True),
 ]
 
