@@ -319,7 +319,7 @@ def test_a_readback_with_an_error_may_be_beyond_the_limits():
     assert rig.retreat() == 0.0
     assert (rig.instrument.log.lowest, rig.instrument.voltage) == (0.0, 0.0)
     rig._read = lambda: honest()._replace(voltage=-6.0)
-    with pytest.raises(DeviceError, match="stands at -6 V, but 0 to 100 V is allowed"):
+    with pytest.raises(DeviceError, match=r"-6 V.*0 to 100 V"):
         rig.set_voltage(30.0)
 
 
