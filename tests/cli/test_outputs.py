@@ -158,7 +158,7 @@ def test_no_command_replaces_a_file_of_others(tmp_path, monkeypatch, operation, 
     arguments = call(operation, name, "precious.csv")
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 2, done.output
-    assert "precious.csv: is there already" in done.stderr
+    assert "precious.csv" in done.stderr
     assert (tmp_path / "precious.csv").read_text() == "mine"
     forced = CliRunner().invoke(main, [*arguments, "--force"])
     assert "is there already" not in forced.stderr and "No such option" not in forced.stderr
@@ -202,16 +202,17 @@ def test_own_outputs_are_replaced_without_a_question(folder):
     # A measured record.
     (folder / "s.csv").write_text("time_s,voltage_V,displacement_um\n0.0,1.0,2.0\n0.1,2.0,3.0\n")
     status, _, err = run("simulate", "model.json", "voltage.csv", "-o", "s.csv", cwd=folder)
-    assert status == 2 and "s.csv: is there already" in err
+    assert status == 2 and "s.csv" in err and "--force" in err
     assert run("simulate", "model.json", "voltage.csv", "-o", "s.csv", "--force", cwd=folder)[0] == 0
     assert read_table(folder / "s.csv").names == ("time_s", "voltage_V", "expected_um", "lowest_um", "highest_um")
 
 
 def test_force_replaces_no_input(folder):
     os.link(folder / "voltage.csv", folder / "link.csv")
+    before = (folder / "voltage.csv").read_bytes()
     for name in ("voltage.csv", "link.csv"):
         status, _, err = run("simulate", "model.json", "voltage.csv", "-o", name, "--force", cwd=folder)
-        assert status == 2 and "is also an input of this command" in err
+        assert status == 2 and name in err and (folder / name).read_bytes() == before
 
 
 def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, monkeypatch):

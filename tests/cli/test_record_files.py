@@ -93,7 +93,7 @@ def test_show_lists_further_channels(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rows = "".join(f"{k / 10},{50 - 50 * math.cos(k / 10)},{k % 9},{20 + k / 100},{k}\n" for k in range(200))
     Path("a.csv").write_text("time_s,voltage_V,displacement_um,temperature_C,spare_N\n" + rows)
-    assert "temperature:  'temperature_C'    20 to 21.99 °C\n" in run("show", "a.csv").stdout
+    assert "temperature:  'temperature_C'    20 to 21.99 degC\n" in run("show", "a.csv").stdout
     assert json.loads(run("show", "a.csv", "--json").stdout)["others"] == {"temperature_C": [20.0, 21.99]}
     assert "temperature" not in run("show", "a.csv", "--columns", "time:s,voltage:V,displacement:um,-,-").stdout
 
@@ -120,7 +120,7 @@ def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
     assert done.exit_code == 2
     assert "  load_N  N       1 to 2" in done.stdout
     assert "holds 'on'" in done.stdout
-    assert "no voltage column; no displacement column" in done.stderr
+    assert "voltage" in done.stderr and "displacement" in done.stderr
     assert "try:" not in done.stderr
 
 
@@ -174,9 +174,10 @@ def test_german_words_for_units(monitor):
 
 def test_a_joined_file_is_not_replaced(monitor):
     laboratory_files.two_files(monitor / "drive.csv")
+    before = (monitor / "sensor.csv").read_bytes()
     done = run("identify", "drive.csv", "--columns", "join=sensor.csv", "-o", "sensor.csv", "--force")
-    assert done.exit_code == 2
-    assert "sensor.csv: is also an input of this command" in done.stderr
+    assert done.exit_code == 2 and "sensor.csv" in done.stderr
+    assert (monitor / "sensor.csv").read_bytes() == before
 
 
 def test_a_monitor_and_a_sensor_in_four_commands(monitor):

@@ -271,7 +271,7 @@ def test_no_actuators_and_wrong_ones_are_refused():
         Bank([])
     with pytest.raises(ModelError, match="actuators: got Actuator"):
         Bank(mixed(4, 1)[0])
-    with pytest.raises(ModelError, match="actuator 1: actuator: got str, need an Actuator"):
+    with pytest.raises(ModelError, match=r"actuator 1.*str.*Actuator"):
         Bank([*mixed(4, 1), "stage"], period=PERIOD)
 
 

@@ -309,7 +309,7 @@ def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
 @pytest.mark.parametrize("given", [compiled_exports.plain().actuator, None, 3, "model.json"])
 def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
     for write in (export, lambda one, _: code(one)):
-        with pytest.raises(ModelError, match="need a Compensator; pass Compensator"):
+        with pytest.raises(ModelError, match="Compensator"):
             write(given, tmp_path / "c")
     for path in (None, 3, b"c", "a\0b"):
         with pytest.raises(FileFormatError, match="name of a file"):
@@ -451,13 +451,13 @@ def test_models_that_floats_cannot_hold_are_refused():
         code(narrow([1e-6], [0, 1e-5, 1e-5 * apart]), "float")
     with pytest.raises(ModelError, match="too large"):
         code(Compensator(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-20], [0, 1e25])), (0, 1)), "float")
-    with pytest.raises(ModelError, match="breakaway elongation, 1e-50, is 0 when rounded"):
+    with pytest.raises(ModelError, match=r"breakaway elongation.*1e-50"):
         code(narrow([1e-50, 1e-6], [0, 1e-5]), "float")
     slow = dehyst.Creep([1e-2, 1e6], [1e5, 1e5])
     creeping = Compensator(replace(plain_records.plant(3), creep=slow), (0, 100), period=1e-3)
     with pytest.raises(ModelError, match="slow beside"):
         code(creeping, "float")
-    with pytest.raises(ModelError, match="number: got 'half', need 'double' or 'float'"):
+    with pytest.raises(ModelError, match=r"number.*'half'"):
         code(creeping, "half")
     for compensator in (narrow([1e-6, 1e-6 * apart], [0, 1e-5]), creeping):
         assert "piezo_rho" in code(compensator)["piezo.c"]

@@ -142,13 +142,13 @@ def test_any_name_makes_an_fmu(tmp_path):
 def test_refusals(tmp_path):
     with pytest.raises(ModelError, match=r"version: got '1\.0', need '2\.0' or '3\.0'"):
         export_fmu(ALL["plain"], tmp_path / "x.fmu", "1.0")
-    with pytest.raises(ModelError, match="kind: got 'plant', need 'compensator' or 'actuator'"):
+    with pytest.raises(ModelError, match=r"kind.*'plant'"):
         export_fmu(ALL["plain"], tmp_path / "x.fmu", kind="plant")
     with pytest.raises(FileFormatError, match=r"ends in \.fmu"):
         export_fmu(ALL["plain"], tmp_path / "x.zip")
     with pytest.raises(ModelError, match="the period"):
         export_fmu(Compensator(ALL["creep"].actuator, (0, 1)), tmp_path / "x.fmu")
-    with pytest.raises(ModelError, match="got Actuator, need a Compensator; pass Compensator"):
+    with pytest.raises(ModelError, match=r"Actuator.*Compensator"):
         export_fmu(ALL["plain"].actuator, tmp_path / "x.fmu")
     with pytest.raises(FileFormatError, match="got 7"):
         export_fmu(ALL["plain"], 7)

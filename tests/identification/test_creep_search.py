@@ -1,5 +1,6 @@
 """Creep in displacement: found from holds, chosen by held-out holds, compared and compensated."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -110,3 +111,19 @@ def test_holds_of_a_voltage():
     record = Record(0.1 * np.arange(v.size), v, v, "stairs")
     found = holds(record, 1.0, 5.0)
     assert [(one.start, one.stop) for one in found] == [(49, 150), (178, 239)]
+
+
+@pytest.mark.parametrize("block", [4, 5, 8])
+def test_means_of_samples_creep_from_where_the_record_began(block):
+    """The rise before the samples that count belongs to the record of means too, whatever the block leaves over."""
+    part = DisplacementCreep([0.5, 20.0], [0.02, 0.03])
+    drive = Sampling(frequency=0.1, sample_rate=40.0, limits=(0.0, HIGHEST))
+    voltage = descending_tops(HIGHEST, steps=3, drive=drive).voltage
+    time = np.arange(voltage.size) / 40.0
+    item = prepare(Record(time, voltage, actuator(0.02).play(voltage, time=time), "tops"))
+    assert item.lead is not None
+    reduced = replace(item, block=block).reduced
+    assert reduced.record.sample_time == pytest.approx(block / 40.0)
+    moved, whole = (one.without_creep(part).record for one in (reduced, item))
+    expected = np.interp(moved.time, whole.time, whole.displacement)
+    assert np.abs(moved.displacement - expected).max() < 1e-3 * np.ptp(expected)

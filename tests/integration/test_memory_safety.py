@@ -131,7 +131,7 @@ DIVIDED_BY = {
 @pytest.mark.parametrize("name", MAKERS)
 def test_numbers_too_large_are_refused_and_said(name, bad):
     MAKERS[name](1e3)
-    with pytest.raises(ModelError, match="which cannot be computed with; need"):
+    with pytest.raises(ModelError, match="cannot be computed with"):
         MAKERS[name](bad)
 
 
@@ -139,7 +139,7 @@ def test_numbers_too_large_are_refused_and_said(name, bad):
 @pytest.mark.parametrize("name", DIVIDED_BY)
 def test_numbers_too_small_to_divide_by_are_refused_and_said(name, bad):
     DIVIDED_BY[name](1e-3)
-    with pytest.raises(ModelError, match="which cannot be computed with; need"):
+    with pytest.raises(ModelError, match="cannot be computed with"):
         DIVIDED_BY[name](bad)
 
 

@@ -265,7 +265,7 @@ def test_a_record_converts_quantities():
         got = getattr(record, name)
         assert type(got) is np.ndarray
         np.testing.assert_allclose(got, getattr(plain_one, name), rtol=1e-14)
-    with pytest.raises(RecordError, match="displacement: got a quantity in volt"):
+    with pytest.raises(RecordError, match=r"displacement.*volt"):
         dehyst.Record(t, v, PATH * U.V)
     np.testing.assert_allclose(dehyst.Record(t, v, [y * U.m for y in PATH]).displacement, PATH)
 
@@ -325,6 +325,14 @@ def test_masked_values_are_refused(values):
             dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
 
 
+@pytest.mark.parametrize("values", [PATH + 0j, [*PATH[:-1], np.complex128(PATH[-1])], PATH * 1e6 * U.um + 0j * U.um])
+def test_complex_numbers_are_refused(values):
+    with pytest.raises(ModelError, match="displacement: got complex numbers"):
+        ACTUATOR.compensate(values)
+    with pytest.raises(RecordError, match="displacement: got complex numbers"):
+        dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
+
+
 def test_voltages_limits_and_times_are_converted():
     np.testing.assert_array_equal(ACTUATOR.simulate([0, 1500] * U.mV).voltage, [0, 1.5])
     made = Actuator(ACTUATOR.slip, ACTUATOR.spring, limits=[0, 3600] * U.mV, delay=2 * U.ms, lag=1 * U.ms)
@@ -357,7 +365,7 @@ def test_a_compensator_takes_quantities():
         assert compensator.step(wanted) == pytest.approx(same.step(-100e-6))
     compensator.commit(1500 * U.mV)
     assert compensator.voltage == 1.5
-    with pytest.raises(ModelError, match="displacement: got a quantity in volt"):
+    with pytest.raises(ModelError, match=r"displacement.*volt"):
         compensator.step(1 * U.V)
     np.testing.assert_allclose(compensator.trajectory(PATH * 1e6 * U.um, time=np.arange(9.0)).displacement, PATH)
     same.commit(1.5)
@@ -374,7 +382,7 @@ def test_where_no_unit_is_known_quantities_are_refused(what, value):
 def test_samples_of_a_driver_are_converted():
     got = admitted("rig", Samples([0, 1] * U.ms, [0, 1] * U.mV, [0, 1] * U.um), np.zeros(2), 0, -np.inf)
     np.testing.assert_allclose(np.array(got[:3]), [[0, 1e-3], [0, 1e-3], [0, 1e-6]])
-    with pytest.raises(dehyst.DehystError, match="rig: displacement: got a quantity in volt"):
+    with pytest.raises(dehyst.DehystError, match=r"rig.*displacement.*volt"):
         admitted("rig", Samples([2.0, 3.0], [0.0, 1.0], [0, 1] * U.V), np.zeros(2), 0, -np.inf)
 
 

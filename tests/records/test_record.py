@@ -245,7 +245,7 @@ def test_resample_keeps_the_last_sample_and_refuses():
         record.resample(5.0)
     with pytest.raises(RecordError, match=r"dt is 0\.0 s"):
         record.resample(0.0)
-    with pytest.raises(RecordError, match="no interpolation 'cubic'; try 'linear' or 'pchip'"):
+    with pytest.raises(RecordError, match=r"'cubic'.*'linear'.*'pchip'"):
         record.resample(0.01, "cubic")
 
 

@@ -6,9 +6,9 @@ from dehyst import Actuator, MaxwellSlip, Spring, Stage
 from dehyst.operations.registry import find
 from dehyst.waveforms.named import SCANS
 from dehyst.workbench.data import RequestError, path_points
+from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
 from dehyst.workbench.reading import form_of, options_of
-from dehyst.workbench.session import RecordEntry
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
 

@@ -7,10 +7,11 @@ import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring, Thermal
 from dehyst.workbench.data import RequestError, wasm, written_path
+from dehyst.workbench.entries import ModelEntry
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Finished
 from dehyst.workbench.server import Events
-from dehyst.workbench.session import ModelEntry, SessionError, WorkbenchSession
+from dehyst.workbench.session import SessionError, WorkbenchSession
 
 SHOWN = {
     "samples": 100,

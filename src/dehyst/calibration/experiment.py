@@ -252,7 +252,7 @@ class _Run:
             held_out,
             excitations.homing(),
             excitations.leg,
-            ends=_ends(loops),
+            ends=_ends(fit.actuator.at_reference(loops)),
             insight=assessment,
             creep=creep,
         )

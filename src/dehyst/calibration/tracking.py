@@ -8,17 +8,47 @@ from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
 from dehyst.control import Compensator, StageCompensator, VoltageLimits
-from dehyst.model import Actuator, Stage, State, apply, beginning
+from dehyst.model import Actuator, Stage, State, Thermal, apply, beginning
 from dehyst.records import Record, largest, percent, rms
 from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 
 # Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
 # later than the axis before.
 _USED, _LATER = 0.96, 3
+# Part of a record whose mean is its last temperature; standard errors from which on a drift of it counts.
+_LAST, _SURE = 0.05, 3.0
+
+
+class SeenTemperature(NamedTuple):
+    """The temperature that a rig measured along a record, which goes on as it drifted.
+
+    `last`: at its end [degC]. `drift` [K/s]: 0 if it is within the noise. `seconds`: duration of the record,
+    for which the drift goes on.
+    """
+
+    last: float
+    drift: float = 0.0
+    seconds: float = 0.0
+
+    @classmethod
+    def of(cls, record: Record) -> SeenTemperature | None:
+        """Return the temperature of a record; None if it has none."""
+        values, time = record.temperature, record.time - record.time[-1]
+        if values is None:
+            return None
+        (slope, level), covariance = np.polyfit(time, values, 1, cov="unscaled")
+        scatter = rms(values - level - slope * time)
+        drift = float(slope) if abs(slope) > _SURE * scatter * float(np.sqrt(covariance[0, 0])) else 0.0
+        late = slice(-max(1, round(_LAST * len(record))), None)
+        return cls(float(np.mean(values[late] - drift * time[late])), drift, -float(time[0]))
+
+    def after(self, seconds: ArrayLike) -> Array:
+        """Return the temperatures [degC] to expect some `seconds` (n,) [s] after the record."""
+        return np.asarray(self.last + self.drift * np.minimum(seconds, self.seconds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +92,10 @@ class PathPlanner:
     `homing`: two major cycles, from and to the lowest voltage: after them the state is known; it also sets the sample
     rate. `limits`: allowed voltages and slew rate of each axis. `leg`: samples between turning points of the first
     axis; several axes have periods that do not repeat together. `ends`: measured displacement [m] of a single axis at
-    the lowest and highest voltage of the homing; for several axes they follow from the model.
+    the lowest and highest voltage of the homing, at the reference temperature of its model; for several axes they
+    follow from the model.
+
+    A model that depends on temperature moves in that of the last record, which goes on as it drifted.
     """
 
     homing: Excitation
@@ -88,7 +121,7 @@ class PathPlanner:
         bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
         wanted = self._wanted(place, start)
         voltage = bottom + (wanted - place.low) * (top - bottom) / place.stroke
-        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place)
+        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place, *_warmth(model, before))
 
     def compensated(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a `model`; its state follows from all earlier records, its zero from the last.
@@ -97,11 +130,15 @@ class PathPlanner:
         before the records and for the drift of the sensor.
         """
         place, start, states, datum = self._homed(model, before)
+        thermal, seen = _warmth(model, before)
         wanted = self._wanted(place, start)
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
-        columns = zip(actuators, wanted.T, datum.tolist(), strict=True)
-        ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in columns])
+        # The path stays where it is while the temperature drifts.
+        now, then = seen.last, seen.after(self.homing.duration + time)
+        columns = [thermal.at_reference(thermal.warmed(column, now), then) for column in wanted.T]
+        zeros = zip(actuators, columns, datum.tolist(), strict=True)
+        ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in zeros])
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
         if isinstance(model, Stage):
             several = StageCompensator(model, limits=bounds, slew_rate=rates, states=states)
@@ -109,11 +146,11 @@ class PathPlanner:
             pairs = zip(model.axes, commands, strict=True)
             remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
             voltage = np.column_stack([one.voltage for one in commands])
-            return self._run("compensated", wanted, voltage, place, remarks)
+            return self._run("compensated", wanted, voltage, place, thermal, seen, remarks)
         one = Compensator(model, bounds[0], rates[0])
         present = float(self.homing.voltage[-1])
         followed = one.trajectory(ahead[:, 0], time=time, state=states[0], present=present)
-        return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
+        return self._run("compensated", wanted, followed.voltage[:, None], place, thermal, seen, followed.warnings)
 
     @property
     def _legs(self) -> list[int]:
@@ -125,10 +162,11 @@ class PathPlanner:
     ) -> tuple[_Place, Array, tuple[State, ...], Array]:
         """Return the place of the path, and the readings [m], states and sensor zeros [m] after the next homing.
 
-        The zeros come from the last record.
+        All are at the reference temperature. The zeros come from the last record.
         """
         stage = model if isinstance(model, Stage) else Stage((model,))
-        time, voltage, displacement = _joined(before)
+        cold = [model.at_reference(record) for record in before] if isinstance(model, Actuator) else before
+        time, voltage, displacement = _joined(cold)
         starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
         played = stage.simulate(voltage, time=time, states=starts, extrapolate=True)
         late = (len(TURNS) - 1) * self.leg if len(stage.axes) == 1 else len(before[-1]) // 2
@@ -165,14 +203,31 @@ class PathPlanner:
         return np.vstack([np.column_stack(way)[1:], path[1:]])
 
     def _run(
-        self, name: str, wanted: Array, voltage: Array, place: _Place, warnings: tuple[str, ...] = ()
+        self,
+        name: str,
+        wanted: Array,
+        voltage: Array,
+        place: _Place,
+        thermal: Thermal,
+        seen: SeenTemperature,
+        warnings: tuple[str, ...] = (),
     ) -> PlannedRun:
+        """Return the run, with what is `wanted` at the reference temperature shown at the one that was `seen` last."""
         home, one = self.homing, self.homing.voltage.ndim == 1
-        stroke = float(place.stroke[0]) if one else place.stroke
+        wanted = np.column_stack([thermal.warmed(column, seen.last) for column in wanted.T])
+        strokes = place.stroke * thermal.scale(seen.last, 1)[0]
+        stroke = float(strokes[0]) if one else strokes
         shape = (-1,) if one else (-1, len(self.limits))
         excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
         shown = np.concatenate([np.full(home.voltage.shape, np.nan), wanted.reshape(shape)])
         return PlannedRun(shown, len(home) + self.leg - 1, excitation, stroke, warnings)
+
+
+def _warmth(model: Actuator | Stage | None, records: Sequence[Record]) -> tuple[Thermal, SeenTemperature]:
+    """Return how temperature moves an actuator, and the temperature after the records; none has an effect of 0."""
+    thermal = model.thermal if isinstance(model, Actuator) else None
+    seen = SeenTemperature.of(records[-1]) if thermal and records else None
+    return thermal or Thermal(0.0), seen or SeenTemperature((thermal or Thermal(0.0)).reference)
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:

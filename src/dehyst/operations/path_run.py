@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,11 +15,11 @@ from dehyst.adaptation import AdaptiveCompensator
 from dehyst.calibration.path_run import PathRun, Repetition
 from dehyst.calibration.plan import even_rate
 from dehyst.instruments import open_rig
-from dehyst.model import Actuator
+from dehyst.model import Actuator, promised
 from dehyst.operations.axes import is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
-from dehyst.operations.paths import PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
+from dehyst.operations.paths import Zero, promise_lines, reach_remarks, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, largest, rms
 from dehyst.records.files import demand_text
@@ -102,9 +103,12 @@ def run_path(
             run.note(remark)
         # Before the homing nobody knows the temperature that a rig measures; it is known along the path.
         measured = any("temp" in name for name in instrument.others)
-        warmth = PathTemperature(actuator.thermal.reference if actuator.thermal and measured else None)
-        judged = judge_planned(actuator, follower.planned(), temperature=warmth.values)
-        promise = {"judgement": judged.as_dict(), "promise": promise_lines(actuator, judged, warmth)}
+        warmth = actuator.thermal.reference if actuator.thermal and measured else None
+        planned = follower.planned()
+        times = None if planned.time is None else planned.time[planned.first :]
+        found, untested = promised(actuator, planned.voltage[planned.first :], times, warmth)
+        judged = judge_planned(actuator, replace(planned, promise=found))
+        promise = {"judgement": judged.as_dict(), "promise": [*promise_lines(actuator, judged), *untested]}
         run.known = promise
         for line in promise["promise"]:
             run.say(line)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dehyst.workbench.data import RequestError
+from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import AXES, FORMS, PLAIN, QUANTITIES
-
-if TYPE_CHECKING:
-    from dehyst.workbench.session import RecordEntry
 
 _AXIS = re.compile(r"[A-Za-z]\w*")
 _COUPLED = "There are {} voltages with displacements, perhaps of coupled axes: check the pairs."

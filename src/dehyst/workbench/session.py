@@ -9,17 +9,17 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import finite, write_json
 from dehyst._version import __version__
-from dehyst.model import Actuator, Stage
 from dehyst.operations.files import Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.data import voltage_columns, written_path
+from dehyst.workbench.data import written_path
+from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import exports, in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
@@ -34,239 +34,12 @@ _NO_RECORD = (
     "this is a model, and the page shows those that it identified: drop the record that it was identified from, or use "
     "the model in a terminal (dehyst check, dehyst compensate)"
 )
-_MICRO = 1e6
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
 
 
 class SessionError(DehystError, ValueError):
     """A request that the session cannot fulfil."""
-
-
-@dataclass
-class RecordEntry:
-    """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
-
-    `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `options`: options with
-    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes. `trains`:
-    whether the page suggests it for training.
-    """
-
-    id: str
-    name: str
-    source: str
-    file: str = ""
-    status: str = "reading"
-    error: str | None = None
-    hint: dict[str, Any] | None = None
-    file_columns: list[dict[str, Any]] = field(default_factory=list)
-    options: dict[str, Any] = field(default_factory=dict)
-    axes: list[str] = field(default_factory=list)
-    samples: int = 0
-    seconds: float = 0.0
-    rate_hz: float = 0.0
-    voltage: list[float] = field(default_factory=list)
-    displacement_um: list[float] = field(default_factory=list)
-    noise_nm: float = 0.0
-    others: dict[str, list[float]] = field(default_factory=dict)
-    words: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    usable: bool = True
-    trains: bool = True
-
-    @property
-    def reading(self) -> dict[str, str]:
-        """Columns with which operations read its `file`."""
-        pairs = (f"{axis}=v{axis}_V:{axis}_m" for axis in self.axes)
-        return {"columns": ", ".join(pairs)} if self.axes else {}
-
-    def fill(self, result: Mapping[str, Any]) -> None:
-        """Fill in the result of `show`."""
-        parts = list(result.values()) if "samples" not in result else [result]
-        first = parts[0]
-        self.axes = list(result) if "samples" not in result else []
-        self.status, self.words, self.problems = "ready", [], []
-        self.usable = all(one["usable"] for one in parts)
-        self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
-        self.rate_hz, self.noise_nm = float(first["sample_rate_Hz"]), max(float(one["noise_nm"]) for one in parts)
-        self.others = dict(first["others"])
-        for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
-            setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
-        for axis, one in zip(self.axes or [""], parts, strict=True):
-            scales = {name: f", {scale}" for name, scale in one["scales"].items()}
-            prefix = f"{axis}: " if axis else ""
-            self.words += [
-                f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
-            ]
-            self.problems += [in_page(f"{prefix}{words}") for words in one["problems"]]
-
-
-@dataclass
-class ModelEntry:
-    """A model: its records, and its results.
-
-    `rig`: instrument of a calibrated model, which has no records in the list and no `seconds`. `origin`: a sentence on
-    where another model comes from that was not identified here. `check`: the last check by a new record. `table`: one
-    entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for each of several coupled
-    axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and its verdict is the
-    verdict of the worst axis. `coupling`: the matrix, whether it describes the coupling completely, and each verdict.
-    """
-
-    id: str
-    name: str
-    file: str
-    train: list[str] = field(default_factory=list)
-    validate: list[str] = field(default_factory=list)
-    rig: str = ""
-    report: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    status: str = "identifying"
-    progress: str = ""
-    seconds: float | None = 0.0
-    provisional: bool = False
-    early: bool = False
-    error: str | None = None
-    verdict: dict[str, Any] | None = None
-    summary: list[str] = field(default_factory=list)
-    table: list[dict[str, Any]] = field(default_factory=list)
-    axes: list[dict[str, Any]] = field(default_factory=list)
-    coupling: dict[str, Any] | None = None
-    range_v: list[float] = field(default_factory=list)
-    range_um: list[float] = field(default_factory=list)
-    slew_v_per_s: float | None = None
-    band_percent: float | None = None
-    insight: dict[str, Any] | None = None
-    origin: str = ""
-    check: dict[str, Any] | None = None
-
-    @property
-    def fit(self) -> str:
-        """The file of the fit's numbers."""
-        return self.file.removesuffix(".json") + ".fit.json"
-
-    @property
-    def traces(self) -> str:
-        """The file of its traces."""
-        return self.file.removesuffix(".json") + ".npz"
-
-    def fill(self, finished: Finished) -> None:
-        """Fill in the result of `identify`, or why there is no model."""
-        fit = finished.result
-        if fit is None:
-            stopped = self.early or finished.stopped
-            self.status = "cancelled" if stopped else "failed"
-            self.error = "it was ended before there was a model" if stopped else in_page(finished.words)
-            return
-        several = "fits" in fit
-        fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
-        if any(one.get("verdict") is None for one in fits.values()):
-            self.status, self.error = "failed", str(fit[sentence])
-            return
-        verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
-        remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
-        remarks = [in_page(one) for one in remarks]
-        verdict = max(verdicts.values(), key=lambda one: one["largest_percent"])
-        self.status, self.error = "ready", None
-        self.verdict = {**verdict, "remarks": remarks}
-        if several:
-            self.coupling = {"matrix": fit["coupling"], "is_matrix": fit["is_matrix"], "verdicts": verdicts}
-            self.verdict["remarks"] = [*map(in_page, fit["remarks"]), *remarks]
-            self.verdict["why"] = [fit["verdict"]]
-            if not fit["good"]:
-                self.verdict["readiness"] = "NOT_USABLE"
-        self.band_percent = verdict["largest_percent"]
-        names = ("record", "role", "samples", "left_out", "largest_percent", "rms_percent")
-        self.table = [{name: error[name] for name in names} for own in fits.values() for error in own["errors"]]
-        self.summary = [fit[sentence], *(one for own in fits.values() for one in own["repairs"])]
-
-    def fill_ranges(self, file: Path) -> None:
-        """Fill in voltages [V] and speed [V/s] that a model is known for, and the displacements [um] it reaches."""
-        several = is_model(file, "dehyst-stage")
-        stage = Stage.load(file) if several else None
-        actuators = (Actuator.load(file),) if stage is None else stage.actuators
-        each: list[dict[str, Any]] = [
-            {
-                "name": axis,
-                "range_v": list(one.voltage_range),
-                "range_um": [end * _MICRO for end in one.reach],
-                "slew_v_per_s": one.recorded_slew_rate,
-            }
-            for axis, one in zip(("",) if stage is None else stage.axes, actuators, strict=True)
-        ]
-        self.axes = each if several else []
-        for name in ("range_v", "range_um"):
-            setattr(self, name, [min(one[name][0] for one in each), max(one[name][1] for one in each)])
-        self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
-
-
-def _measured(
-    model: ModelEntry, errors: Sequence[float], stroke: float, basis: str, why: Sequence[str]
-) -> dict[str, Any]:
-    """Return a verdict by largest and RMS errors [% of the stroke [m]] that were measured, with a model's goal."""
-    largest, rms = errors
-    goal = model.verdict["goal"] if model.verdict else 1.0
-    return {
-        "readiness": "READY" if largest <= goal else "USABLE",
-        "sentence": "",
-        "largest_percent": largest,
-        "rms_percent": rms,
-        "basis": basis,
-        "largest_um": largest / 100 * stroke * _MICRO,
-        "goal": goal,
-        "why": list(why),
-    }
-
-
-def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a verdict."""
-    return {
-        **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
-        "largest_um": verdict["largest_m"] * _MICRO,
-        "goal": verdict["goal_percent"],
-        "why": [in_page(one) for one in verdict["reasons"]],
-    }
-
-
-@dataclass
-class VoltageEntry:
-    """A voltage that follows a path with a model, and remarks on it in `words`.
-
-    `largest_um`: the largest error to expect of each axis, None if it is not known. `path`: the file of the path.
-    `columns`: the option with which its displacements are read.
-    """
-
-    id: str
-    name: str
-    file: str
-    model: str
-    axes: list[str] = field(default_factory=list)
-    samples: int = 0
-    seconds: float = 0.0
-    range_v: list[float] = field(default_factory=list)
-    clamped: int = 0
-    largest_um: list[float | None] = field(default_factory=list)
-    words: list[str] = field(default_factory=list)
-    path: str = ""
-    columns: str = ""
-
-    def fill(self, result: Mapping[str, Any], file: Path) -> None:
-        """Fill in the result of `compensate`."""
-        several = isinstance(result["lowest_V"], Mapping)
-
-        def each(name: str) -> list[Any]:
-            return list(result[name].values()) if several else [result[name]]
-
-        self.axes = list(result["lowest_V"]) if several else []
-        self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
-        errors = [one["largest_m"] for one in each("judgement")]
-        self.largest_um = [None if one is None else one * _MICRO for one in errors]
-        untested = [words for one in each("judgement") for words in one["untested"]]
-        self.words = [in_page(str(one)) for one in (*result["warnings"], *untested)]
-        if max(each("homing_samples")):
-            seconds = max(one or 0.0 for one in each("homing_s"))
-            self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
-        time_ = voltage_columns(file, self.axes[0] if several else "")[0]
-        self.samples, self.seconds = time_.size, float(time_[-1] - time_[0]) if time_.size else 0.0
 
 
 class WorkbenchSession:
@@ -449,7 +222,7 @@ class WorkbenchSession:
             raise SessionError(f"{before}: its model is no longer listed")
         *_, last = cycles
         errors = last["largest_percent"], last["rms_percent"]
-        verdict = _measured(model, errors, last["stroke_m"], "the last repetition of a path on the rig", [])
+        verdict = model.measured(errors, last["stroke_m"], "the last repetition of a path on the rig")
         return self._derive(model, file, f"Adapted in {len(cycles)} repetitions of a path.", {"": verdict})
 
     def _derive(self, model: ModelEntry, file: str, origin: str, verdicts: Mapping[str, dict[str, Any]]) -> ModelEntry:
@@ -538,7 +311,7 @@ class WorkbenchSession:
                 raise SessionError("; ".join(one["sentence"] for one in parts.values()))
             basis = "parts of the record that were held out"
             verdicts = {
-                axis: _measured(model, one["held_out_percent"], one["stroke_m"], basis, one["sentences"])
+                axis: model.measured(one["held_out_percent"], one["stroke_m"], basis, one["sentences"])
                 for axis, one in parts.items()
             }
             self._derive(model, file, f"Updated from {record.name}.", verdicts)

@@ -125,7 +125,11 @@ class Prepared:
         """The record as means of `block` samples: the same motion, and less noise."""
         if self.block == 1:
             return self
-        lead = None if self.lead is None else block_means(self.lead, min(self.block, max(len(self.lead) // 2, 1)))
+        lead = self.lead
+        if lead is not None:
+            size = min(self.block, max(len(lead) // 2, 1))
+            # Its last mean ends where the record begins.
+            lead = block_means(lead.slice(len(lead) % size, None), size)
         pieces = tuple(block_means(piece, self.block) for piece in self.pieces)
         record = block_means(self.record, self.block)
         samples = self.samples // self.block
@@ -173,7 +177,9 @@ class Prepared:
     def _with_lead(self) -> tuple[Array, Array]:
         """Time and displacement, from the lead on if the record continues it."""
         lead, record = self.lead, self.record
-        follows = lead is not None and lead.time[-1] < record.time[0] <= lead.time[-1] + 1.5 * lead.sample_time
+        follows = lead is not None and (
+            0 < record.time[0] - lead.time[-1] <= 0.75 * (lead.sample_time + record.sample_time)
+        )
         parts = [lead, record] if lead is not None and follows else [record]
         return np.concatenate([one.time for one in parts]), np.concatenate([one.displacement for one in parts])
 
