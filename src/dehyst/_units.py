@@ -86,22 +86,25 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
 
     `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default the
     unit of the name in `UNITS`. Raise `error` if a unit cannot be converted, no unit is known for the name, or a value
-    is masked.
+    is masked or complex.
     """
     kind = type(values)
-    if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind != "O"):
+    if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind not in "Oc"):
         return values
     unit = UNITS.get(what) if unit is None else unit
     if isinstance(values, list | tuple):
         plain_already = _PLAIN.issuperset(map(type, values))
         return values if plain_already else [plain(value, what, unit, error=error) for value in values]
     _refuse_masked(values, what, error)
+    stored = getattr(getattr(values, "dtype", None), "kind", "")
+    if stored == "c":
+        raise error(argument=what, got="complex numbers", need="real ones", hint="give their real part, or magnitude")
     # What has units is the object or what it wraps, but not the memory of an array, which is called `data` too.
     inner = None if isinstance(values, np.ndarray) else getattr(values, "data", None)
     for candidate in (inner, values):
         if _unit_of(candidate):
             return _converted(candidate, what, unit, error)
-    if getattr(getattr(values, "dtype", None), "kind", "") == "O":
+    if stored == "O":
         objects = np.asarray(values)
         return plain(objects.tolist(), what, unit, error=error) if objects.ndim else values
     return values
