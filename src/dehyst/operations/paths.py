@@ -165,12 +165,10 @@ class PathTemperature:
 
 def promise_lines(actuator: Actuator, judged: Judgement, temperature: PathTemperature) -> list[str]:
     """Return lines on the promised error of a path, if it is known, and on what the records do not test."""
-    known = actuator.identification
-    if known is None or known.validity is None:
-        _, sentence = temperature.cost(actuator)
-        return [*judged.lines(float(np.ptp(actuator.reach))), *([sentence] if sentence else [])]
-    # Limits of the file may be wider than what was recorded.
-    return judged.lines(known.validity.stroke)
+    lines, known = judged.lines(actuator.stroke), actuator.identification
+    _, sentence = temperature.cost(actuator)
+    # A promise of records names the temperature itself.
+    return [*lines, sentence] if sentence and (known is None or known.validity is None) else lines
 
 
 def zero_of_path(
