@@ -41,13 +41,13 @@ COUNTS = {
     "m": {"m": 1.0, "mm": 1e3, "um": 1e6, "µm": 1e6, "μm": 1e6, "nm": 1e9, "pm": 1e12},
     "s": {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9, "min": 1 / 60},
     "V": {"V": 1.0, "mV": 1e3, "kV": 1e-3},
-    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0, "degF": 1.8, "°F": 1.8, "F": 1.8},
     "N": {"N": 1.0, "mN": 1e3, "uN": 1e6, "µN": 1e6, "μN": 1e6, "kN": 1e-3},
 }
 # Temperatures of a laboratory [degC].
 COLDEST, HOTTEST = -273.15, 1000.0
-_ZEROS = {"K": 273.15}
-# The quantities and their units: SI units (degrees Celsius) in one of each.
+_ZEROS = {"K": 273.15, "degF": 32.0, "°F": 32.0, "F": 32.0}
+# The quantities and their units: SI units (degC) in one of each.
 SI = {"time": "s", "voltage": "V", "displacement": "m", "temperature": "degC", "load": "N"}
 FACTORS = {quantity: {unit: 1 / count for unit, count in COUNTS[si].items()} for quantity, si in SI.items()}
 # The words for the units, in lower case; a symbol counts more.
@@ -69,6 +69,7 @@ _WORDS = {
         "pm": "picometer picometers picometre picometres",
         "degC": "celsius centigrade degc",
         "K": "kelvin",
+        "degF": "fahrenheit degf",
         "N": "newton newtons",
         "mN": "millinewton millinewtons",
     }.items()
@@ -85,22 +86,25 @@ def plain(values: Any, what: str, unit: str | None = None, *, error: type[Dehyst
 
     `values`: a number, an array, a list. `what`: its name in messages. `unit`: the unit to convert to; by default the
     unit of the name in `UNITS`. Raise `error` if a unit cannot be converted, no unit is known for the name, or a value
-    is masked.
+    is masked or complex.
     """
     kind = type(values)
-    if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind != "O"):
+    if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind not in "Oc"):
         return values
     unit = UNITS.get(what) if unit is None else unit
     if isinstance(values, list | tuple):
         plain_already = _PLAIN.issuperset(map(type, values))
         return values if plain_already else [plain(value, what, unit, error=error) for value in values]
     _refuse_masked(values, what, error)
+    stored = getattr(getattr(values, "dtype", None), "kind", "")
+    if stored == "c":
+        raise error(argument=what, got="complex numbers", need="real ones", hint="give their real part, or magnitude")
     # What has units is the object or what it wraps, but not the memory of an array, which is called `data` too.
     inner = None if isinstance(values, np.ndarray) else getattr(values, "data", None)
     for candidate in (inner, values):
         if _unit_of(candidate):
             return _converted(candidate, what, unit, error)
-    if getattr(getattr(values, "dtype", None), "kind", "") == "O":
+    if stored == "O":
         objects = np.asarray(values)
         return plain(objects.tolist(), what, unit, error=error) if objects.ndim else values
     return values
@@ -131,11 +135,11 @@ def quantity_of(unit: str) -> str:
 
 
 def in_si(values: Any, unit: str) -> Any:
-    """Convert values from a unit symbol of `COUNTS` to SI units, or to degrees Celsius."""
-    factor = next(known[unit] for known in FACTORS.values() if unit in known)
+    """Convert values from a unit symbol of `COUNTS` to SI units, or to degC."""
+    count = next(known[unit] for known in COUNTS.values() if unit in known)
+    above = values - _ZEROS[unit] if unit in _ZEROS else values
     # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-    scaled = values * factor if factor >= 1 else values / round(1 / factor)
-    return scaled - _ZEROS[unit] if unit in _ZEROS else scaled
+    return above / count if count > 1 else above * (1 / count)
 
 
 def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:

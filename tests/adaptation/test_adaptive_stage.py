@@ -1,10 +1,12 @@
 """Coupled axes that learn: each from what its own actuator has moved."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ageing_plant import PERIOD, PLANT, STROKE, TURNS, aged, cycle
 
-from dehyst import ModelError, Stage, StageCompensator
+from dehyst import ModelError, Stage, StageCompensator, Thermal
 from dehyst.adaptation import AdaptiveStageCompensator
 
 COUPLING = np.array([[1.0, 0.08], [-0.05, 1.0]])
@@ -72,3 +74,26 @@ def test_its_memory_is_kept_and_a_wrong_one_refused():
         again.restore(loop.snapshot()[:1])
     with pytest.raises(ModelError, match="one an axis"):
         again.step([1e-6, 1e-6], [1e-6])
+
+
+def test_axes_learn_what_their_actuators_move_at_the_reference_temperature():
+    """The same ageing as at the reference, though each axis moves less and its sensor shifts."""
+    thermals, degrees = (Thermal(-4e-3, 2e-8, 20.0), Thermal(-2e-3, 0.0, 22.0)), np.array([35.0, 30.0])
+    warm = replace(STAGE, actuators=tuple(replace(PLANT, thermal=one) for one in thermals))
+    scales = [one.scale(float(now), 1) for one, now in zip(thermals, degrees, strict=True)]
+    gains, offsets = (np.array([float(scale[part][0]) for scale in scales]) for part in (0, 1))
+    options = {"memory": 3.0, "zero_drifts": False}
+    loops = [loop_of(AdaptiveStageCompensator, one, **options) for one in (STAGE, warm)]
+    states, y = [START, START], np.full(2, np.nan)
+    for k in range(12):
+        for wanted in np.column_stack([cycle(k), cycle(k + 100)]):
+            cold = loops[0].step(COUPLING @ wanted, COUPLING @ y)
+            hot = loops[1].step(COUPLING @ (offsets + gains * wanted), COUPLING @ (offsets + gains * y), degrees)
+            np.testing.assert_allclose(hot, cold, rtol=0, atol=1e-6)
+            for j, voltage in enumerate(cold.tolist()):
+                motion = aged(min(1.0, k / 6)).simulate([voltage], state=states[j])
+                states[j], y[j] = motion.state, motion.displacement[0]
+    for one, other in zip(*(loop.axes for loop in loops), strict=True):
+        assert any(exchange.used for exchange in one.log)
+        assert [exchange.used for exchange in one.log] == [exchange.used for exchange in other.log]
+    assert [axis.actuator.thermal for axis in loops[1].axes] == list(thermals)

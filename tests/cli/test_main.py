@@ -61,7 +61,7 @@ def test_compensate_then_simulate_gives_the_path_back(folder):
     assert voltage.names == ("time_s", "displacement_um", "voltage_V", "expected_um")
     back = ("-o", "back.csv", "--start", "top", "--json")
     status, out, _ = run("simulate", "model.json", "voltage.csv", *back, cwd=folder)
-    assert (status, json.loads(out)["warnings"]) == (0, [])
+    assert status == 0 and all("V/s" in sentence for sentence in json.loads(out)["warnings"])
     back = read_table(folder / "back.csv").column("displacement", "expected_um")
     wanted = read_table(folder / "path.csv").column("displacement")
     # Both files are rounded: the voltages, then the displacements.

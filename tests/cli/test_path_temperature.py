@@ -9,6 +9,7 @@ import pytest
 from command_line import run
 
 import dehyst
+from dehyst.control import PossibleStart, plan_path
 from dehyst.model import Identification, Validity
 from dehyst.records import read_table, write_columns
 
@@ -17,6 +18,7 @@ THERMAL = dehyst.Thermal(-2.5e-3, 4e-9, 30.0)
 TIME = np.arange(300) * 0.01
 PATH = 6 - 3 * np.cos(2 * np.pi * 0.5 * TIME)
 DEGREES = np.linspace(20, 40, TIME.size)
+COUPLING = np.array([[1.0, 0.05], [-0.04, 1.0]])
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,11 @@ def folder(tmp_path_factory):
     known = Identification(largest_error=3e-8, validity=Validity.by_records([(TIME, volts)], **numbers))
     replace(COLD, thermal=THERMAL, identification=known).save(target / "model.json")
     COLD.save(target / "cold.json")
+    other = replace(COLD, thermal=dehyst.Thermal(1e-3, 0.0, 25.0))
+    dehyst.Stage((dehyst.Actuator.load(target / "model.json"), other), COUPLING, ("x", "y")).save(target / "stage.json")
+    dehyst.Stage((COLD, COLD), COUPLING, ("x", "y")).save(target / "cold_stage.json")
+    both = {"time_s": TIME, "x_um": PATH, "y_um": PATH[::-1]}
+    write_columns(target / "warm_axes.csv", both | {"temperature_F": 32 + 1.8 * DEGREES})
     columns = {"time_s": TIME, "displacement_um": PATH}
     write_columns(target / "path.csv", columns)
     write_columns(target / "warm.csv", columns | {"temperature_K": DEGREES + 273.15})
@@ -69,7 +76,7 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
         judged = found["judgement"]
         assert judged["parts"]["temperature_m"] == pytest.approx(cost)
         assert judged["largest_m"] > tested["judgement"]["largest_m"] + 0.9 * cost
-        assert any("degrees Celsius" in sentence for sentence in judged["untested"])
+        assert any("degC" in sentence for sentence in judged["untested"])
     _, out, _ = run("simulate", "model.json", "out.csv", "--temperature", "50", "--json", "-o", "x.csv", cwd=folder)
     assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
 
@@ -82,6 +89,8 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
         (("model.json", "two.csv", "--columns", "temperature=stage_C", "--temperature", "30"), "leave one out"),
         (("model.json", "hole.csv"), "temperature"),
         (("model.json", "path.csv", "--temperature", "450"), "positive factor"),
+        (("stage.json", "warm_axes.csv", "--temperature", "450"), "positive factor"),
+        (("cold_stage.json", "warm_axes.csv", "--temperature", "30"), "not depend on temperature"),
     ],
 )
 def test_impossible_temperatures_are_refused(folder, words, said):
@@ -95,3 +104,37 @@ def test_a_model_without_the_part_ignores_the_column(folder):
     _, warm = follow(folder, "cold.json", "warm.csv")
     _, plain = follow(folder, "cold.json", "path.csv")
     np.testing.assert_array_equal(warm.column("voltage"), plain.column("voltage"))
+
+
+def test_a_column_is_used_by_all_of_several_axes(folder):
+    """The path comes out again, whose rows are those of each actuator at its temperature."""
+    result, table = follow(folder, "stage.json", "warm_axes.csv")
+    assert not any(result["clamped"].values())
+    assert not any("temperature" in sentence for sentence in result["warnings"] if sentence.startswith("x: "))
+    written = {one.name: one.data for one in table.columns}
+    after = slice(len(table.columns[0].data) - TIME.size, None)
+    np.testing.assert_allclose(written["temperature_C"][after], DEGREES, atol=1e-9)
+    stage = dehyst.Stage.load(folder / "stage.json")
+    states = [one.turned(float(one.spring.displacement[0]), rising=False) for one in stage.actuators]
+    volts = np.column_stack([written["vx_V"], written["vy_V"]])
+    moved = 1e6 * stage.simulate(volts, temperature=written["temperature_C"], states=states).displacement
+    np.testing.assert_allclose(moved[after], np.column_stack([PATH, PATH[::-1]]), atol=1e-6)
+    assert run("simulate", "stage.json", "out.csv", "--start", "bottom", "-o", "axes.csv", cwd=folder)[0] == 0
+    back = {one.name: one.data for one in read_table(folder / "axes.csv").columns}
+    np.testing.assert_allclose(back["x_expected_um"][after], PATH, atol=1e-6)
+    constant, _ = follow(folder, "stage.json", "warm_axes.csv", "--columns", "x=x_um, y=y_um", "--temperature", "50")
+    assert constant["judgement"]["x"]["parts"]["temperature_m"] > 0
+    assert any("50 degC" in sentence for sentence in constant["warnings"])
+
+
+def test_a_planned_path_warns_as_the_command_does(folder):
+    """Of speeds and temperatures that the records do not have, where the command says so."""
+    actuator = replace(dehyst.Actuator.load(folder / "model.json"), recorded_slew_rate=50.0)
+    actuator.save(folder / "fast.json")
+    result, _ = follow(folder, "fast.json", "path.csv", "--temperature", "50", "--slew-rate", "none")
+    start = PossibleStart.named(actuator, "bottom")
+    planned = plan_path(dehyst.Compensator(actuator, units="um"), PATH, time=TIME, temperature=50.0, start=start)
+    assert any("50 degC" in one for one in planned.warnings)
+    assert any("times the speed of the model's records" in one for one in planned.warnings)
+    assert set(planned.warnings) <= set(result["warnings"])
+    assert set(planned.promise.untested) <= set(planned.warnings)

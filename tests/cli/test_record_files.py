@@ -93,7 +93,7 @@ def test_show_lists_further_channels(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rows = "".join(f"{k / 10},{50 - 50 * math.cos(k / 10)},{k % 9},{20 + k / 100},{k}\n" for k in range(200))
     Path("a.csv").write_text("time_s,voltage_V,displacement_um,temperature_C,spare_N\n" + rows)
-    assert "temperature:  'temperature_C'    20 to 21.99 °C\n" in run("show", "a.csv").stdout
+    assert "temperature:  'temperature_C'    20 to 21.99 degC\n" in run("show", "a.csv").stdout
     assert json.loads(run("show", "a.csv", "--json").stdout)["others"] == {"temperature_C": [20.0, 21.99]}
     assert "temperature" not in run("show", "a.csv", "--columns", "time:s,voltage:V,displacement:um,-,-").stdout
 

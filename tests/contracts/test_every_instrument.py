@@ -4,10 +4,13 @@ from contextlib import contextmanager
 
 import epics_on_ioc
 import fake_nidaqmx
+import numpy as np
+import nv200_on_emulator
 import pi_on_emulator
 import pytest
 from fake_rig import FakeRig
 
+from dehyst.instruments import Samples
 from dehyst.instruments.nidaqmx import NiRig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.testing import RigCandidate, RigContract
@@ -31,6 +34,33 @@ def fake(longest=None, **options):
         yield rig, rig.instrument
 
 
+class BlockRig(FakeRig):
+    """A device of 20 kV/s that plays tables of 2048 samples, and gives each when it has been played."""
+
+    def _wave(self, voltage, rate):
+        lots = list(super()._wave(voltage, rate))
+        yield Samples(*(np.concatenate([lot[k] for lot in lots]) for k in range(3)))
+
+
+class SlowRig(FakeRig):
+    """A device of 40 V/s and at most 200 Hz."""
+
+    def nearest_rate(self, sample_rate):
+        return min(sample_rate, 200.0)
+
+
+@contextmanager
+def blocks(longest=None, **options):
+    with BlockRig((LOW, HIGH), device_slew=20e3, longest=2048, **options) as rig:
+        yield rig, rig.instrument
+
+
+@contextmanager
+def slow(**options):
+    with SlowRig((LOW, HIGH), device_slew=40.0, **options) as rig:
+        yield rig, rig.instrument
+
+
 @contextmanager
 def daq_card(**options):
     """Open a rig on a fake card in a time of its own."""
@@ -49,14 +79,20 @@ def daq_card(**options):
         yield rig, card
 
 
+# Mean slope [m/V] of the loop of the virtual actuators.
+GAIN = -float(np.diff(PlayActuator(highest=HIGH, noise=0.0).play(np.array([80.0, 0.0])))[0]) / 80.0
 RIGS = [
-    RigCandidate("fake", fake),
-    RigCandidate("simulated", simulated),
-    RigCandidate("National Instruments card, fake", daq_card),
+    RigCandidate("fake", fake, 1e-7),
+    RigCandidate("fake, fast and in blocks", blocks, 1e-7),
+    RigCandidate("fake, slow", slow, 1e-7),
+    RigCandidate("simulated", simulated, GAIN),
+    RigCandidate("National Instruments card, fake", daq_card, 1e-7),
     # Microvolts are sent.
-    RigCandidate("pi", pi_on_emulator.by_pipe, volts=1e-6),
-    RigCandidate("pi by tcp", pi_on_emulator.by_tcp, volts=1e-6),
-    RigCandidate("epics", epics_on_ioc.by_channel_access, real_time=True),
+    RigCandidate("pi", pi_on_emulator.by_pipe, GAIN, volts=1e-6),
+    RigCandidate("pi by tcp", pi_on_emulator.by_tcp, GAIN, volts=1e-6),
+    # Millivolts are recorded, and a busy host keeps the time.
+    RigCandidate("jena", nv200_on_emulator.by_library, GAIN, volts=1e-3, rate=2.0),
+    RigCandidate("epics", epics_on_ioc.by_channel_access, GAIN, real_time=True),
 ]
 
 
@@ -64,3 +100,20 @@ class TestEveryInstrument(RigContract):
     @pytest.fixture(params=RIGS, ids=lambda candidate: candidate.name)
     def candidate(self, request):
         return request.param
+
+
+@pytest.mark.parametrize("method", ["_read", "_wave"])
+@pytest.mark.parametrize("factor", [1e3, 1.1, -1.0])
+def test_a_wrong_displacement_is_noticed(method, factor):
+    def wrong(answer):
+        return answer._replace(displacement=factor * answer.displacement)
+
+    def bench():
+        rig = FakeRig((LOW, HIGH))
+        read, wave = rig._read, rig._wave
+        changed = {"_read": lambda: wrong(read()), "_wave": lambda *given: map(wrong, wave(*given))}
+        setattr(rig, method, changed[method])
+        return rig, rig.instrument
+
+    with pytest.raises(AssertionError):
+        RigContract().test_displacements_are_the_instruments(bench, RIGS[0])

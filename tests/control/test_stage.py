@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
-from dehyst.control import plan_path
+from dehyst.control import PossibleStart, plan_path, plan_voltage
 
 
 def actuator(scale=1.0, **options):
@@ -252,3 +252,60 @@ def test_a_refused_displacement_withdraws_the_voltage_on_offer():
         loop.offer(np.full(far.size, np.nan))
     loop.hold()
     assert [one.clamps for one in loop.compensators] == before
+
+
+THERMALS = dehyst.Thermal(-2.5e-3, 4e-9, 30.0), None, dehyst.Thermal(1.5e-3, 0.0, 20.0)
+
+
+def warm_stage():
+    cold = stage()
+    pairs = zip(cold.actuators, THERMALS, strict=True)
+    return replace(cold, actuators=tuple(replace(one, thermal=part) for one, part in pairs))
+
+
+@pytest.mark.parametrize("shape", [(), (300,), (300, 3)])
+def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
+    """Of steps, of a path in one call, and of a planned path, without clamped voltages and with them."""
+    rng = np.random.default_rng(3)
+    wanted, degrees, model = path(rng), rng.uniform(15.0, 45.0, shape), warm_stage()
+    command = model.compensate(wanted, temperature=degrees)
+    moved = model.simulate(command.voltage, temperature=degrees, extrapolate=True).displacement
+    assert np.abs(moved - wanted).max() < 1e-15
+    assert np.abs(model.simulate(command.voltage, extrapolate=True).displacement - wanted).max() > 1e-8
+    for limits in (None, [(-150.0, 35.0), None, None]):
+        loop = StageCompensator(model, limits=limits)
+        commands = loop.trajectory(wanted, temperature=degrees)
+        voltage = np.column_stack([one.voltage for one in commands])
+        reached = model.simulate(voltage, temperature=degrees, states=loop.states, extrapolate=True).displacement
+        np.testing.assert_allclose(np.column_stack([one.displacement for one in commands]), reached, atol=1e-13)
+        # Axes that are not clamped follow, whatever the temperature of the others.
+        assert np.abs(reached - wanted)[:, 1:].max() < 1e-13
+        assert (np.abs(reached - wanted)[:, 0].max() > 1e-7) == (limits is not None)
+        each = np.broadcast_to(degrees[:, None] if degrees.ndim == 1 else degrees, wanted.shape)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", dehyst.ClampWarning)
+            stepped = np.array([loop.step(y, now) for y, now in zip(wanted, each, strict=True)])
+        np.testing.assert_allclose(stepped, voltage, atol=1e-9)
+        np.testing.assert_allclose(loop.displacement, reached[-1], atol=1e-13)
+        starts = [PossibleStart("known", (state,)) for state in loop.clone().states]
+        planned = plan_path(loop, wanted, time=np.arange(300.0), temperature=degrees, start=starts)
+        after = np.column_stack([one.voltage for one in planned])
+        np.testing.assert_allclose(after, voltage, atol=1e-9)
+        seen = plan_voltage(loop, after, time=np.arange(300.0), temperature=degrees, start=starts)
+        for one, other in zip(planned, seen, strict=True):
+            np.testing.assert_allclose(one.expected, other.expected, atol=1e-13)
+            assert np.all(other.error.lowest <= other.error.highest)
+        assert [one.temperature.tolist() for one in planned] == each.T.tolist()
+
+
+def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
+    loop = StageCompensator(warm_stage())
+    loop.set_temperature(25.0)
+    before = [one.scaling for one in loop.compensators]
+    for wrong in ([20.0, 20.0], [20.0, 20.0, 900.0, 20.0], [25.0, 20.0, -900.0], np.nan):
+        with pytest.raises(dehyst.ModelError, match="temperature"):
+            loop.set_temperature(wrong)
+    assert [one.scaling for one in loop.compensators] == before
+    for refused in (StageCompensator(stage()).set_temperature, StageCompensator(stage()).trajectory):
+        with pytest.raises(dehyst.ModelError, match="temperature"):
+            refused(25.0) if refused.__name__ == "set_temperature" else refused(np.zeros((5, 3)), temperature=25.0)

@@ -12,7 +12,7 @@ import structured_records
 from click.testing import CliRunner
 from compiled_exports import need
 
-from dehyst import DisplacementCreep, FileFormatError, ModelError, Stage, StageCompensator, export
+from dehyst import DisplacementCreep, FileFormatError, ModelError, Stage, StageCompensator, Thermal, export
 from dehyst.cli import main
 from dehyst.exports import sizes
 from dehyst.exports.firmware import CONFIG, CORE, code
@@ -266,3 +266,49 @@ def test_creep_in_displacement_is_refused():
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
         code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))
+
+
+WARMING = r"""#include "stage.h"
+#include <stdio.h>
+
+int main(void)
+{
+    static stage body;
+    double wanted[2], degrees[2], volts[2], moved[2], hot[2] = {30.0, 1000.0};
+    if (stage_begin(&body) != DEHYST_OK) return 1;
+    while (scanf("%lf %lf %lf %lf", wanted, wanted + 1, degrees, degrees + 1) == 4) {
+        if (stage_temperature(&body, degrees) != DEHYST_OK) return 2;
+        stage_step(&body, wanted, volts);
+        stage_displacement(&body, moved);
+        printf("%a %a %a %a\n", volts[0], volts[1], moved[0], moved[1]);
+    }
+    if (stage_temperature(&body, hot) != DEHYST_ERR_SIGN) return 3;
+    return body.loop[0].gain == 1 - 0.004 * (degrees[0] - 24.7) ? 0 : 4;
+}
+"""
+
+
+def test_temperatures_give_the_bits_of_python(tmp_path):
+    need("gcc")
+    plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
+    thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
+    stage = Stage(tuple(plants), COUPLING[:2, :2])
+    warm = tuple(replace(one, thermal=part) for one, part in zip(plants, thermals, strict=True))
+    loop = StageCompensator(replace(stage, actuators=warm), limits=[(20.0, 180.0), (0.0, 150.0)])
+    cold = export(StageCompensator(stage, limits=loop.limits), tmp_path / "cold", measure=False).folder
+    assert "stage_temperature" not in (cold / "stage.h").read_text()
+    folder = export(loop, tmp_path / "c", measure=False).folder
+    (folder / "warming.c").write_text(WARMING)
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
+    subprocess.run(["gcc", *flags, "warming.c", "stage.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)
+    rng, reach = np.random.default_rng(5), np.array([one.reach for one in loop.compensators])
+    # Wide enough that each axis and both are clamped.
+    rows = np.column_stack([rng.uniform(*(reach.T * 1.1), (2000, 2)), rng.uniform(10, 60, (2000, 2))]).tolist()
+    given = "".join(f"{' '.join(map(repr, row))}\n" for row in rows)
+    done = subprocess.run([folder / "warming"], input=given, capture_output=True, text=True, check=True)
+    clamped = set()
+    for line, row in zip(done.stdout.splitlines(), rows, strict=True):
+        expected = [*loop.step(row[:2], row[2:]).tolist(), *loop.displacement.tolist()]
+        assert [float.fromhex(word) for word in line.split()] == expected
+        clamped.add(loop.clamped)
+    assert len(clamped) == 4

@@ -211,10 +211,20 @@ def test_a_reading_that_is_no_number_is_refused():
     assert rig.instrument.sent == [0.0]
 
 
+def dead(rig):
+    raise SensorError(f"{rig.name}: its sensor is dead")
+
+
 @pytest.mark.parametrize(
     "broken",
-    [lambda: Reading(0.0, 50.0, np.nan), lambda: Reading(0.0, np.nan, np.nan), lambda: 1 / 0, lambda: None],
-    ids=["no displacement", "nothing finite", "raises", "nothing"],
+    [
+        lambda rig: Reading(0.0, rig.instrument.voltage, np.nan),
+        lambda _: Reading(0.0, np.nan, np.nan),
+        lambda _: 1 / 0,
+        lambda _: None,
+        dead,
+    ],
+    ids=["no displacement", "nothing finite", "raises", "nothing", "dead"],
 )
 def test_a_retreat_needs_no_sensor(broken):
     rig, heard = FakeRig((0.0, 100.0)), []
@@ -222,7 +232,7 @@ def test_a_retreat_needs_no_sensor(broken):
     def listen(samples):
         heard.append(samples)
         if samples.voltage[-1] >= 50:
-            rig._read = broken
+            rig._read = lambda: broken(rig)
             raise ValueError("enough")
 
     with pytest.raises(ValueError, match="enough") as caught:
@@ -274,6 +284,31 @@ def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
     assert rig.done[-1] == "close"
     with pytest.raises(RigError, match="is closed"):
         rig.read()
+
+
+def test_an_output_that_is_read_away_from_what_was_sent_is_reported():
+    rig = FakeRig((0.0, 100.0))
+    sent = rig.instrument.put
+    rig._put = lambda voltage: sent(min(voltage + 30.0, 100.0))
+    with pytest.raises(DeviceError, match="its output is 30 V away from what was sent") as caught:
+        rig.set_voltage(40.0)
+    (note,) = caught.value.__notes__
+    assert not note.safe
+
+
+def test_a_readback_may_come_late():
+    rig = FakeRig((0.0, 100.0))
+    read = rig._read
+    # It shows what was put out half a second ago.
+    rig._read = lambda: read()._replace(voltage=rig.instrument.sent[-51] if len(rig.instrument.sent) > 51 else 0.0)
+    wait = rig._wait
+
+    def waiting(seconds):
+        rig.instrument.sent.append(rig.instrument.voltage)
+        wait(seconds)
+
+    rig._wait = waiting
+    assert rig.set_voltage(60.0) == 60.0
 
 
 def test_a_readback_with_an_error_may_be_beyond_the_limits():

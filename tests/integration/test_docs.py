@@ -9,9 +9,9 @@ import places
 import pytest
 from plugged_in import plugged_in, write_distribution
 
-from dehyst import FileFormatError, read
-from dehyst.instruments import open_rig
-from dehyst.testing import RigContract
+from dehyst import FileFormatError, VoltageLimits, read
+from dehyst.instruments import AbstractRig, Reading, Samples, open_rig
+from dehyst.testing import RigCandidate, RigContract
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
 
@@ -23,6 +23,37 @@ def write_volts(v): sent.append(v)
 def read_micrometres(): return 1e6 * float(truth.play(sent[-1:])[0])
 def disconnect(): sent.append(None)
 """
+
+
+class OnABench(AbstractRig):
+    """A rig whose link is a virtual bench."""
+
+    def __init__(self, bench, **options):
+        self.bench = bench
+        super().__init__("on a bench", VoltageLimits(*bench.axis.limits), **options)
+
+    def nearest_rate(self, sample_rate):
+        return 1 / (round(1 / sample_rate / self.bench.servo_period) * self.bench.servo_period)
+
+    def _read(self):
+        return Reading(self.bench.now, self.bench.axis.voltage, self.bench.axis.displacement())
+
+    def _put(self, voltage):
+        assert self.bench.axis.set_voltage(voltage)
+
+    def _wave(self, voltage, rate):
+        self.bench.start(voltage, round(1 / rate / self.bench.servo_period))
+        first = 0
+        while first < len(voltage):
+            self._wait(0.01)
+            yield (samples := Samples(*self.bench.samples(first)))
+            first += samples.time.size
+
+    def _halt(self):
+        self.bench.stop()
+
+    def _close(self):
+        pass
 
 
 def blocks(page):
@@ -80,11 +111,15 @@ def test_the_plug_ins_of_the_page_are_what_it_says(monkeypatch, tmp_path):
     page = (DOCS / "how_to/plugins.md").read_text()
     declared = re.search(r"```toml\n(.*?)```", page, re.DOTALL)[1]
     assert declared in (places.EXAMPLES / "plugin/pyproject.toml").read_text()
-    space = {"MyRig": lambda rest, **options: (rest, options), "open_on_an_emulator": None}
+    space = {"MyRig": lambda rest, **options: (rest, options), "MyEmulator": lambda bench: bench}
     for code in blocks("how_to/plugins.md"):
         exec(code, space)
     assert space["SCHEME"].open("host:1", {"limits": None}) == ("host:1", {"limits": None})
     assert issubclass(space["TestMyRig"], RigContract)
+    space["MyRig"] = OnABench
+    with space["open_on_an_emulator"](limits=(0, 100)) as (rig, axis):
+        candidate = RigCandidate("on a bench", space["open_on_an_emulator"], space["GAIN"])
+        RigContract().test_displacements_are_the_instruments(lambda: (rig, axis), candidate)
     code = next(block for block in blocks("how_to/plugins.md") if "def read" in block)
     groups = {"readers": ".bin = of_the_page:read"}
     write_distribution(tmp_path / "site", "of_the_page", groups, code)

@@ -325,6 +325,14 @@ def test_masked_values_are_refused(values):
             dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
 
 
+@pytest.mark.parametrize("values", [PATH + 0j, [*PATH[:-1], np.complex128(PATH[-1])], PATH * 1e6 * U.um + 0j * U.um])
+def test_complex_numbers_are_refused(values):
+    with pytest.raises(ModelError, match="displacement: got complex numbers"):
+        ACTUATOR.compensate(values)
+    with pytest.raises(RecordError, match="displacement: got complex numbers"):
+        dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
+
+
 def test_voltages_limits_and_times_are_converted():
     np.testing.assert_array_equal(ACTUATOR.simulate([0, 1500] * U.mV).voltage, [0, 1.5])
     made = Actuator(ACTUATOR.slip, ACTUATOR.spring, limits=[0, 3600] * U.mV, delay=2 * U.ms, lag=1 * U.ms)

@@ -54,7 +54,7 @@ def test_by_arrays():
     assert_all(Record.from_arrays(T, V, Y * 1e6, others=OTHERS))
     assert [one.role for one in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
     assert repr(RECORD).endswith("um, temperature, load, humidity>")
-    assert "20 to 21.19 °C" in RECORD._repr_html_()
+    assert "20 to 21.19 degC" in RECORD._repr_html_()
     assert Record(T, V, Y).others == ()
 
 
@@ -63,6 +63,8 @@ def test_by_arrays():
     [
         ("temperature_K", TEMPERATURE + 273.15, "temperature", TEMPERATURE),
         ("Temperature [degC]", TEMPERATURE, "Temperature", TEMPERATURE),
+        ("temperature_F", 32 + 1.8 * TEMPERATURE, "temperature", TEMPERATURE),
+        ("Room [°F]", 32 + 1.8 * TEMPERATURE, "Room", TEMPERATURE),
         ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
         ("Force_mN", LOAD * 1e3, "Force", LOAD),
         ("load_kN", LOAD / 1e3, "load", LOAD),

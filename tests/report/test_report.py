@@ -215,7 +215,7 @@ def test_a_failed_fit_needs_no_drawing():
 def test_a_model_that_depends_on_temperature_is_tried_at_its_reference():
     model = replace(actuator(), thermal=Thermal(3e-3, reference=21.5))
     page = Page(report.render(Fit(model, Outcome.IDENTIFIED, traces=(trace(model, samples=600),))))
-    assert ("section", "id", "path-trial") in page.attributes and "21.5 degrees Celsius" in page.words
+    assert ("section", "id", "path-trial") in page.attributes and "21.5 degC" in page.words
 
 
 def test_importing_it_does_not_load_matplotlib():

@@ -87,6 +87,7 @@ FACES = {
 DRIVERS = {
     "dehyst.instruments.bluesky_axis": ["CompensatedAxis", "homing"],
     "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
+    "dehyst.instruments.jena": ["JenaRig"],
     "dehyst.instruments.nidaqmx": ["NiRig"],
     "dehyst.instruments.pi": ["PiRig"],
 }

@@ -41,7 +41,7 @@ def test_a_path_is_judged_by_where_it_turns():
     path = np.linspace(0.2, 0.8, 50) * STROKE
     command = Compensator(model, (0.0, VOLTS)).trajectory(path)
     assert command.promise.largest == promise(known, command.voltage).largest
-    assert judge(model, voltage=command.voltage).largest == command.promise.largest
+    assert judge(model, promised=command.promise).largest == command.promise.largest
     assert Compensator(PLANT, (0.0, VOLTS)).trajectory(path).promise is None
 
 

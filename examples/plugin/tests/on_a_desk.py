@@ -66,7 +66,7 @@ def desk(longest=None, **options):
     """Yield the rig, connected to a device, and the instrument in it."""
     with Desk() as device:
         threading.Thread(target=device.serve_forever, args=(0.01,), daemon=True).start()
-        with LineRig(*device.server_address, **options) as rig:
+        with LineRig("{}:{}".format(*device.server_address), **options) as rig:
             rig._wait = device.instrument.wait
             rig.longest = longest or rig.longest
             yield rig, device.instrument

@@ -43,7 +43,7 @@ class TestWav(ReaderContract):
 class TestLineRig(RigContract):
     @pytest.fixture
     def candidate(self):
-        return RigCandidate("line", on_a_desk.desk)
+        return RigCandidate("line", on_a_desk.desk, gain=1e-7)
 
 
 @cache

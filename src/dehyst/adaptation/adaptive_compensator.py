@@ -206,23 +206,19 @@ class AdaptiveCompensator:
             measured = float(check.number(measured, "measured"))
         if temperature is not None:
             self.set_temperature(temperature)
-        if self._scaling:
-            gain, offset = self._scaling
-            measured = (measured - offset) / gain
-        sent = self._sent
-        if self._rate and sent:
-            wanted = wanted + self._corrected(sent[-1], measured)
+        if self._rate and self._sent:
+            wanted = wanted + self._corrected(self._sent[-1], self._at_reference(measured))
         voltage = self._compensator.step(wanted)
-        if self._scaling:
-            wanted = (wanted - offset) / gain
         self.took(wanted, voltage, measured)
         return voltage
 
     def took(self, wanted: float, voltage: float, measured: float) -> None:
         """Note a step that others took, and learn.
 
-        `wanted`, `measured`: as in `step`, at the reference temperature; `voltage`: sent [V].
+        `wanted`, `measured`: as in `step`; `voltage`: sent [V].
         """
+        if self._scaling is not None:
+            wanted, measured = self._at_reference(wanted), self._at_reference(measured)
         sent = self._sent
         self._steps += 1
         if len(sent) == sent.maxlen and not self._steps % self._stride:
@@ -232,12 +228,23 @@ class AdaptiveCompensator:
         sent.append((float(wanted), voltage))
 
     def set_temperature(self, temperature: float) -> None:
-        """Set the `temperature` [degrees Celsius] for all further steps and cycles.
+        """Set the `temperature` [degC] for all further steps and cycles.
 
         Raise `ModelError` as `Compensator.set_temperature`.
         """
         self._compensator.set_temperature(temperature)
-        self._scaling = self._compensator.scaling
+        self.rescale()
+
+    def rescale(self) -> None:
+        """Use the gain and offset that others set in the compensator for all further steps and cycles."""
+        self._scaling = None if self.actuator.thermal is None else self._compensator.scaling
+
+    def _at_reference(self, displacement: Any) -> Any:
+        """Return a displacement [m, or `units`] at the reference temperature."""
+        if self._scaling is None:
+            return displacement
+        gain, offset = self._scaling
+        return (displacement - offset) / gain
 
     def _corrected(self, last: tuple[float, float], measured: float) -> float:
         """Return the integral action's addition to the path; it pauses while a voltage is clamped."""
@@ -321,9 +328,7 @@ class AdaptiveCompensator:
         self._estimator.pause(pause, self._compensator.state.displacement - before)
         for one in columns[1].tolist():
             self._compensator.commit(one)
-        if self._scaling:
-            gain, offset = self._scaling
-            columns[0], columns[2] = ((one - offset) / gain for one in (columns[0], columns[2]))
+        columns[0], columns[2] = self._at_reference(columns[0]), self._at_reference(columns[2])
         late = (self._sent.maxlen or 1) - 1
         columns[2] = np.append(columns[2][late:], np.full(late, nan))
         self._steps += wanted
@@ -416,7 +421,7 @@ class AdaptiveCompensator:
         self._compensator.exchange(self._estimator.restore(learnt))
         self._compensator.restore(snapshot.loop)
         self._correction = float(learnt["correction"][0])
-        self._scaling = None if self.actuator.thermal is None else self._compensator.scaling
+        self.rescale()
         self._begin()
 
 

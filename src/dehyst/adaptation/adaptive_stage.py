@@ -70,10 +70,11 @@ class AdaptiveStageCompensator:
         )
         return f"<AdaptiveStageCompensator of '{self._compensator.stage.name}', {used}>"
 
-    def step(self, wanted: ArrayLike, measured: ArrayLike | None = None) -> Array:
+    def step(self, wanted: ArrayLike, measured: ArrayLike | None = None, temperature: ArrayLike | None = None) -> Array:
         """Return the voltages (axes,) [V] to send for a displacement `wanted` (axes,) [m] now, and commit them.
 
         `measured` (axes,) [m] is the displacement before this step; None, or NaN in any axis, if unknown.
+        `temperature`: as in `StageCompensator.step`.
 
         Raises
         ------
@@ -92,11 +93,19 @@ class AdaptiveStageCompensator:
             raise ModelError(argument="measured", got=repr(measured), need="a number for each axis") from error
         if len(reached) != count:
             raise ModelError(argument="measured", got=f"{len(reached)} values", need=f"{count}, one an axis")
+        if temperature is not None:
+            self.set_temperature(temperature)
         voltage = self._compensator.step(wanted)
         aims = vector(wanted, "wanted").tolist()
         for axis, row, value in zip(self.axes, self._table, voltage.tolist(), strict=True):
             axis.took(dot(row, aims), value, dot(row, reached))
         return voltage
+
+    def set_temperature(self, temperature: ArrayLike) -> None:
+        """Set the `temperature` for all further steps and cycles; as `StageCompensator.set_temperature`."""
+        self._compensator.set_temperature(temperature)
+        for axis in self.axes:
+            axis.rescale()
 
     @property
     def stage(self) -> Stage:

@@ -20,7 +20,7 @@ from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.control.planning.path import HOMING
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, promised
 from dehyst.records import Record
 from dehyst.trust import Judgement, judge_planned
 from dehyst.waveforms import Excitation, wanted_path
@@ -142,14 +142,13 @@ class PathRun:
 
     def judged(self) -> Judgement:
         """Judge the error of the next repetition: before the homing by the model, then by what the rig measured too."""
-        known = self._thermal is not None and (self._given is not None or self.measures_temperature)
-        return judge_planned(
-            self.actuator,
-            self._planned,
-            temperature=self._temperature(0.0) if known else None,
-            drift=self._unsure,
-            seen=self._off,
-        )
+        path = self._planned
+        known = self._given is not None if not self.measures_temperature else self._thermal is not None
+        warmth = self._temperature(0.0) if known else None
+        times = None if path.time is None else path.time[path.first :]
+        found, untested = promised(self.actuator, path.voltage[path.first :], times, warmth)
+        judged = judge_planned(self.actuator, replace(path, promise=found), drift=self._unsure, seen=self._off)
+        return judged if found else replace(judged, untested=untested)
 
     @cached_property
     def _planned(self) -> HomedPath:

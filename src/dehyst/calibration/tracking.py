@@ -26,7 +26,7 @@ _LAST, _SURE = 0.05, 3.0
 class SeenTemperature(NamedTuple):
     """The temperature that a rig measured along a record, which goes on as it drifted.
 
-    `last`: at its end [degrees Celsius]. `drift` [K/s]: 0 if it is within the noise. `seconds`: duration of the record,
+    `last`: at its end [degC]. `drift` [K/s]: 0 if it is within the noise. `seconds`: duration of the record,
     for which the drift goes on.
     """
 
@@ -47,7 +47,7 @@ class SeenTemperature(NamedTuple):
         return cls(float(np.mean(values[late] - drift * time[late])), drift, -float(time[0]))
 
     def after(self, seconds: ArrayLike) -> Array:
-        """Return the temperatures [degrees Celsius] to expect some `seconds` (n,) [s] after the record."""
+        """Return the temperatures [degC] to expect some `seconds` (n,) [s] after the record."""
         return np.asarray(self.last + self.drift * np.minimum(seconds, self.seconds))
 
 

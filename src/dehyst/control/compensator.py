@@ -141,7 +141,7 @@ class Compensator(ReadOnly):
     def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
 
-        `temperature` [degrees Celsius], for an actuator with the part `thermal`: it holds from this step until another
+        `temperature` [degC], for an actuator with the part `thermal`: it holds from this step until another
         temperature is given; before, the reference temperature holds. It sets `scaling`.
 
         Raises
@@ -262,7 +262,7 @@ class Compensator(ReadOnly):
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`; velocity in `units` / s, acceleration in `units` / s^2.
         temperature : float or (n,) array_like, optional
-            [degrees Celsius], with the part `thermal`; default: its reference.
+            [degC], with the part `thermal`; default: its reference.
         state : State, optional
             State of the actuator before the path; default: `self.state`.
         present : float, optional
@@ -479,7 +479,7 @@ class Compensator(ReadOnly):
             ) from error
 
     def set_temperature(self, temperature: float) -> None:
-        """Set gain and offset for a `temperature` [degrees Celsius], for all further steps and offers.
+        """Set gain and offset for a `temperature` [degC], for all further steps and offers.
 
         Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
         """

@@ -121,16 +121,22 @@ class StageCompensator(ReadOnly):
     @property
     def displacement(self) -> Array:
         """Displacement (axes,) [m] of the model after all voltages sent; a mass is assumed to follow at once."""
-        axes = zip(self.compensators, self.states, strict=True)
-        moved = np.array([[one.actuator.model.displacement(state, of_mass=False) for one, state in axes]])
-        return np.asarray(apply(self.stage.coupling, moved)[0])
+        moved = []
+        for one, state in zip(self.compensators, self.states, strict=True):
+            gain, offset = one.scaling
+            moved.append(offset + gain * one.actuator.model.displacement(state, of_mass=False))
+        return np.asarray(apply(self.stage.coupling, np.array([moved]))[0])
 
-    def step(self, displacement: ArrayLike) -> Array:
+    def step(self, displacement: ArrayLike, temperature: ArrayLike | None = None) -> Array:
         """Return the voltages (axes,) [V] to send for a `displacement` (axes,) [m], and commit them.
+
+        `temperature`: as in `set_temperature`; it holds from this step on.
 
         Raise `ModelError` if it is not finite or has another size: the memory is unchanged. Warn `ClampWarning` as
         `Compensator.step`, with the axis and its wanted displacement.
         """
+        if temperature is not None:
+            self.set_temperature(temperature)
         voltage = self._offered(displacement)
         for one, value in zip(self.compensators, voltage, strict=True):
             one.commit(value)
@@ -178,6 +184,18 @@ class StageCompensator(ReadOnly):
             if not (one.clamps.slewed if slewed else one.clamps.limited):
                 warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], axis=name, target=alone[j])
         return voltage
+
+    def set_temperature(self, temperature: ArrayLike) -> None:
+        """Set the `temperature` [degC] of all actuators, or of each (axes,), for all further steps and offers.
+
+        Actuators without the part `thermal` ignore it. Raise `ModelError` if none has that part, or as
+        `Compensator.set_temperature`: all memory is unchanged.
+        """
+        degrees = self.stage.temperatures(np.atleast_2d(temperature), 1)
+        pairs = zip(self.compensators, self.stage.actuators, degrees, strict=True)
+        scales = [(one, part.thermal.scale(own, 1)) for one, part, own in pairs if part.thermal and own is not None]
+        for one, (gain, offset) in scales:
+            one.scale(float(gain[0]), float(offset[0]))
 
     def commit(self, voltage: ArrayLike) -> None:
         """Commit `voltage` (axes,) [V] as sent: the offered voltages, perhaps rounded by a converter.
@@ -242,6 +260,7 @@ class StageCompensator(ReadOnly):
         displacement: ArrayLike,
         *,
         time: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         present: ArrayLike | None = None,
         extrapolate: bool = False,
     ) -> tuple[Command, ...]:
@@ -255,6 +274,8 @@ class StageCompensator(ReadOnly):
             Wanted displacements [m].
         time : (n,) array_like, optional
             [s], as in `Compensator.trajectory`.
+        temperature : float, (n,) or (n, axes) array_like, optional
+            As in `Stage.simulate`.
         present : (axes,) array_like, optional
             Voltages [V] before the first sample, as in `Compensator.trajectory`.
         extrapolate : bool, optional
@@ -276,10 +297,12 @@ class StageCompensator(ReadOnly):
             raise ModelError(argument="displacement", got="no samples", need="one at least")
         axes = range(len(self.compensators))
         before = [None] * len(axes) if present is None else self._values(present, "present")
+        degrees = self.stage.temperatures(temperature, len(wanted))
 
         def command(j: int, target: Array, stray: bool) -> Command:
+            options: dict[str, Any] = {"time": time, "temperature": degrees[j], "present": before[j]}
             try:
-                return self.compensators[j].trajectory(target, time=time, present=before[j], extrapolate=stray)
+                return self.compensators[j].trajectory(target, **options, extrapolate=stray)
             except ModelError as error:
                 raise ModelError(f"axis {self.stage.axes[j]}: {error}") from error
 

@@ -63,7 +63,7 @@ class Command:
     thermal : Thermal or None
         The part of the model that depends on temperature.
     temperature : (n,) array or None
-        Temperature of the samples [degrees Celsius], if it was given.
+        Temperature of the samples [degC], if it was given.
     """
 
     voltage: Array

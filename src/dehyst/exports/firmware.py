@@ -10,8 +10,11 @@ from pathlib import Path
 from string import Template
 from typing import NamedTuple
 
+import numpy as np
+
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
+from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
 from dehyst.exports.footprint import Footprint, Measurement, measure
@@ -28,6 +31,27 @@ _FILES = {*CORE, CONFIG, "check.c", "trace.h", "Makefile", "README.md", "LICENSE
 _BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # Lines of the templates in whose place the generated text comes.
 _SIZES, _NUMBERS, _TEMPERATURE = "/* sizes */\n", "/* numbers */\n", "/* temperature */\n"
+_TEMPERATURES_DECLARED = """\
+/* Set gain and offset of the displacements for the temperature of each actuator [degC], between two periods; before the
+ * first call the references of the model hold. If it does not return DEHYST_OK, nothing changes. */
+dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES]);
+"""
+_TEMPERATURES_DEFINED = """
+dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES])
+{
+    dehyst_status status = DEHYST_OK;
+    dehyst_loop trial;
+    int j;
+    /* First all axes on a trial, so that an error changes none. */
+    for (j = 0; j < 2 * MODEL_AXES && status == DEHYST_OK; j++) {
+        const int axis = j % MODEL_AXES;
+        const dehyst_real kelvins = degrees[axis] - thermal[axis][2];
+        status = dehyst_loop_scale(j < MODEL_AXES ? &trial : &p->loop[axis], 1 + thermal[axis][0] * kelvins,
+                                   thermal[axis][1] * kelvins);
+    }
+    return status;
+}
+"""
 # A float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
 _ANY = 1e300
@@ -78,7 +102,7 @@ def code(compensator: Loop, number: Number = "double", name: str | None = None) 
     if isinstance(compensator, StageCompensator):
         kind, title, templates = "stage", compensator.stage.name, ("stage.h", "stage.c")
         macros, numbers = _coupled(compensator)
-        declared = defined = ""
+        declared, defined = _coupled_temperature(compensator)
     else:
         kind, title, templates = "actuator", compensator.actuator.name, ("piezo.h", "piezo.c")
         text = ModelText(compensator, number)
@@ -120,9 +144,8 @@ def _coupled(compensator: StageCompensator) -> tuple[str, str]:
         "SPARE": max(2, *(text.memory for text in texts)),
     }
     numbers = [text_of(text.numbers(), f"axis{j}") for j, text in enumerate(texts)]
-    for name, table in (("decoupling", compensator.stage.decoupling), ("coupling", compensator.stage.coupling)):
-        rows = ",\n    ".join("{" + ", ".join(value.hex() for value in row) + "}" for row in table.tolist())
-        numbers.append(f"static const dehyst_real {name}[MODEL_AXES][MODEL_AXES] = {{\n    {rows}}};\n")
+    numbers.append(_table("decoupling", "MODEL_AXES", compensator.stage.decoupling))
+    numbers.append(_table("coupling", "MODEL_AXES", compensator.stage.coupling))
     models = ", ".join(f"&axis{j}_model" for j in range(count))
     numbers += [
         f"static const dehyst_model *const models[MODEL_AXES] = {{{models}}};",
@@ -130,6 +153,21 @@ def _coupled(compensator: StageCompensator) -> tuple[str, str]:
         f"static const int begins[MODEL_AXES] = {{{', '.join(map(str, [0, *ends[:-1]]))}}};\n",
     ]
     return "".join(f"#define MODEL_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
+
+
+def _coupled_temperature(compensator: StageCompensator) -> tuple[str, str]:
+    """Return declaration and definition of the call that takes the temperatures of several axes; or empty texts."""
+    thermals = [one.thermal for one in compensator.stage.actuators]
+    if not any(thermals):
+        return "", ""
+    numbers = [(one.gain, one.offset, one.reference) if one else (0.0, 0.0, 0.0) for one in thermals]
+    return _TEMPERATURES_DECLARED, f"\n{_table('thermal', '3', np.array(numbers))}{_TEMPERATURES_DEFINED}"
+
+
+def _table(name: str, columns: str, numbers: Array) -> str:
+    """Return a table in C with a row for each axis."""
+    rows = ",\n    ".join("{" + ", ".join(value.hex() for value in row) + "}" for row in numbers.tolist())
+    return f"static const dehyst_real {name}[MODEL_AXES][{columns}] = {{\n    {rows}}};\n"
 
 
 def export(

@@ -40,8 +40,8 @@ static const dehyst_model piezo_model = {{{
  {$start, $memory},
  $period, $ahead, ${id}ul, ${shape}ul};""")
 _TEMPERATURE_DECLARED = """\
-/* Set gain and offset of the displacement for a temperature [degrees Celsius], between two periods; before the first
- * call the reference of the model holds. If it does not return DEHYST_OK, nothing changes. */
+/* Set gain and offset of the displacement for a temperature [degC], between two periods; before the first call the
+ * reference of the model holds. If it does not return DEHYST_OK, nothing changes. */
 dehyst_status piezo_temperature(piezo *p, dehyst_real degrees);
 """
 # Gain 1/K, offset m/K, and reference: as `Thermal.scale` in Python, bit for bit.

@@ -179,8 +179,10 @@ def identify(
         found = replace(fit.actuator, thermal=effect.of(fit.actuator))
         fit = replace(fit, actuator=found, remarks=(effect.sentence, *fit.remarks))
     if left_out:
-        expected = fit.expectation and replace(fit.expectation, reasons=(*fit.expectation.reasons, left_out))
-        fit = replace(fit, expectation=expected, remarks=(f"{left_out[0].upper()}{left_out[1:]}.", *fit.remarks))
+        if fit.expectation is None:
+            fit = replace(fit, remarks=(f"{left_out[0].upper()}{left_out[1:]}.", *fit.remarks))
+        else:
+            fit = replace(fit, expectation=replace(fit.expectation, reasons=(*fit.expectation.reasons, left_out)))
     return fit
 
 

@@ -148,7 +148,7 @@ class DecisionRules:
         "Least singular value of a determined direction, relative to the largest, times N squared.",
     )
 
-    temperatures: float = _rule(2.0, "kelvins", "A smaller range of temperatures does not show their effect.")
+    temperatures: float = _rule(2.0, "K", "A smaller range of temperatures does not show their effect.")
     temperature_helps: float = _rule(
         0.9,
         "ratio of held-out errors",

@@ -38,9 +38,9 @@ class TemperatureEffect:
     gain_error, offset_error : float
         Standard errors from a jackknife over held-out temperatures.
     reference : float
-        [degrees Celsius], the mean of the records.
+        [degC], the mean of the records.
     range : (float, float)
-        Lowest and highest temperature of the records [degrees Celsius].
+        Lowest and highest temperature of the records [degC].
     better : float
         Error at held-out temperatures, relative to the error without the effect.
     missed : float
@@ -107,10 +107,10 @@ class TemperatureEffect:
     def sentence(self) -> str:
         """The effect as a sentence."""
         low, high = self.range
-        expansion = f" and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm" if self.offset else ""
+        expansion = f" and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm/K" if self.offset else ""
         return (
-            f"From {low:.3g} to {high:.3g} degrees Celsius the displacement changes by {100 * self.gain:+.3g} ± "
-            f"{100 * self.gain_error:.2g} %{expansion} a kelvin. Temperatures that were held out are missed by "
+            f"From {low:.3g} to {high:.3g} degC the displacement changes by {100 * self.gain:+.3g} ± "
+            f"{100 * self.gain_error:.2g} %/K{expansion}. Held-out temperatures are missed by "
             f"{100 * self.better:.0f} % of the error without that."
         )
 
@@ -130,7 +130,7 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
     low, high = float(every.min()), float(every.max())
     if high - low < RULES.temperatures:
         return None, ""
-    words = f"the temperature changes from {low:.3g} to {high:.3g} degrees Celsius, which the model leaves out"
+    words = f"the temperature changes from {low:.3g} to {high:.3g} degC, which the model leaves out"
     if len(known) < len(given):
         missing = next(record.name for record, one in zip(records, given, strict=True) if one is None)
         return None, f"{words}: {missing} has none"

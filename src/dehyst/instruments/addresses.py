@@ -33,6 +33,7 @@ def open_rig(
         without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, as of
         ``dehyst rig serve --ageing``, and records its temperature.
         ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
+        ``jena://192.168.0.5`` or ``jena:///dev/ttyUSB0``: an NV200/D of piezosystem jena; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
         ``NAME://...``: an instrument that a plug-in adds.
@@ -144,6 +145,14 @@ def _ni(rest: str, options: _Options) -> AbstractRig:
     return NiRig.from_address(f"ni://{rest}", **options)
 
 
+def _jena(rest: str, options: _Options) -> AbstractRig:
+    from dehyst.instruments.jena import JenaRig
+
+    if not rest:
+        raise RigError("jena://: need the host, or a serial port, as in jena://192.168.0.5 and jena:///dev/ttyUSB0")
+    return JenaRig.connect(rest, **options)
+
+
 class Scheme(NamedTuple):
     """A kind of address.
 
@@ -169,6 +178,7 @@ _OWN = {
     "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
     "epics": Scheme("epics://PREFIX", _epics),
     "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
+    "jena": Scheme("jena://host (or /dev/ttyUSB0)", _jena),
     "ni": Scheme("ni://Dev1/ao0,ai0?gain=10&scale=5", _ni),
 }
 SCHEMES: Registry[Scheme] = Registry("rigs", _OWN, _of_plugin)

@@ -26,6 +26,7 @@ from dehyst.instruments.samples import (
     Reading,
     Samples,
     SensorWatch,
+    astray,
     columns_of,
     driver_errors,
     inspected,
@@ -46,6 +47,8 @@ _LEAST_WATCHED = 0.25
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
+# Ticks in which the readback must come near the end of a ramp.
+_SETTLING = 100
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
 # Seconds for the whole range, if neither device nor user gives a slew rate.
@@ -406,20 +409,12 @@ class AbstractRig(ABC):
         """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
 
         Yields before each step, so that the caller waits a tick. If the voltage cannot be read, from `fallback`: a
-        retreat must not fail because a sensor did.
+        retreat must not fail because a sensor did. Raise `DeviceError` if the output is read elsewhere at the end.
         """
-        try:
-            present = self._reading().voltage
-            if not math.isfinite(present):
-                raise DeviceError(f"{self.name}: read a voltage of {present} V, need a finite one; check the device")
-        except DeviceError:
-            if fallback is None:
-                raise
-            present = fallback
-        low, high, read = self.limits.low, self.limits.high, present
+        low, high, read = self.limits.low, self.limits.high, self._present_voltage(fallback)
         # An error of the readback may put it slightly outside of the limits.
-        present = self.limits.nearest(read)
-        if abs(read - present) > READBACK_TOLERANCE * (high - low):
+        present, tolerance = self.limits.nearest(read), READBACK_TOLERANCE * (high - low)
+        if abs(read - present) > tolerance:
             raise DeviceError(
                 f"{self.name}: stands at {read:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
                 "or widen the limits if device and actuator allow it"
@@ -432,6 +427,23 @@ class AbstractRig(ABC):
             with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
             self._last_voltage = present
+        for _ in range(_SETTLING):
+            if abs((read := self._present_voltage(None if fallback is None else end)) - end) <= tolerance:
+                return
+            yield
+        raise DeviceError(f"{self.name}: {astray(read - end)}")
+
+    def _present_voltage(self, fallback: float | None) -> float:
+        """Return the voltage that is read [V], or if it cannot be read, a `fallback` that is not None."""
+        try:
+            voltage = self._reading().voltage
+            if not math.isfinite(voltage):
+                raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
+        except RigError:
+            if fallback is None:
+                raise
+            return fallback
+        return voltage
 
     def _reading(self) -> Reading:
         """Read once; numbers may not be finite."""

@@ -23,7 +23,7 @@ HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
 _Value = TypeVar("_Value")
 
 
-class _Worker:
+class EventLoop:
     """The event loop, in a thread of its own, for all exchanges of this process; it runs until the process ends.
 
     Channels belong to the loop that made them, and Channel Access calls it back as long as they exist.
@@ -38,7 +38,7 @@ class _Worker:
         with self._lock:
             if self._loop is None:
                 self._loop = asyncio.new_event_loop()
-                threading.Thread(target=self._loop.run_forever, name="dehyst channel access", daemon=True).start()
+                threading.Thread(target=self._loop.run_forever, name="dehyst instruments", daemon=True).start()
             future: concurrent.futures.Future[_Value] = asyncio.run_coroutine_threadsafe(task, self._loop)
         try:
             return future.result()
@@ -47,7 +47,7 @@ class _Worker:
             raise
 
 
-_worker = _Worker()
+event_loop = EventLoop()
 
 
 class ChannelAccess:
@@ -67,7 +67,7 @@ class ChannelAccess:
     def absent(self, names: Sequence[str]) -> list[str]:
         """Return the names for which no server answers within the timeout."""
         pvs = [self.prefix + name for name in names]
-        answers = _worker.run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
+        answers = event_loop.run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
         return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
 
     def connected(self, *names: str) -> bool:
@@ -76,7 +76,7 @@ class ChannelAccess:
         async def unconnected() -> set[str]:
             return self._unconnected()
 
-        return _worker.run(unconnected()).isdisjoint(self.prefix + name for name in names)
+        return event_loop.run(unconnected()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
@@ -160,7 +160,7 @@ class ChannelAccess:
                 raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
             return answers
 
-        return _worker.run(answered())
+        return event_loop.run(answered())
 
     def _unconnected(self) -> set[str]:
         """Return all variables of this process that are not connected; on the loop's thread."""

@@ -54,6 +54,14 @@ def columns_of(values: Array) -> list[Array]:
     return [values] if values.ndim == 1 else list(values.T)
 
 
+def astray(difference: float) -> str:
+    """Return the words for an output that is read at a `difference` [V] from what was sent."""
+    return (
+        f"its output is {abs(difference):.4g} V away from what was sent; is the amplifier on, the servo off and the "
+        "channel the right one?"
+    )
+
+
 @contextmanager
 def driver_errors(name: str, method: str) -> Iterator[None]:
     """Re-raise what a driver's `method` raises as DeviceError; errors of dehyst pass unchanged."""
@@ -103,11 +111,8 @@ def inspected(
             differences = np.abs(samples.voltage - sent[count - samples.time.size : count]).max(axis=0)
             if (differences > slack).any():
                 worst = int(np.argmax(differences - slack))
-                raise DeviceError(
-                    f"{f'{name}, axis {axes[worst]}' if axes else name}: its output is "
-                    f"{np.ravel(differences)[worst]:.4g} V away from what was sent; is the amplifier on, the servo off "
-                    "and the channel the right one?"
-                )
+                where = f"{name}, axis {axes[worst]}" if axes else name
+                raise DeviceError(f"{where}: {astray(np.ravel(differences)[worst])}")
     finally:
         if isinstance(batches, Generator):
             batches.close()
@@ -142,7 +147,7 @@ def admitted(name: str, samples: Samples, sent: Array, count: int, after: float)
         )
     others = {}
     for column, values in samples.others.items():
-        others[column] = channel = np.asarray(values, dtype=np.float64)
+        others[column] = channel = np.asarray(plain(values, column, error=LinkError), dtype=np.float64)
         if channel.shape != time.shape or not np.isfinite(channel).all():
             raise LinkError(f"{name}: {column}: got {channel.shape} values, need one finite number a sample")
     return Samples(time, voltage, displacement, others)

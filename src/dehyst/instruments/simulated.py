@@ -23,7 +23,7 @@ class SimulatedRig(AbstractRig):
     The actuator is a `truth`, virtual or a model, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and
     `slew_rate` [V/s] are those that the user allows, `device_limits` [V] the range of the amplifier, by default the
     actuator's limits, or 0 V to its highest voltage. Other `options` are those of `VirtualBench`, which is the
-    `instrument`. A truth with a method ``temperature(time)`` [degrees Celsius] gives records a channel of it.
+    `instrument`. A truth with a method ``temperature(time)`` [degC] gives records a channel of it.
     """
 
     def __init__(

@@ -270,7 +270,7 @@ class Actuator(JsonFile, AbstractModel):
         load : (n,) array_like, optional
             External force [N]; needs `load_stiffness`. Without dynamics it shifts the displacement by F/kc.
         temperature : float or (n,) array_like, optional
-            [degrees Celsius], with the part `thermal`; default: its reference.
+            [degC], with the part `thermal`; default: its reference.
         state : State, optional
             Start; default ``self.state``.
         stack : bool, optional

@@ -178,7 +178,7 @@ class Thermal:
     offset : float, optional
         Thermal expansion [m/K].
     reference : float, optional
-        Temperature [degrees Celsius] at which the other parts were identified.
+        Temperature [degC] at which the other parts were identified.
 
     Raises
     ------
@@ -197,7 +197,7 @@ class Thermal:
             keep(self, **{name: value})
 
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
-        """Return gains and offsets [m] at one `temperature` [degrees Celsius], or at one for each of `samples`.
+        """Return gains and offsets [m] at one `temperature` [degC], or at one for each of `samples`.
 
         Raise `ModelError` if there is another number of temperatures, or a gain is not positive.
         """
@@ -209,18 +209,16 @@ class Thermal:
             )
         if np.any((given < COLDEST) | (given > HOTTEST)):
             worst = float(given[int(np.argmax(np.abs(given)))])
-            raise ModelError(
-                argument="temperature", got=f"{worst:g}", need=f"degrees Celsius between {COLDEST:g} and {HOTTEST:g}"
-            )
+            raise ModelError(argument="temperature", got=f"{worst:g}", need=f"{COLDEST:g} to {HOTTEST:g} degC")
         kelvins = given - self.reference
         gain = 1 + self.gain * kelvins
         if np.any(gain <= 0):
             worst = float(given[int(np.argmin(gain))])
             raise ModelError(
-                f"at {worst:g} degrees Celsius the displacement would be {gain.min():.3g} times that at "
+                f"at {worst:g} degC the displacement would be {gain.min():.3g} times that at "
                 f"{self.reference:g}, need a positive factor",
                 argument="temperature",
-                hint="give it in degrees Celsius",
+                hint="give it in degC",
             )
         return gain, self.offset * kelvins
 

@@ -28,7 +28,7 @@ _NO_COEFFICIENTS = (np.empty((1, 0)),) * 3
 class PathData:
     """Time (n,) [s] and load (n,) [N] along a path, or None; with dynamics, the derivatives of the path.
 
-    `temperature`: one or (n,) [degrees Celsius].
+    `temperature`: one or (n,) [degC].
     """
 
     time: ArrayLike | None = None

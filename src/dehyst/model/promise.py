@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,11 @@ from dehyst._types import Array
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
 from dehyst.model.dynamics import Thermal
-from dehyst.model.temperatures import temperature_cost
+from dehyst.model.temperatures import TemperatureCost
 from dehyst.records import Record, turning_points
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
 
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02
@@ -129,7 +132,7 @@ class Validity:
     lag : float
         Time [s] by which the displacement lags the voltage, if the records leave open whether the sensor lags; else 0.
     temperatures : (float, float) or None
-        Lowest and highest temperature of the records [degrees Celsius]; None if one of them has none.
+        Lowest and highest temperature of the records [degC]; None if one of them has none.
     """
 
     rms: float
@@ -308,7 +311,7 @@ def promise(
     thermal : Thermal, optional
         Part of the model.
     temperature : float or (n,) array_like, optional
-        Temperature of the path [degrees Celsius]; default: not known.
+        Temperature of the path [degC]; default: not known.
     """
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
@@ -324,15 +327,29 @@ def promise(
         moved, fastest = _moved_in_lag(validity, v, clock)
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
     untested = [*_untested(validity, v, clock, at, beyond)]
-    cost, sentence = temperature_cost(thermal, validity.temperatures, validity.stroke, temperature)
-    by_temperature = float(cost.max(initial=0.0))
-    if by_temperature:
+    cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
+    if cost.largest:
         # Half of a range bounds the standard deviation in it.
-        rms, largest, half = rms + 0.5 * by_temperature, largest + by_temperature, half + cost
-    untested += [sentence] if sentence else []
+        rms, largest, half = rms + 0.5 * cost.largest, largest + cost.largest, half + cost.along
+    untested += [cost.sentence] if cost.sentence else []
     if opens:
         untested.append("Its loops close, but those of the records do not: motion after a closed loop was not tested.")
-    return Promise(rms, largest, half, tuple(untested), lagging, by_temperature)
+    return Promise(rms, largest, half, tuple(untested), lagging, cost.largest)
+
+
+def promised(
+    actuator: Actuator, voltage: ArrayLike, time: ArrayLike | None = None, temperature: ArrayLike | None = None
+) -> tuple[Promise | None, tuple[str, ...]]:
+    """Return the promised error of a path of an `actuator`, None without `Validity`, and what its records do not test.
+
+    `voltage`, `time`, `temperature`: as in `promise`.
+    """
+    known = actuator.identification
+    if known is None or known.validity is None:
+        sentence = TemperatureCost(actuator.thermal, None, float(np.ptp(actuator.reach)), temperature).sentence
+        return None, (sentence,) if sentence else ()
+    found = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature)
+    return found, found.untested
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:

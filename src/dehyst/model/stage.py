@@ -17,6 +17,7 @@ from dehyst._views.fields import json_values
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import Motion, State
 from dehyst.model.serialization import JsonFile, demand_format, demand_keys, numbers
+from dehyst.model.temperatures import demand_thermal, temperature_columns
 from dehyst.records import Record
 
 # A stage whose inverse multiplies errors by more cannot be driven.
@@ -181,6 +182,7 @@ class Stage(JsonFile):
         voltage: ArrayLike,
         *,
         time: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         states: Sequence[State | None] | None = None,
         extrapolate: bool = False,
     ) -> Motion:
@@ -192,6 +194,8 @@ class Stage(JsonFile):
             Voltages [V].
         time : (n,) array_like, optional
             [s]; needed if an actuator needs it.
+        temperature : float, (n,) or (n, axes) array_like, optional
+            [degC], of all actuators or of each; those without the part `thermal` ignore it. Default: their reference.
         states : sequence of State, optional
             Start of each actuator; default: its own.
         extrapolate : bool, optional
@@ -208,7 +212,7 @@ class Stage(JsonFile):
             As `Actuator.simulate`, with the name of the axis; or if the columns do not fit the axes.
         """
         v = self.columns(voltage, "voltage", "V")
-        motions = self._each("simulate", v, time, states, extrapolate)
+        motions = self._each("simulate", v, time, temperature, states, extrapolate)
         moved = np.column_stack([one.displacement for one in motions])
         return Motion(v, apply(self.coupling, moved), tuple(one.state for one in motions))
 
@@ -217,6 +221,7 @@ class Stage(JsonFile):
         displacement: ArrayLike,
         *,
         time: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
         states: Sequence[State | None] | None = None,
         extrapolate: bool = False,
     ) -> Motion:
@@ -228,7 +233,7 @@ class Stage(JsonFile):
         ----------
         displacement : (n, axes) array_like
             Wanted displacements [m].
-        time, states, extrapolate
+        time, temperature, states, extrapolate
             As in `simulate`.
 
         Returns
@@ -242,23 +247,43 @@ class Stage(JsonFile):
             As `Actuator.compensate`, with the name of the axis; or if the columns do not fit the axes.
         """
         y = self.columns(displacement, "displacement", "m")
-        motions = self._each("compensate", apply(self.decoupling, y), time, states, extrapolate)
+        motions = self._each("compensate", apply(self.decoupling, y), time, temperature, states, extrapolate)
         return Motion(np.column_stack([one.voltage for one in motions]), y, tuple(one.state for one in motions))
 
     def _each(
-        self, call: str, given: Array, time: ArrayLike | None, states: Sequence[State | None] | None, extrapolate: bool
+        self,
+        call: str,
+        given: Array,
+        time: ArrayLike | None,
+        temperature: ArrayLike | None,
+        states: Sequence[State | None] | None,
+        extrapolate: bool,
     ) -> list[Motion]:
         """Call the actuator of each axis with its column of `given` (n, axes)."""
         count, motions = len(self.actuators), []
         if states is not None and len(states) != count:
             raise ModelError(f"states: got {len(states)}, need {count}, one an axis")
-        for axis, one, column, state in zip(self.axes, self.actuators, given.T, states or [None] * count, strict=True):
-            when = time if one.needs_time else None
+        columns = given.T, self.temperatures(temperature, len(given)), states or [None] * count
+        for axis, one, column, degrees, state in zip(self.axes, self.actuators, *columns, strict=True):
+            options = {"time": time if one.needs_time else None, "temperature": degrees, "state": state}
             try:
-                motions.append(getattr(one, call)(column, time=when, state=state, extrapolate=extrapolate))
+                motions.append(getattr(one, call)(column, **options, extrapolate=extrapolate))
             except ModelError as error:
                 raise ModelError(f"axis {axis}: {error}") from error
         return motions
+
+    def temperatures(self, temperature: ArrayLike | None, samples: int) -> list[Array | None]:
+        """Return the temperature (samples,) [degC] of each actuator; None of one without the part `thermal`.
+
+        `temperature`: as in `simulate`, at a number of `samples`; None: not known.
+
+        Raise `ModelError` if it has another shape, or no actuator has that part.
+        """
+        if temperature is None:
+            return [None] * len(self.actuators)
+        demand_thermal(*(one.thermal for one in self.actuators))
+        table = temperature_columns(temperature, samples, len(self.actuators))
+        return [column if one.thermal else None for one, column in zip(self.actuators, table.T, strict=True)]
 
     def columns(self, values: ArrayLike, what: str, unit: str) -> Array:
         """Return `values` (n, axes) in `unit` as an array; raise `ModelError` that names `what` if they are not."""

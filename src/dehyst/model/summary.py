@@ -176,8 +176,8 @@ def _displacement_creep(creep: DisplacementCreep) -> Part:
 
 def _thermal(thermal: Thermal) -> Part:
     sentence = (
-        f"the displacement grows by {100 * thermal.gain:.3g} % and by {1e9 * thermal.offset:.3g} nm a kelvin, from "
-        f"{thermal.reference:g} degrees Celsius on."
+        f"the displacement grows by {100 * thermal.gain:.3g} %/K and {1e9 * thermal.offset:.3g} nm/K, from "
+        f"{thermal.reference:g} degC on."
     )
     return Part("Temperature", sentence, None)
 

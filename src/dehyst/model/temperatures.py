@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._units import COLDEST, HOTTEST
+from dehyst._units import COLDEST, HOTTEST, plain
 from dehyst.model.dynamics import Thermal
 from dehyst.records import Record
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
 
 # Temperatures [degC] so near to those of the records count as tested by a model that does not depend on temperature.
 NEAR_KELVINS = 2.0
@@ -32,6 +36,12 @@ def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
     return min(float(one.min()) for one in known), max(float(one.max()) for one in known)
 
 
+def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
+    """Return the lowest and highest temperature [degC] of the records of an `actuator`; None if it is not known."""
+    known = actuator.identification
+    return None if known is None or known.validity is None else known.validity.temperatures
+
+
 def temperatures_to_record(
     tested: tuple[float, float] | None, used: tuple[float, float] | None, reference: float | None = None
 ) -> tuple[float, ...]:
@@ -44,7 +54,7 @@ def temperatures_to_record(
         return ()
     low, high = used
     if not COLDEST <= low <= high <= HOTTEST:
-        need = f"degrees Celsius between {COLDEST:g} and {HOTTEST:g}, the lower one first"
+        need = f"{COLDEST:g} to {HOTTEST:g} degC, the lower one first"
         raise ModelError(argument="temperatures", got=f"{low:g} to {high:g}", need=need)
     if tested is None:
         steps = _FEWEST if high - low >= NEAR_KELVINS else 1
@@ -79,18 +89,18 @@ class TemperatureCover:
         """What is tested, and what is missing; empty if the records have no temperature and none is asked for."""
         known = "The records have no temperature."
         if self.tested is not None:
-            known = "The records have {:.3g} to {:.3g} degrees Celsius.".format(*self.tested)
+            known = "The records have {:.3g} to {:.3g} degC.".format(*self.tested)
         if self.used is None:
             return "" if self.tested is None else known
         low, high = self.used
         if not self.missing:
-            return f"{known} They cover {low:.3g} to {high:.3g}."
+            return f"{known} They cover {low:.3g} to {high:.3g} degC."
         gaps = [(low, high)]
         if self.tested is not None:
             below, above = (low, min(high, self.tested[0])), (max(low, self.tested[1]), high)
             gaps = [gap for gap in (below, above) if gap[0] < gap[1]] or gaps
         words = " and ".join(f"{first:.3g} to {last:.3g}" for first, last in gaps)
-        return f"{known} Not tested: {words}. Record at {words_of(self.missing)} too."
+        return f"{known} Not tested: {words} degC. Record at {words_of(self.missing)} too."
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -99,22 +109,17 @@ class TemperatureCover:
 
 
 def words_of(temperatures: Iterable[float]) -> str:
-    """Return temperatures as text: "10, 35 and 60 degrees Celsius"."""
+    """Return temperatures as text: "10, 35 and 60 degC"."""
     *some, last = [f"{one:.3g}" for one in temperatures]
-    return f"{', '.join(some)}{' and ' if some else ''}{last} degrees Celsius"
+    return f"{', '.join(some)}{' and ' if some else ''}{last} degC"
 
 
-def temperature_cost(
-    thermal: Thermal | None,
-    tested: tuple[float, float] | None,
-    stroke: float,
-    temperature: ArrayLike | None,
-) -> tuple[Array, str]:
-    """Return what the temperature of a path adds to its error [m], and a sentence on it; 0 and "" if it is tested.
+@dataclass(frozen=True, eq=False)
+class TemperatureCost:
+    """What the temperature of a path adds to its error.
 
-    The cost is one number, or one a sample. A kelvin outside of the tested temperatures adds the whole effect of a
-    kelvin. If the temperature is not known, the path is computed at the reference; the cost is the effect up to the
-    farthest tested temperature.
+    A kelvin outside of the tested temperatures adds the whole effect of a kelvin. If the temperature is not known, the
+    path is computed at the reference, and the effect up to the farthest tested temperature is added.
 
     Parameters
     ----------
@@ -127,43 +132,92 @@ def temperature_cost(
     temperature : float or (n,) array_like, optional
         Temperature of the path [degC]; default: not known.
     """
-    each = 0.0 if thermal is None else thermal.per_kelvin(stroke)
-    if temperature is None:
-        if thermal is None:
-            return np.zeros(()), ""
-        low, high = tested or (thermal.reference, thermal.reference)
-        cost = each * max(thermal.reference - low, high - thermal.reference, 0.0)
-        sentence = (
-            f"Without its temperature it is computed at {thermal.reference:.3g} degrees Celsius; each kelvin off adds "
-            f"up to {100 * each / stroke:.2g} % of the stroke"
+
+    thermal: Thermal | None
+    tested: tuple[float, float] | None
+    stroke: float
+    temperature: ArrayLike | None = None
+
+    @cached_property
+    def outside(self) -> Array:
+        """Distance [K] of each temperature from the tested ones; 0 if these or the temperature are not known."""
+        degrees = np.asarray([] if self.temperature is None else self.temperature, dtype=np.float64)
+        if self.tested is None or not degrees.size:
+            return np.zeros(())
+        off = np.maximum(np.maximum(self.tested[0] - degrees, degrees - self.tested[1]), 0.0)
+        return np.asarray(off)
+
+    @property
+    def per_kelvin(self) -> float:
+        """Most by which a kelvin changes the displacement [m]."""
+        return 0.0 if self.thermal is None else self.thermal.per_kelvin(self.stroke)
+
+    @property
+    def unknown(self) -> float:
+        """Distance [K] of the reference from the farthest tested temperature if the temperature is not known, or 0."""
+        if self.temperature is not None or self.thermal is None or self.tested is None:
+            return 0.0
+        return max(self.thermal.reference - self.tested[0], self.tested[1] - self.thermal.reference, 0.0)
+
+    @property
+    def along(self) -> Array:
+        """The added error [m], one number or one a sample."""
+        return np.asarray(self.per_kelvin * (self.outside + self.unknown))
+
+    @property
+    def largest(self) -> float:
+        """The largest added error [m]."""
+        return float(self.along.max(initial=0.0))
+
+    @property
+    def sentence(self) -> str:
+        """What is not known or not tested, and its cost; empty if the temperature is tested."""
+        percent, tested = 100 / self.stroke, "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
+        reference = None if self.thermal is None else self.thermal.reference
+        if self.temperature is None:
+            if reference is None:
+                return ""
+            within = f", {percent * self.largest:.2g} % within the {tested} of the records" if tested else ""
+            return (
+                f"Without its temperature it is computed at {reference:.3g} degC; each kelvin off adds up to "
+                f"{percent * self.per_kelvin:.2g} % of the stroke{within}."
+            )
+        farthest = float(self.outside.max(initial=0.0))
+        if farthest <= (NEAR_KELVINS if reference is None else _ALIKE):
+            return ""
+        low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
+        used = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        adds = "" if reference is None else f", which adds {percent * self.largest:.2g} % of the stroke"
+        needed = words_of(temperatures_to_record(self.tested, (low, high), reference))
+        return (
+            f"At {used} degC it was not tested: the records have {tested}, {farthest:.2g} K away{adds}. Record at "
+            f"{needed}."
         )
-        if tested is not None:
-            sentence += f", {100 * cost / stroke:.2g} % within the {low:.3g} to {high:.3g} of the records"
-        return np.asarray(cost), f"{sentence}."
-    degrees = np.asarray(temperature, dtype=np.float64)
-    if tested is None or not degrees.size:
-        return np.zeros(()), ""
-    (low, high), (least, most) = tested, (float(degrees.min()), float(degrees.max()))
-    off = np.maximum(np.maximum(low - degrees, degrees - high), 0.0)
-    farthest = float(off.max())
-    if farthest <= (_ALIKE if thermal is not None else NEAR_KELVINS):
-        return np.asarray(each * off), ""
-    where = f"{least:.3g}" if least == most else f"{least:.3g} to {most:.3g}"
-    sentence = (
-        f"At {where} degrees Celsius it was not tested: the records have {low:.3g} to {high:.3g}, {farthest:.2g} K away"
+
+
+def demand_thermal(*thermals: Thermal | None) -> Thermal:
+    """Return the first part that depends on temperature, of one actuator or of several; raise `ModelError` if none."""
+    for thermal in thermals:
+        if thermal is not None:
+            return thermal
+    raise ModelError(
+        f"{'this actuator does' if len(thermals) == 1 else 'these actuators do'} not depend on temperature",
+        argument="temperature",
+        hint="leave it out, or give the actuator a part Thermal",
     )
-    if thermal is not None:
-        sentence += f", which adds {100 * each * farthest / stroke:.2g} % of the stroke"
-    needed = temperatures_to_record(tested, (least, most), None if thermal is None else thermal.reference)
-    return np.asarray(each * off), f"{sentence}. Record at {words_of(needed)}."
 
 
-def demand_thermal(thermal: Thermal | None) -> Thermal:
-    """Return the part of a model that depends on temperature; raise `ModelError` if it has none."""
-    if thermal is None:
+def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Array:
+    """Return a temperature [degC] as (samples, axes): of one number, one a sample (samples,), or one an axis too.
+
+    Raise `ModelError` if it has another shape.
+    """
+    given = np.asarray(plain(temperature, "temperature"), dtype=np.float64)
+    try:
+        return np.broadcast_to(given[:, None] if given.ndim == 1 else given, (samples, axes))
+    except ValueError as error:
         raise ModelError(
-            "this actuator does not depend on temperature",
             argument="temperature",
-            hint="leave it out, or give the actuator a part Thermal",
-        )
-    return thermal
+            got=f"an array {given.shape} for {samples} samples of {axes} axes",
+            need="one number, one a sample, or one a sample and axis",
+        ) from error

@@ -10,10 +10,11 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import demand_alike
 from dehyst._text import escaped
 from dehyst._types import Array
+from dehyst.control.planning.path import needed_slew_rate, speed_remark
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Folder, Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, write_table
-from dehyst.operations.paths import PathSlew, PathTemperature, Zero, reach_remarks, zero_of_path
+from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
 from dehyst.report import write_check_history, write_insight
@@ -45,7 +46,7 @@ def insight(
     zero: Annotated[Zero | None, _of_path] = None,
     start: Annotated[Start | None, _of_path] = None,
     limits: tuple[float, float] | None = None,
-    temperatures: Annotated[tuple[float, float] | None, _of_one] = None,
+    temperatures: tuple[float, float] | None = None,
     seconds: float | None = None,
     level: Annotated[float, _of_repeats] = 0.9,
     precision: Annotated[float | None, _of_repeats] = None,
@@ -81,6 +82,7 @@ def insight(
         "level": level,
         "precision": precision,
         "repeats": repeats,
+        "temperatures": temperatures,
         "progress": run.progress,
     }
     if known.stage is not None:
@@ -92,8 +94,7 @@ def insight(
         time: dict[str, Array] = {}
         if trajectory is not None:
             path, time, warmth = _path(known, trajectory, columns, limits, zero, run)
-            asked |= {"trajectory": path, "time": time.get("time_s"), "temperature": warmth.values}
-        asked["temperatures"] = temperatures
+            asked |= {"trajectory": path, "time": time.get("time_s"), "temperature": warmth}
         if start is not None:
             reader = start_reader(known, start, columns)
             asked["start"] = lambda one: reader(0, one, limits)
@@ -121,7 +122,7 @@ def _path(
     limits: tuple[float, float] | None,
     zero: Zero | None,
     run: Run,
-) -> tuple[Array, dict[str, Array], PathTemperature]:
+) -> tuple[Array, dict[str, Array], float | Array | None]:
     """Return the displacement (n,) [m] of a trajectory on the model's axis, its time column, and its temperature."""
     (actuator,) = known.actuators
     table = columns.plain_table(trajectory)
@@ -137,13 +138,15 @@ def _path(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
         )
     path = path + zero_of_path(actuator, limits, zero)
-    warmth = PathTemperature.of(known, None, columns, table, path.size)
-    followed = warmth.at_reference(actuator, path)
+    warmth = temperature_of(known, None, columns, table, path.size)
+    followed = known.targets(path[:, None], warmth)[:, 0]
     for warning in reach_remarks(actuator, followed, limits, zero, refuse=False):
         run.note(warning)
     allowed = limits or actuator.voltage_range
-    for remark in PathSlew(None, "none").remarks(actuator, allowed, followed, time.get("time_s")):
-        run.note(f"{remark}; it is judged as wanted here, while compensate holds it back without --slew-rate none")
+    if time and path.size > 1:
+        needed = needed_slew_rate(actuator, followed, time["time_s"], allowed)
+        for remark in speed_remark(actuator, needed):
+            run.note(f"{remark}; it is judged as wanted here, while compensate holds it back without --slew-rate none")
     return path, time, warmth
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -12,6 +12,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst._units import quantity_of
+from dehyst.control import Compensator, HomedPath, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
@@ -129,6 +130,25 @@ class AxesModel:
                 run.note(f"{path}: {axis}: {sentence}")
         return cls(stage, stage.actuators, stage.axes)
 
+    def planned(
+        self,
+        plan: Callable[..., Any],
+        rows: Array,
+        limits: Sequence[tuple[float, float] | None],
+        slew_rates: Sequence[float | None],
+        options: Mapping[str, Any],
+        **by_axis: Sequence[Any],
+    ) -> list[HomedPath]:
+        """Return what `plan`, `plan_path` or `plan_voltage`, makes of `rows` (n, axes) for each axis.
+
+        `by_axis`: options with one entry for each axis.
+        """
+        if self.stage is None:
+            own = {name: values[0] for name, values in by_axis.items()}
+            return [plan(Compensator(self.actuators[0], limits[0], slew_rates[0]), rows[:, 0], **options, **own)]
+        several = StageCompensator(self.stage, limits=limits, slew_rate=slew_rates)
+        return [*plan(several, rows, **options, **by_axis)]
+
     def by_axis(self, values: Iterable[Any]) -> Any:
         """Return the value of a single axis, or the values of several axes by name, for JSON."""
         found = list(values)
@@ -143,9 +163,16 @@ class AxesModel:
         pairs = zip(self.axes, sentences, strict=True)
         return [f"{axis}: {sentence}" if axis else sentence for axis, own in pairs for sentence in own]
 
-    def targets(self, displacement: Array) -> Array:
-        """Return the displacement (n, axes) of each actuator for a displacement of the axes."""
-        return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
+    def targets(self, displacement: Array, temperature: float | Array | None = None) -> Array:
+        """Return the displacement (n, axes) [m] of each actuator for a displacement of the axes.
+
+        `temperature` (n,) or a number [degC]: of the displacement; the result is at the reference of each actuator.
+        """
+        moved = displacement if self.stage is None else apply(self.stage.decoupling, displacement)
+        if temperature is None:
+            return moved
+        pairs = zip(self.actuators, moved.T, strict=True)
+        return np.column_stack([one.thermal.at_reference(y, temperature) if one.thermal else y for one, y in pairs])
 
     def moved(self, targets: Array) -> Array:
         """Return the displacement (n, axes) of the axes for a displacement of each actuator."""

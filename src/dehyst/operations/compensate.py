@@ -12,23 +12,21 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import (
-    Compensator,
-    HomedPath,
-    PossibleStart,
-    StageCompensator,
-    VoltageLimits,
-    WaveTable,
-    plan_path,
-    wave_table,
-)
-from dehyst.control.planning.path import MOST_ROWS
-from dehyst.model import Actuator
+from dehyst.control import HomedPath, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
+from dehyst.control.planning.path import MOST_ROWS, needed_slew_rate, speed_remark
+from dehyst.model import Actuator, promised
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
-from dehyst.operations.paths import PathSlew, PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
+from dehyst.operations.paths import (
+    PathSlew,
+    Zero,
+    reach_remarks,
+    temperature_column,
+    temperature_of,
+    zero_of_path,
+)
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
@@ -120,7 +118,7 @@ def compensate(
     present
         Present voltage on the actuator [V]; default: the voltage of --start, else 0 or the nearest limit.
     temperature
-        Temperature [degrees Celsius], for a model that depends on it; default: a column temperature_C, or else the
+        Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
     table
         Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1
@@ -148,7 +146,7 @@ def compensate(
         read = columns.table(trajectory, several=start is not None and start.path is not None)
         (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
-        warmth = PathTemperature.of(known, temperature, columns, read, len(wanted))
+        warmth = temperature_of(known, temperature, columns, read, len(wanted))
         clock = columns.clock(read, len(wanted))
         return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
@@ -163,7 +161,7 @@ def compensate(
         path = path.repeated(declared["cycles"]) if path.periodic else path
         rates = {"velocity": path.velocity, "acceleration": path.acceleration}
         moved, time = path.displacement[:, None], {"time_s": path.time}
-        warmth = PathTemperature.of(known, temperature, columns)
+        warmth = temperature_of(known, temperature, columns)
         return _follow(run, known, axes, moved, time, rates, warmth, output, zero, home, [*remarks, *made.warnings])
     remarks += axes[0].reach_remarks(made.path(axis).displacement, zero)
     refuse_cycles(made, cycles)
@@ -232,7 +230,7 @@ def _follow(
     wanted: Array,
     time: Mapping[str, Array],
     rates: Mapping[str, Array],
-    warmth: PathTemperature,
+    warmth: float | Array | None,
     output: Path,
     zero: Zero | None,
     home: bool | None,
@@ -241,17 +239,20 @@ def _follow(
     """Compute and write the voltages of a path (n, axes) [m]."""
     when = time.get("time_s")
     slews = [one.slew.of_path(timed=when is not None) for one in axes]
-    targets = [warmth.at_reference(one.actuator, y) for one, y in zip(axes, known.targets(wanted).T, strict=True)]
-    pairs = list(zip(axes, slews, targets, strict=True))
-    remarks += known.prefixed(
-        [*one.reach_remarks(target, zero), *slew.remarks(one.actuator, one.allowed, target, when, **rates)]
-        for one, slew, target in pairs
+    targets = known.targets(wanted, warmth).T
+    remarks += known.prefixed(one.reach_remarks(target, zero) for one, target in zip(axes, targets, strict=True))
+    paths = known.planned(
+        plan_path,
+        wanted,
+        [one.limits for one in axes],
+        [slew.bound for slew in slews],
+        {"time": when, **rates, "temperature": warmth, "home": home},
+        start=[one.start for one in axes],
+        present=[one.present for one in axes],
     )
-    paths = _planned(known, axes, slews, wanted, when, rates, warmth, home)
     samples = paths[0].voltage.size
     run.progress(f"writing {samples} rows")
-    warm = warmth.column(axes[0].actuator, samples, paths[0].first)
-    write_table(output, _written(known, paths, time) | warm)
+    write_table(output, _written(known, paths, time))
     each = list(zip(axes, slews, paths, strict=True))
     remarks += known.prefixed(
         [
@@ -260,7 +261,7 @@ def _follow(
         ]
         for one, slew, path in each
     )
-    judged = [judge_planned(one.actuator, path, temperature=warmth.values) for one, _, path in each]
+    judged = [judge_planned(one.actuator, path) for one, _, path in each]
     clamped = [int(path.clamped.sum()) for path in paths]
     misses = [float(abs(path.expected - path.displacement).max(initial=0.0)) for path in paths]
     spans = [(float(path.voltage.min()), float(path.voltage.max())) for path in paths]
@@ -291,7 +292,7 @@ def _follow(
         *known.prefixed(
             starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths
         ),
-        *known.prefixed(promise_lines(one.actuator, got, warmth) for one, got in zip(axes, judged, strict=True)),
+        *known.prefixed(got.lines(one.actuator.stroke) for one, got in zip(axes, judged, strict=True)),
     ]
     certified = all(path.certified for path in paths)
     good = all(path.followed for path in paths) and (certified or not home)
@@ -303,33 +304,6 @@ def _idle_present(one: _AxisRequest, path: HomedPath) -> list[str]:
     return ["--present: has no effect, because the start does not matter and no homing is needed"] if idle else []
 
 
-def _planned(
-    known: AxesModel,
-    axes: Sequence[_AxisRequest],
-    slews: Sequence[PathSlew],
-    wanted: Array,
-    when: Array | None,
-    rates: Mapping[str, Any],
-    warmth: PathTemperature,
-    home: bool | None,
-) -> list[HomedPath]:
-    """Return the voltages of each axis along a path, from its start or, if the start matters, after a homing."""
-    if known.stage is None:
-        (one,) = axes
-        compensator = Compensator(one.actuator, one.limits, slews[0].bound)
-        begin: dict[str, Any] = {"start": one.start, "home": home, "present": one.present}
-        return [plan_path(compensator, wanted[:, 0], time=when, **rates, **warmth.used_by(one.actuator), **begin)]
-    several = StageCompensator(
-        known.stage,
-        limits=[one.limits for one in axes],
-        slew_rate=[slew.bound for slew in slews],
-        period=None if when is None else starts.period_of({"time_s": when}),
-    )
-    begins = [one.start for one in axes if one.start is not None]
-    present = [one.present for one in axes if one.present is not None]
-    return [*plan_path(several, wanted, time=when, start=begins or None, home=home, present=present or None)]
-
-
 def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
     wanted, volts, expected = (
@@ -337,7 +311,7 @@ def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Ar
     )
     columns = known.columns("displacement", wanted * 1e6) | known.columns("voltage", volts)
     columns |= known.columns("displacement", expected * 1e6, "expected")
-    return {**starts.clock_columns(paths[0], time), **columns}
+    return {**starts.clock_columns(paths[0], time), **columns, **temperature_column(paths[0])}
 
 
 def _tabulate(
@@ -373,7 +347,9 @@ def _tabulate(
     write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
     first = table.homing_rows.size
     rates = {"velocity": path.velocity, "acceleration": path.acceleration}
-    warnings = [*table.warnings, *remarks, *slew.remarks(actuator, one.allowed, path.displacement, path.time, **rates)]
+    needed = needed_slew_rate(actuator, path.displacement, path.time, one.allowed, **rates)
+    promise, untested = promised(actuator, played.voltage[first:], played.time[first:])
+    warnings = [*table.warnings, *remarks, *speed_remark(actuator, needed, slew.bound), *untested]
     if table.homing is None:
         state = start.within(actuator, one.limits)
         warnings += starts.file_warnings(actuator, float(table.start_up.voltage[0]), start, state, slew.bound)
@@ -386,8 +362,7 @@ def _tabulate(
     judged = judge(
         actuator,
         path=left,
-        voltage=played.voltage[first:],
-        time=played.time[first:],
+        promised=promise,
         missed=cycle.expected - cycle.displacement,
         begins="homed" if homes else start.name,
     )
@@ -423,7 +398,7 @@ def _tabulate(
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
         *starts.error_lines(start.name, left, homed=homes),
-        *promise_lines(actuator, judged, PathTemperature()),
+        *judged.lines(actuator.stroke),
     ]
     good = table.settled and table.certified and not table.clamped
     return Result(fields, lines, warnings=warnings, good=good)

@@ -234,7 +234,7 @@ class Columns:
                 raise FileFormatError(
                     argument="columns",
                     got=f"a temperature in {named.unit or 'no unit'}",
-                    need="C or K",
+                    need="C, K or F",
                     hint=f"give temperature={named.column.name}:C",
                 )
             found = [replace(named.column, name="temperature", unit=named.unit, divided=False)]

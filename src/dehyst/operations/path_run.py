@@ -14,11 +14,11 @@ from dehyst.adaptation import AdaptiveCompensator
 from dehyst.calibration.path_run import PathRun, Repetition
 from dehyst.calibration.plan import even_rate
 from dehyst.instruments import open_rig
-from dehyst.model import Actuator, demand_thermal
-from dehyst.operations.axes import is_stage
+from dehyst.model import Actuator
+from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
-from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
-from dehyst.operations.paths import PathTemperature, Zero, promise_lines, reach_remarks, zero_of_path
+from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
+from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, largest, percent, rms
 from dehyst.records.files import demand_text
@@ -85,8 +85,9 @@ def run_path(
         demand_text(output)
     if is_stage(model):
         raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
-    actuator = read_model(run, model)
-    wanted, rate, given = _read(path, actuator, columns)
+    known = AxesModel.read(run, model)
+    (actuator,) = known.actuators
+    wanted, rate, given = _read(path, known, columns)
     done: list[Repetition] = []
     with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
@@ -99,7 +100,7 @@ def run_path(
             run.note(remark)
         if given is not None and follower.measures_temperature:
             run.note(f"{instrument.name} measures the temperature: that of the path is not used")
-        promises = _Promises(run, follower, given)
+        promises = _Promises(run, follower)
         try:
             with run.watch(["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]) as watcher:
                 for repetition in follower.play(cycles, watcher, promises.update):
@@ -135,16 +136,13 @@ def run_path(
     )
 
 
-def _read(path: Path, actuator: Actuator, columns: Columns) -> tuple[Array, float, Array | None]:
+def _read(path: Path, known: AxesModel, columns: Columns) -> tuple[Array, float, float | Array | None]:
     """Return the displacement (n,) [m] in a file, its rate [Hz], and its temperature (n,) [degC] if that counts."""
     table = columns.table(path)
     wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
     if not clock:
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
-    if columns.temperature is not None:
-        demand_thermal(actuator.thermal)
-    given = None if actuator.thermal is None else columns.warmth(table, len(wanted))
-    return wanted, even_rate(path, clock["time_s"]), given
+    return wanted, even_rate(path, clock["time_s"]), temperature_of(known, None, columns, table, len(wanted))
 
 
 class _Promises:
@@ -153,13 +151,9 @@ class _Promises:
     `fields`: as JSON values.
     """
 
-    def __init__(self, run: Run, follower: PathRun, temperature: Array | None) -> None:
+    def __init__(self, run: Run, follower: PathRun) -> None:
         self._run, self._stroke, self._said = run, follower.stroke, follower.judged()
-        actuator, warmth = follower.actuator, PathTemperature(temperature)
-        if actuator.thermal is not None and follower.measures_temperature:
-            # Before the homing nobody knows it.
-            warmth = PathTemperature(actuator.thermal.reference)
-        lines = promise_lines(actuator, self._said, warmth)
+        lines = [*self._said.lines(self._stroke), *self._said.untested]
         self.fields: dict[str, Any] = {"judgement": self._said.as_dict(), "promise": lines}
         run.known = self.fields
         for line in lines:
@@ -169,8 +163,8 @@ class _Promises:
         """Print the errors to expect on the next repetition, if they are larger than those that were printed."""
         if now.bounds is None or self._said.bounds is None or now.bounds[1] <= _MORE * self._said.bounds[1]:
             return
-        self._said, (first, *others) = now, now.lines(self._stroke)
-        new = [f"From now on {first}.", *others]
+        self._said = now
+        new = [*(f"From now on {line}." for line in now.lines(self._stroke)), *now.untested]
         lines = [line for line in new if line not in self.fields["promise"]]
         self.fields["promise"] += lines
         for line in lines:

@@ -10,14 +10,12 @@ import numpy as np
 import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, PossibleStart
-from dehyst.model import Actuator, demand_thermal, temperature_cost
-from dehyst.model.states import state_at
+from dehyst.control import Compensator, HomedPath, PossibleStart
+from dehyst.model import Actuator, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
 from dehyst.records.formats.columns import Table
-from dehyst.trust import Judgement
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -73,7 +71,8 @@ class PathSlew(NamedTuple):
         bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
         words = {
             "option": bound,
-            "records": f"{bound}, the speed of the model's records and a margin of 5 % (--slew-rate changes it)",
+            "records": f"{bound}, the speed of the model's records and a margin of 5 % (--slew-rate V/S changes it, "
+            "--slew-rate none removes it)",
             "none": "not limited",
             "unknown": "not limited: this model does not know the speed of its records; give --slew-rate",
             "no time": "not limited: the path has no time",
@@ -90,85 +89,29 @@ class PathSlew(NamedTuple):
         """Return JSON values."""
         return {"slew_V_per_s": self.bound, "slew_from": self.origin}
 
-    def remarks(
-        self, actuator: Actuator, limits: tuple[float, float], wanted: Array, time: Array | None, **rates: Any
-    ) -> list[str]:
-        """Return a remark if a path (n,) [m] needs more than this slew rate, or than the speed of the records."""
-        recorded = actuator.recorded_slew_rate
-        if (recorded is None and self.bound is None) or time is None or len(wanted) < 2:
-            return []
-        state = state_at(actuator, actuator.state, float(wanted[0]))
-        motion = actuator.compensate(wanted, time=time, **rates, state=state, extrapolate=True)
-        needed = float(np.abs(np.diff(np.clip(motion.voltage, *limits)) / np.diff(time)).max())
-        held = self.bound is not None and needed > self.bound
-        words = f"the path needs up to {needed:.4g} V/s"
-        if recorded is not None and needed > recorded:
-            margin = f"with a margin of 5 % ({recorded:.4g} V/s)"
-            words += f", {needed / recorded:.3g} times the speed of the model's records {margin}"
-        elif not held:
-            return []
-        if held and self.origin == "option":
-            words += f": held back to the {self.bound:.4g} V/s of --slew-rate"
-        elif held:
-            words += ": held back; --slew-rate V/S sets another bound, --slew-rate none removes it"
-        return [words]
+
+def temperature_of(
+    known: AxesModel, constant: float | None, columns: Columns, table: Table | None = None, samples: int = 0
+) -> float | Array | None:
+    """Return the temperature of a path [degC]: `constant`, or the column (samples,) of its `table`; or None.
+
+    A column that was not asked for is left out if the model does not know of temperatures.
+    """
+    named = columns.temperature is not None
+    if constant is not None and named:
+        raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
+    if constant is not None or named:
+        demand_thermal(*(one.thermal for one in known.actuators))
+    if constant is not None:
+        return check.number(constant, "temperature")
+    if table is None or not any(one.thermal or tested_temperatures(one) for one in known.actuators):
+        return None
+    return columns.warmth(table, samples)
 
 
-@dataclass(frozen=True)
-class PathTemperature:
-    """The temperature of a path [degC]: one number, one a sample (n,), or None if it is not known."""
-
-    values: float | Array | None = None
-
-    @classmethod
-    def of(
-        cls, known: AxesModel, constant: float | None, columns: Columns, table: Table | None = None, samples: int = 0
-    ) -> PathTemperature:
-        """Return the given `constant`, or the temperatures in the `table` of a path with a number of `samples`."""
-        if known.stage is not None:
-            if constant is not None or columns.temperature is not None:
-                raise ModelError(argument="temperature", got="it with several axes", need="a model of one axis")
-            return cls()
-        if constant is not None and columns.temperature is not None:
-            raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
-        if constant is not None or columns.temperature is not None:
-            demand_thermal(known.actuators[0].thermal)
-        if constant is None:
-            return cls(None if table is None else columns.warmth(table, samples))
-        return cls(check.number(constant, "temperature"))
-
-    def used_by(self, actuator: Actuator) -> dict[str, Any]:
-        """Return the argument `temperature` of a calculation with an actuator, if that depends on it."""
-        return {} if actuator.thermal is None or self.values is None else {"temperature": self.values}
-
-    def at_reference(self, actuator: Actuator, displacement: Array) -> Array:
-        """Return the displacement (n,) [m] of a path at the reference temperature of its actuator."""
-        if actuator.thermal is None or self.values is None:
-            return displacement
-        return actuator.thermal.at_reference(displacement, self.values)
-
-    def column(self, actuator: Actuator, samples: int, before: int = 0) -> dict[str, Array]:
-        """Return the column of a file of `samples`, of which the first `before` come before the path."""
-        if not self.used_by(actuator):
-            return {}
-        along = np.broadcast_to(np.asarray(self.values, dtype=np.float64), samples - before)
-        return {"temperature_C": np.concatenate([np.full(before, along[0]), along])}
-
-    def cost(self, actuator: Actuator) -> tuple[float, str]:
-        """Return what this temperature adds to the error of any path [m], and a sentence on it."""
-        known = actuator.identification
-        tested = None if known is None or known.validity is None else known.validity.temperatures
-        stroke = float(np.ptp(actuator.reach))
-        cost, sentence = temperature_cost(actuator.thermal, tested, stroke, self.values)
-        return float(cost.max(initial=0.0)), sentence
-
-
-def promise_lines(actuator: Actuator, judged: Judgement, temperature: PathTemperature) -> list[str]:
-    """Return lines on the promised error of a path, if it is known, and on what the records do not test."""
-    lines, known = judged.lines(actuator.stroke), actuator.identification
-    _, sentence = temperature.cost(actuator)
-    # A promise of records names the temperature itself.
-    return [*lines, sentence] if sentence and (known is None or known.validity is None) else lines
+def temperature_column(path: HomedPath) -> dict[str, Array]:
+    """Return the column of temperatures of a planned path, if it has one."""
+    return {} if path.temperature is None else {"temperature_C": path.temperature}
 
 
 def zero_of_path(

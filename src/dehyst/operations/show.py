@@ -123,7 +123,7 @@ class _AxisView:
         def origin(quantity: str) -> str:
             scale = getattr(self.columns, f"{quantity}_scale", None)
             mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
-            column = used.get(quantity) or self._wanted(quantity) or quantity
+            column = used.get(quantity) or (self._wanted(quantity) if quantity in _SHOWN else None) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range
@@ -134,8 +134,7 @@ class _AxisView:
             f"noise {record.noise * 1e9:.2g} nm",
         }
         for one in record.others:
-            unit = one.unit.replace("degC", "°C")
-            ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {unit}"
+            ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {one.unit}"
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:

@@ -10,13 +10,13 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import Compensator, HomedPath, PossibleStart, StageCompensator, plan_voltage
+from dehyst.control import HomedPath, plan_voltage
 from dehyst.control.limits import outside_identified
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, write_table
-from dehyst.operations.paths import PathTemperature
+from dehyst.operations.paths import temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
 
@@ -51,7 +51,7 @@ def simulate(
     home
         Put the shortest homing before the voltages, from 0 V.
     temperature
-        Temperature [degrees Celsius], for a model that depends on it; default: a column temperature_C, or else the
+        Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
     """
     if home and start is not None:
@@ -62,15 +62,16 @@ def simulate(
     given = known.values(table, "voltage", columns)
     time = columns.clock(table, len(given))
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    warmth = PathTemperature.of(known, temperature, columns, table, len(given))
-    paths = _played(known, given, time, begins, warmth, home=home)
+    warmth = temperature_of(known, temperature, columns, table, len(given))
+    options = {"time": time.get("time_s"), "temperature": warmth, "home": home}
+    ranges = [one.voltage_range for one in known.actuators]
+    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
     volts = np.column_stack([path.voltage for path in paths])
     written = {**clock, **known.columns("voltage", volts), **_displacements(known, paths, clock, lag=lag)}
-    write_table(output, written | warmth.column(known.actuators[0], len(volts), paths[0].first))
-    costs = [warmth.cost(one) for one in known.actuators]
+    write_table(output, written | temperature_column(paths[0]))
     outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
     late = "the measured displacement lagged by {:.4g} ms, which is left out here; add --lag"
     warnings += known.prefixed(
@@ -78,12 +79,13 @@ def simulate(
         for outside, path, one in zip(outsides, paths, known.actuators, strict=True)
     )
     far = any(outside.far for outside in outsides)
+    costs = [path.promise.by_temperature if path.promise else 0.0 for path in paths]
     fields = {
         "samples": len(volts),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
         **known.merged([starts.path_start_fields(path) for path in paths]),
-        "temperature_cost_um": known.by_axis(1e6 * cost for cost, _ in costs),
+        "temperature_cost_um": known.by_axis(1e6 * cost for cost in costs),
         "warnings": warnings,
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),
@@ -95,27 +97,7 @@ def simulate(
     words = ", ".join(known.prefixed([one] for one in begin_words))
     errors = (starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths)
     lines = [f"{counted(len(volts), 'sample')} {words}: {output}", *known.prefixed(errors)]
-    lines += known.prefixed([sentence] if sentence else [] for _, sentence in costs)
     return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
-
-
-def _played(
-    known: AxesModel,
-    voltage: Array,
-    time: Mapping[str, Array],
-    begins: Sequence[PossibleStart | None],
-    warmth: PathTemperature,
-    *,
-    home: bool,
-) -> list[HomedPath]:
-    """Return the motion of each axis for voltages (n, axes) [V], optionally with a homing before them."""
-    when, ranges = time.get("time_s"), [one.voltage_range for one in known.actuators]
-    if known.stage is None:
-        compensator = Compensator(known.actuators[0], ranges[0])
-        used = warmth.used_by(known.actuators[0])
-        return [plan_voltage(compensator, voltage[:, 0], time=when, **used, start=begins[0], home=home)]
-    several = StageCompensator(known.stage, limits=ranges, period=starts.period_of(time))
-    return [*plan_voltage(several, voltage, time=when, start=begins, home=home)]
 
 
 def _displacements(

@@ -259,9 +259,3 @@ def clock_columns(path: HomedPath, time: Mapping[str, Array]) -> dict[str, Any]:
     if path.homing is None and not path.first:
         return dict(time)
     return {**({} if path.time is None else {"time_s": path.time}), "phase": path.phase}
-
-
-def period_of(time: Mapping[str, Array]) -> float | None:
-    """Return the mean time [s] between samples, with which the compensator of several axes checks its slew rate."""
-    times = time.get("time_s")
-    return None if times is None or len(times) < 2 else float((times[-1] - times[0]) / (len(times) - 1))

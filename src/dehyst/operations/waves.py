@@ -93,7 +93,7 @@ def excite(
     axes
         Names of the axes of a stage, as x,y.
     temperatures
-        Lowest and highest temperature in use [degrees Celsius]; the answer says at which temperatures to record.
+        Lowest and highest temperature in use [degC]; the answer says at which temperatures to record.
     pace
         frequency: every leg takes half a cycle; rate: only the highest leg does.
     """

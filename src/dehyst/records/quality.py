@@ -27,7 +27,7 @@ LARGEST, SHORTEST = 1e30, 1e-30
 _LEAST_STROKE, _LONGEST_STROKE = 1e-15, 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
-# Range of the temperatures of a laboratory [K]: in degrees Celsius no piezo ceramic works there.
+# Range of the temperatures of a laboratory [K]: in degC no piezo ceramic works there.
 _KELVINS = 250.0, 330.0
 # Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
@@ -163,7 +163,7 @@ def _of_units(record: Record) -> Iterator[str]:
         low, high = float(one.values.min()), float(one.values.max())
         if one.role == "temperature" and _KELVINS[0] <= low and high <= _KELVINS[1]:
             yield (
-                f"{one.column} is {low:.4g} to {high:.4g} degrees Celsius, which are the kelvins of a laboratory; if "
+                f"{one.column} is {low:.4g} to {high:.4g} degC, which are the kelvins of a laboratory; if "
                 f"they are, name the column {one.name}_K."
             )
     if 0 < highest < _LEAST_VOLTAGE:

@@ -60,7 +60,7 @@ class Channel(NamedTuple):
 
     @classmethod
     def of(cls, column: Column) -> Channel:
-        """Return a further channel of a record, in degrees Celsius or newtons if it is a temperature or a load."""
+        """Return a further channel of a record, in degC or newtons if it is a temperature or a load."""
         (name, unit), role, values = column.parts, column.role, column.data
         if role != "other":
             values, unit = in_si(values, unit), SI[role]
@@ -114,7 +114,7 @@ class Record:
         Names of the axes, one for each column; default: x, y, z. Empty for a record of one axis.
     others : mapping of str to (n,) array_like
         Further measured quantities, by name with unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
-        Temperatures (also in K) are kept in degrees Celsius, loads (also in mN or kN) in newtons, others unchanged;
+        Temperatures (also in K and degF) are kept in degC, loads (also in mN or kN) in newtons, others unchanged;
         kept as a tuple of `Channel`.
 
     Raises
@@ -123,7 +123,7 @@ class Record:
         If arrays have a wrong shape, unit or length, are masked or not numeric, have fewer than 2 samples, or hold NaN,
         inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one for each column;
         or if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
-        1000 degrees Celsius.
+        1000 degC.
     """
 
     time: Array
@@ -184,7 +184,9 @@ class Record:
                 continue
             column = Column(str(entry[0]), np.empty(0))
             unit = column.parts[1]
-            unit = "degC" if column.role == "temperature" and unit != "K" else unit
+            if column.role == "temperature":
+                # As libraries of units name it.
+                unit = {"C": "degC", "°C": "degC", "F": "degF", "°F": "degF"}.get(unit, unit)
             yield Channel.of(replace(column, data=self._frozen(entry[1], column.name, unit, 1)))
 
     def _named_axes(self) -> tuple[str, ...]:
@@ -225,7 +227,7 @@ class Record:
             ("time", f"{self.time[-1] - self.time[0]:.6g} s, every {self.sample_time:.4g} s"),
         ]
         for channel in self.channels:
-            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit.replace("degC", "°C"))
+            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit)
             low, high = (scale * float(end) for end in (channel.values.min(), channel.values.max()))
             rows.append((channel.name, f"{low:.6g} to {high:.6g} {unit}"))
         remarks = [
@@ -374,7 +376,7 @@ class Record:
 
     @property
     def temperature(self) -> Array | None:
-        """The temperature (n,) [degrees Celsius]; None if the record has none, or several."""
+        """The temperature (n,) [degC]; None if the record has none, or several."""
         found = [one.values for one in self.others if one.role == "temperature"]
         return found[0] if len(found) == 1 else None
 

@@ -232,7 +232,7 @@ def path_trial(fit: Fit) -> Applet | str:
         "error of the model to expect. The path is drawn among the turning points of the records, too."
     )
     if actuator.thermal is not None:
-        caption += f" All of this is at {actuator.thermal.reference:.3g} degrees Celsius."
+        caption += f" All of this is at {actuator.thermal.reference:.3g} degC."
     data = {
         "module": base64.b64encode(wasm_module(compensator)).decode("ascii"),
         "samples": SAMPLES,

@@ -14,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval, vector
 from dehyst.control import Command, Compensator, PossibleStart, StartError, shortest_homing
-from dehyst.model import Actuator, State, TemperatureCover, temperature_range
+from dehyst.model import Actuator, State, TemperatureCover, temperature_range, tested_temperatures
 from dehyst.records import Record
 from dehyst.trust.bootstrap import LEAST_REPEATS, Intervals, resample
 from dehyst.trust.evidence import Evidence
@@ -58,7 +58,7 @@ def insight(
     time : (n,) array_like, optional
         Time of the trajectory [s]; needed by a model that depends on time.
     temperature : float or (n,) array_like, optional
-        Temperature of the trajectory [degrees Celsius]; default: not known. Of a model that depends on temperature the
+        Temperature of the trajectory [degC]; default: not known. Of a model that depends on temperature the
         band is that of the trajectory at the reference.
     start : callable, optional
         Returns the start of the trajectory for a model, such as ``lambda one: start_of(one, record, began=True)``;
@@ -66,7 +66,7 @@ def insight(
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     temperatures : (float, float), optional
-        Lowest and highest temperature in use [degrees Celsius]; default: those of the trajectory. What the records do
+        Lowest and highest temperature in use [degC]; default: those of the trajectory. What the records do
         not cover causes a warning.
     seconds : float, optional
         Longest excitation to suggest [s]; default: no limit.
@@ -101,7 +101,8 @@ def insight(
     if used is None and warmth is not None and warmth.size:
         used = float(warmth.min()), float(warmth.max())
     reference = None if actuator.thermal is None else actuator.thermal.reference
-    cover = TemperatureCover(temperature_range([records] if isinstance(records, Record) else records), used, reference)
+    tested = tested_temperatures(actuator) or temperature_range([records] if isinstance(records, Record) else records)
+    cover = TemperatureCover(tested, used, reference)
     _ = cover.missing  # refuses an impossible range
     with one_thread():
         evidence = Evidence.from_records(actuator, records)

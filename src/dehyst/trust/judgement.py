@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._units import per_metre
 from dehyst._views.fields import json_values
 from dehyst.control import HomedPath, StartError
-from dehyst.model import Actuator, Identification, promise
+from dehyst.model import Actuator, Identification, Promise
 from dehyst.records import largest as largest_of
 from dehyst.records import rms as rms_of
 from dehyst.trust.prediction_band import PredictionBand
@@ -68,7 +68,7 @@ class Judgement:
         return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most"
 
     def lines(self, stroke: float) -> list[str]:
-        """Return the promise of a path with its start, then what the records do not test; empty if it is not known."""
+        """Return the promise of a path with its start in a line; no line if it is not known."""
         if not (words := self.words(stroke)):
             return []
         # A homing leaves a little open always: what is small beside the promise is not mentioned.
@@ -79,7 +79,7 @@ class Judgement:
         else:
             begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
             start = begins.get(self.begins, f", from the start {self.begins}") + (share and f"{share} by that")
-        return [f"expect this path {words} of the stroke{start}", *self.untested]
+        return [f"expect this path {words} of the stroke{start}"]
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
@@ -92,9 +92,7 @@ def judge(
     evidence: PredictionBand | None = None,
     path: StartError | None = None,
     *,
-    voltage: ArrayLike | None = None,
-    time: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
+    promised: Promise | None = None,
     missed: ArrayLike = (),
     begins: str = "",
 ) -> Judgement:
@@ -108,12 +106,9 @@ def judge(
         The prediction band of the path, as `insight(..., trajectory=...)` returns it.
     path : StartError, optional
         Error of the path due to its unknown start, such as `HomedPath.error`; default: the start is known.
-    voltage : (n,) array_like, optional
-        Voltage that follows the path [V], if there is no evidence; default: any path within the recorded voltages.
-    time : (n,) array_like, optional
-        Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
-    temperature : float or (n,) array_like, optional
-        Temperature of the path [degrees Celsius]; default: not known.
+    promised : Promise, optional
+        Promise of the path, such as `HomedPath.promise`; default: that of the evidence, or else of any path within the
+        recorded voltages.
     missed : (n,) array_like, optional
         Error of the model itself on the path where its voltage was clamped [m].
     begins : str, optional
@@ -122,11 +117,9 @@ def judge(
     known = actuator.identification or Identification()
     parts = {} if known.largest_error is None else {"training": known.largest_error}
     rms, largest, untested = known.expected_rms, known.expected_largest, tuple[str, ...]()
-    promised = None if evidence is None else evidence.promise
+    promised = promised or (None if evidence is None else evidence.promise)
     if promised is None and known.validity is not None:
         promised = known.validity.anywhere
-        if voltage is not None:
-            promised = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature)
     if promised is not None:
         rms, largest, untested = promised.rms, promised.largest, promised.untested
         parts |= {"temperature": promised.by_temperature} if promised.by_temperature else {}
@@ -143,28 +136,17 @@ def judge(
     return Judgement(rms, largest, parts, opened, untested, known.validated, begins)
 
 
-def judge_planned(
-    actuator: Actuator,
-    path: HomedPath,
-    *,
-    temperature: ArrayLike | None = None,
-    drift: float = 0.0,
-    seen: float | None = None,
-) -> Judgement:
+def judge_planned(actuator: Actuator, path: HomedPath, *, drift: float = 0.0, seen: float | None = None) -> Judgement:
     """Judge the error to expect on a planned path, from its start: that after its homing, if there is one.
 
-    `temperature` (n,) or a number: of the path [degrees Celsius]; default: not known. `drift`: by which it may be
-    another one [K]. `seen`: displacement that a sensor showed at the start, minus that of the model [m]; default: what
-    the start leaves open.
+    `drift`: by which its temperature may be another one [K]. `seen`: displacement that a sensor showed at the start,
+    minus that of the model [m]; default: what the start leaves open.
     """
-    first = path.first
     judged = judge(
         actuator,
         path=path.left_open,
-        voltage=path.voltage[first:],
-        time=None if path.time is None else path.time[first:],
-        temperature=temperature,
-        missed=(path.expected - path.displacement)[first:] / per_metre(path.units),
+        promised=path.promise,
+        missed=(path.expected - path.displacement)[path.first :] / per_metre(path.units),
         begins=path.start.name if path.homing is None else "homed",
     )
     if seen is not None:

@@ -17,7 +17,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, promise, temperature_cost
+from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promise, tested_temperatures
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
 from dehyst.trust.changes import LEARNT, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
@@ -371,16 +371,14 @@ def _doubt(actuator: Actuator, record: Record) -> float:
 def _warmth(actuator: Actuator, record: Record) -> list[str]:
     """Return a remark if the record has no temperature on which the model depends, or one that was not tested."""
     if record.temperature is not None:
-        known = actuator.identification
-        tested = None if known is None or known.validity is None else known.validity.temperatures
-        stroke = float(np.ptp(actuator.reach))
-        _, sentence = temperature_cost(actuator.thermal, tested, stroke, record.temperature)
+        stroke, tested = float(np.ptp(actuator.reach)), tested_temperatures(actuator)
+        sentence = TemperatureCost(actuator.thermal, tested, stroke, record.temperature).sentence
         return [f"{record.name}: {sentence}"] if sentence else []
     if actuator.thermal is None:
         return []
     return [
         f"{record.name}: has no temperature, on which the model depends; it is taken for the reference, "
-        f"{actuator.thermal.reference:.3g} degrees Celsius"
+        f"{actuator.thermal.reference:.3g} degC"
     ]
 
 

@@ -25,7 +25,7 @@ class AgeingCourse:
     """The course of ageing: changes that grow evenly with time, until `seconds` [s] have passed.
 
     `gain`: of the displacement [%]. `width`: of the loop, relative to its own width [%]. `offset`: of the sensor's zero
-    [% of the stroke]. `kelvins`: rise of the temperature from 20 degrees Celsius, which may cause all this [K].
+    [% of the stroke]. `kelvins`: rise of the temperature from 20 degC, which may cause all this [K].
     """
 
     gain: float = 0.0
@@ -65,7 +65,7 @@ class AgeingActuator(VirtualActuator):
     makes the actuator new. `play` needs the time.
 
     `new`: the actuator before it ages. `ageing`: its changes. `temperature`: function of the time (n,) [s] that returns
-    the temperature (n,) [degrees Celsius]; None if that does not change.
+    the temperature (n,) [degC]; None if that does not change.
     """
 
     def __init__(self, new: VirtualActuator, ageing: AgeingCourse) -> None:
@@ -83,7 +83,7 @@ class AgeingActuator(VirtualActuator):
         self._loop.relax()
 
     def _warmth(self, time: ArrayLike) -> Array:
-        """Return the temperature (n,) [degrees Celsius] at `time` (n,) [s]."""
+        """Return the temperature (n,) [degC] at `time` (n,) [s]."""
         return np.asarray(_ROOM + self.ageing.kelvins * self._age(time))
 
     def _age(self, time: ArrayLike) -> Array:

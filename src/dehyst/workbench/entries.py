@@ -230,8 +230,7 @@ class VoltageEntry:
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
         errors = [one["largest_m"] for one in each("judgement")]
         self.largest_um = [None if one is None else one * _MICRO for one in errors]
-        untested = [words for one in each("judgement") for words in one["untested"]]
-        self.words = [in_page(str(one)) for one in (*result["warnings"], *untested)]
+        self.words = [in_page(str(one)) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")

@@ -96,7 +96,7 @@ FORMS: dict[str, Form] = {
             "label": "Address",
             "value": "sim://play",
             "text": True,
-            "hint": "sim://play (simulated), pi://HOST:PORT, epics://PREFIX or ni://DEVICE",
+            "hint": "sim://play (simulated), pi://HOST:PORT, epics://PREFIX, ni://DEVICE or jena://HOST",
         },
         **{
             name: {**_LIMITS[name], "value": value} for name, value in (("low", "0"), ("high", "100"), ("slew", "1000"))

@@ -238,8 +238,8 @@ class RigDesk:
             raise RigRequestError("address: need one such as pi://host:port, epics://PREFIX or sim://play")
         if not rig_address().fullmatch(address):
             raise RigRequestError(
-                f"{address}: need pi://HOST:PORT, epics://PREFIX, ni://... or sim://NAME; a page chooses no file: "
-                "use dehyst calibrate for a driver of your own or the actuator of a model file"
+                f"{address}: need pi://HOST:PORT, epics://PREFIX, ni://..., jena://HOST or sim://NAME; a page chooses "
+                "no file: use dehyst calibrate for a driver of your own or the actuator of a model file"
             )
         return {"address": address, **_limits_of(body)}
 

@@ -87,6 +87,42 @@ def test_samples_of_other_files_are_refused(tmp_path, kind, name):
     refused(path, rf"column 'displacement_um': (is an?|has) {kind}")
 
 
+def write_npy(path, columns):
+    numbers = np.zeros(N, [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        numbers[name] = values
+    np.save(path, numbers)
+
+
+def write_h5(path, columns):
+    with h5py.File(path, "w") as file:
+        file.update(columns)
+
+
+def write_pairs(path, columns):
+    """As MATLAB does in files of version 7.3."""
+    pairs = np.zeros(N, [("real", "f8"), ("imag", "f8")])
+    write_h5(path, {name: pairs if np.iscomplexobj(values) else values for name, values in columns.items()})
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("a.npz", lambda path, columns: np.savez(path, **columns)),
+        ("a.npy", write_npy),
+        ("a.h5", write_h5),
+        ("pairs.h5", write_pairs),
+        ("a.mat", scipy.io.savemat),
+        ("structure.mat", lambda path, columns: scipy.io.savemat(path, {"data": columns})),
+    ],
+)
+def test_complex_columns_are_refused_by_name(tmp_path, name, write):
+    write(tmp_path / name, NAMED | {"displacement_um": Y * 1e6 + 1j})
+    refused(tmp_path / name, "column '(data/)?displacement_um': holds complex numbers; export")
+    write(tmp_path / name, NAMED | {"spectrum": Y + 1j})
+    assert np.array_equal(read(tmp_path / name).voltage, V)
+
+
 @pytest.mark.parametrize("kind", ["external storage", "external link", "virtual dataset", "soft link"])
 def test_dehysts_own_files_have_their_own_samples(tmp_path, kind):
     path = with_foreign(tmp_path / "own.h5", kind, "displacement_m")

@@ -1,6 +1,6 @@
 """A polynomial from voltage to displacement: what many controllers offer as linearisation. It has no hysteresis."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,13 +14,9 @@ class Polynomial(AbstractBaseline):
 
     v: np.ndarray
     y: np.ndarray
-    delay: float = 0.0
-    parameters: int = 4
-    state: State = field(default_factory=lambda: State(0.0, []), repr=False)
-
-    def __post_init__(self):
-        if not (np.diff(self.v) > 0).all() or not (np.diff(self.y) > 0).all():
-            raise ModelError("the polynomial does not rise over the whole range; need wider records")
+    delay: float
+    parameters: int
+    state = State(0.0, [])
 
     def _run(self, drive, state, time, *, inverse):
         x, f = (self.y, self.v) if inverse else (self.v, self.y)
@@ -33,13 +29,14 @@ class Polynomial(AbstractBaseline):
 
         def fit_model(training):
             low, high = training.limits
-            powers = np.arange(1, degree + 1)
+            powers, knots = np.arange(1, degree + 1), np.linspace(0, 1, 65)
             columns = ((training.sampled(lambda piece: piece.voltage) - low) / (high - low))[:, None] ** powers
             matrix = np.hstack([columns, training.nuisances])
             weights = np.linalg.lstsq(matrix, training.displacement, rcond=None)[0][:degree]
             constant, residual = training.fit_constant(training.displacement - columns @ weights)
-            knots = np.linspace(0, 1, 65)
             y = constant + (knots[:, None] ** powers) @ weights
+            if not (np.diff(y) > 0).all():
+                raise ModelError("the polynomial does not rise over the whole range; need wider records")
             return cls(low + (high - low) * knots, y, training.delay, degree + 1), residual
 
         return fit_with_delay(records, delay, fit_model)

@@ -7,34 +7,21 @@ import numpy as np
 from dehyst import MaxwellSlip, ModelError
 from dehyst.exports import Target, Written
 
-BEYOND = ("transformer", "creep", "displacement_creep", "thermal", "smooth", "dynamics", "load_stiffness")
+BEYOND = ("transformer", "creep", "displacement_creep", "thermal", "smooth", "dynamics", "load_stiffness", "lag")
 
 
 def write(compensator, path, options):
     """Write the block, which begins in the state of the compensator."""
-    actuator, state = compensator.actuator, compensator.state
-    beyond = [name for name in BEYOND if getattr(actuator, name) is not None] + ["lag"] * bool(actuator.lag)
+    actuator, state, (low, high) = compensator.actuator, compensator.state, compensator.limits
+    beyond = [name for name in BEYOND if getattr(actuator, name)]
     if beyond or not isinstance(actuator.slip, MaxwellSlip) or not len(actuator.slip):
-        raise ModelError(
-            f"{path}: Structured Text is of slip elements and a spring; the model has {beyond or 'others'}"
-        )
+        raise ModelError(f"{path}: need slip elements and a spring only; the model has {beyond or 'other elements'}")
     y, v = actuator.spring.displacement, actuator.spring.voltage
-    slew = np.inf if compensator.slew_rate is None else compensator.slew_rate * compensator.period
-    numbers = {
-        "elements": len(actuator.slip),
-        "breakaway": actuator.slip.breakaway,
-        "stiffness": actuator.slip.stiffness,
-        "knots": y.size - 1,
-        "knot": y[:-1],
-        "held": v[:-1],
-        "slope": np.diff(v) / np.diff(y),
-        "low": compensator.limits[0],
-        "high": compensator.limits[1],
-        "change": min(slew, 1e30),
-        "cart": state.carts,
-        "present": state.displacement,
-        "voltage": compensator.voltage,
-    }
+    change = 1e30 if compensator.slew_rate is None else compensator.slew_rate * compensator.period
+    numbers = {"elements": len(actuator.slip), "cart": state.carts, "present": state.displacement}
+    numbers |= {"stiffness": actuator.slip.stiffness, "breakaway": actuator.slip.breakaway}
+    numbers |= {"knots": y.size - 1, "knot": y[:-1], "held": v[:-1], "slope": np.diff(v) / np.diff(y)}
+    numbers |= {"voltage": compensator.voltage, "low": low, "high": high, "change": change}
     text = files("dehyst_example").joinpath("compensator.st.in").read_text(encoding="ascii")
     for name, value in numbers.items():
         text = text.replace(f"@{name}@", ", ".join(map(repr, np.atleast_1d(value).tolist())))

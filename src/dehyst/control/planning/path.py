@@ -28,7 +28,19 @@ from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
 from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
 from dehyst.control.trajectory import Command
-from dehyst.model import ANYWAY, Actuator, Stage, State, apply, demand_thermal, standing, state_at
+from dehyst.model import (
+    ANYWAY,
+    Actuator,
+    Promise,
+    Stage,
+    State,
+    apply,
+    promised,
+    standing,
+    state_at,
+    temperature_columns,
+    tested_temperatures,
+)
 from dehyst.waveforms import Excitation, Leg, Sampling
 
 HOMING, WAY, PATH = 0, 1, 2
@@ -77,11 +89,16 @@ class HomedPath:
         Error due to the unknown start without a homing, if this error is the reason for the homing.
     error : StartError
         Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
+    promise : Promise or None
+        Promised error of the path [m], in addition to that of clamped voltages and of the start; None if the model does
+        not hold what its records tested.
     warnings : tuple of str
-        Remarks on the homing, and on clamped voltages.
+        Remarks on the homing, on clamped voltages, and on what the records do not test: voltages, speeds, temperatures.
+    temperature : (n,) array or None
+        Temperature [degC] of the actuator; before the path that of the first sample. None if it is not known.
     units : str
-        Unit of `displacement`, `expected` and `error`, as in the compensator, by default "m". `state`, `start` and
-        `homing` are always in SI units.
+        Unit of `displacement`, `expected` and `error`, as in the compensator, by default "m". `state`, `start`,
+        `homing` and `promise` are always in SI units.
     """
 
     time: Array | None
@@ -95,7 +112,9 @@ class HomedPath:
     clamped: Mask
     followed: bool
     error: StartError
+    promise: Promise | None
     warnings: tuple[str, ...]
+    temperature: Array | None = None
     units: str = "m"
     unhomed: StartError | None = None
 
@@ -151,6 +170,7 @@ def plan_path(
     displacement: ArrayLike,
     *,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: Sequence[PossibleStart] | None = None,
     home: bool | None = None,
     present: Sequence[float] | None = None,
@@ -180,9 +200,9 @@ def plan_path(
         The path, as in `Compensator.trajectory`.
     time, velocity, acceleration
         As in `Compensator.trajectory`; velocity and acceleration only for one axis.
-    temperature : float or (n,) array_like, optional
-        [degrees Celsius] of the path, for one axis with the part `thermal`; default: its reference. Before the path it
-        is that of the first sample.
+    temperature : float, (n,) or (n, axes) array_like, optional
+        [degC] of the path, as in `Stage.simulate`; default: not known, and computed at the reference of the part
+        `thermal`. Without that part it is only compared with that of the model's records.
     start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
@@ -205,16 +225,15 @@ def plan_path(
     RecordError
         If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
     """
-    plan = _Plan(compensator, displacement, "displacement", time, temperature)
-    rates = plan.rates(velocity, acceleration)
+    plan = _Plan(compensator, displacement, "displacement", time, temperature, velocity, acceleration)
     given, now = plan.each(start, "start"), plan.each(present, "present")
     if home:
-        return plan.result(plan.led(rates, [one if one and one.known else None for one in given], now))
-    if start is not None:
-        return plan.result(plan.begun(rates, given))
-    paths = plan.begun(rates, None)
+        return plan.result(plan.led([one if one and one.known else None for one in given], now))
+    if all(given):
+        return plan.result(plan.begun(given))
+    paths = plan.begun(None)
     if home is None and any(one.error.matters for one in paths):
-        homed = plan.led(rates, given, now)
+        homed = plan.led(given, now)
         paths = [replace(one, unhomed=before.error) for one, before in zip(homed, paths, strict=True)]
     return plan.result(paths)
 
@@ -236,6 +255,7 @@ def plan_voltage(
     voltage: ArrayLike,
     *,
     time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
     start: Sequence[PossibleStart | None] | None = None,
     home: bool = False,
     present: Sequence[float] | None = None,
@@ -319,8 +339,8 @@ class _Way(NamedTuple):
 class _Plan:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `firsts`: displacement [m] or voltage [V] of each actuator at the first sample. All is planned at the reference
-    temperature; `result` returns to the given one.
+    `targets` (axes, n): displacement [m] or voltage [V] of each actuator. `firsts`: the first of these, displacements
+    at the reference temperature. `temperature` (n, axes) [degC]: of the actuators; `warmth`: those that have an effect.
     """
 
     def __init__(
@@ -330,80 +350,68 @@ class _Plan:
         what: str,
         time: ArrayLike | None,
         temperature: ArrayLike | None,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
     ) -> None:
         self.compensator, self.loops, self.voltage = compensator, axes_of(compensator), what == "voltage"
         self.single = compensator if isinstance(compensator, Compensator) else None
-        self.temperature: Array | None = None
-        self.gain: Array | float = 1.0
         if isinstance(compensator, Compensator):
             self.stage = Stage((compensator.actuator,))
-            given = vector(rows, what) if self.voltage else compensator.in_metres(rows)
-            self.given, self.rows = given, given[:, None]
-            if temperature is not None:
-                thermal = demand_thermal(compensator.actuator.thermal)
-                if not self.voltage:
-                    self.rows = thermal.at_reference(given, temperature)[:, None]
-                self.gain = thermal.scale(temperature, given.size)[0]
-                self.temperature = np.broadcast_to(np.asarray(temperature, dtype=np.float64), given.shape)
-            strays = "" if self.voltage else compensator.strays(self.rows[:, 0] * per_metre(compensator.units))
-            if strays:
-                raise ModelError(f"{strays}; {ANYWAY}")
+            self.rows = (vector(rows, what) if self.voltage else compensator.in_metres(rows))[:, None]
         else:
-            if temperature is not None:
-                raise ModelError(argument="temperature", got="it for several axes", need="a model of one axis")
             self.stage = compensator.stage
             self.rows = self.stage.columns(rows, what, "V" if self.voltage else "m")
         size, period = len(self.rows), compensator.period
         if not size:
             raise RecordError(argument="path", got="no samples", need="one at least")
-        self.firsts: list[float] = (self.rows if self.voltage else apply(self.stage.decoupling, self.rows))[0].tolist()
+        actuators = self.stage.actuators
+        self.temperature: Array | None = None
+        self.warmth: list[Array | None] = [None] * len(actuators)
+        if temperature is not None:
+            self.temperature = temperature_columns(temperature, size, len(actuators))
+            if any(one.thermal for one in actuators) or not any(map(tested_temperatures, actuators)):
+                self.warmth = self.stage.temperatures(self.temperature, size)
+        self.targets = self.rows.T
+        if not self.voltage:
+            self.targets = apply(self.stage.decoupling, self.rows).T
+            columns = actuators, self.targets, self.warmth
+            reference = [
+                one.thermal.at_reference(values, degrees) if one.thermal and degrees is not None else values
+                for one, values, degrees in zip(*columns, strict=True)
+            ]
+            strays = "" if self.single is None else self.single.strays(reference[0] * per_metre(self.single.units))
+            if strays:
+                raise ModelError(f"{strays}; {ANYWAY}")
+        self.firsts = [float(values[0]) for values in (self.targets if self.voltage else reference)]
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
         if time is not None:
             self.time = vector(time, "time")
             if self.time.size != size or np.any(np.diff(self.time) <= 0):
                 raise ModelError(untimely(self.time, size))
+        given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
+        self.rates = {
+            name: self.loops[0].in_metres(values, name, per) for name, values, per in given if values is not None
+        }
+        if self.rates and self.single is None:
+            raise ModelError(argument=min(self.rates), got="it for several axes", need="a path of one axis")
 
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""
         return [values] if self.single else list(for_each(values, len(self.loops), what))
-
-    def rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> dict[str, Array]:
-        """Return the given derivatives of a path, converted to metres and to the reference temperature."""
-        given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
-        found = {
-            name: self.loops[0].in_metres(values, name, per) / self.gain
-            for name, values, per in given
-            if values is not None
-        }
-        if found and self.single is None:
-            raise ModelError(argument=min(found), got="it for several axes", need="a path of one axis")
-        return found
 
     def result(self, paths: list[HomedPath]) -> Any:
         """Return the paths of several axes, or the path of the only axis, in the units of its compensator."""
         if self.single is None:
             return tuple(paths)
         units = self.single.units
-        if self.temperature is not None:
-            paths = [self.warmed(self.single, paths[0], self.temperature)]
         hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
         return replace(paths[0], warnings=(*paths[0].warnings, *hint)).in_units(units)
 
-    def warmed(self, one: Compensator, path: HomedPath, temperature: Array) -> HomedPath:
-        """Return a path [m] at the `temperature` (n,) of its samples; before it, at that of the first sample."""
-        thermal, before = demand_thermal(one.actuator.thermal), np.full(path.first, temperature[0])
-        along = np.concatenate([before, temperature])
-        moved, expected = (thermal.warmed(values, along) for values in (path.displacement, path.expected))
-        if not self.voltage:
-            # The path as it was given, without the rounding of there and back.
-            kept = path.expected == path.displacement
-            moved[path.first :] = self.given
-            expected = np.where(kept, moved, expected)
-        low, high = (thermal.warmed(values, temperature) for values in (path.error.lowest, path.error.highest))
-        error = replace(path.error, lowest=low, highest=high)
-        return replace(path, displacement=moved, expected=expected, error=error)
+    def degrees(self, temperature: Array | None, before: int, size: int) -> Array | None:
+        """Return a temperature (n,) [degC] for `before` rows and `size` samples after them; before, it is the first."""
+        return None if temperature is None else np.concatenate([np.full(before, temperature[0]), temperature[:size]])
 
-    def begun(self, rates: dict[str, Array], given: list[PossibleStart] | None) -> list[HomedPath]:
+    def begun(self, given: list[PossibleStart] | None) -> list[HomedPath]:
         """Return the voltages of the path, with a way before it if its first step would exceed the slew rate."""
         starts = given or [
             PossibleStart.unknown_near(one.actuator, y, one.limits)
@@ -416,17 +424,16 @@ class _Plan:
             for one, state, y in zip(self.loops, states, self.firsts, strict=True)
         ]
         held = [one.held(state) for one, state in zip(self.loops, states, strict=True)]
-        commands = self.follow(rates, begins, None if given is None else held, self.compensator.period)
+        commands = self.follow(begins, None if given is None else held, self.compensator.period)
         jumps = [one.slew_rate and command.clamped[0] for one, command in zip(self.loops, commands, strict=True)]
         if given is not None and any(jumps):
             known = [PossibleStart(start.name, (state,)) for start, state in zip(starts, states, strict=True)]
-            return self.led(rates, known, [None] * len(known), given)
+            return self.led(known, [None] * len(known), given)
         ways = [_Way(start, start.state) for start in starts]
         return self.joined(ways, np.zeros((0, len(starts))), commands, self.rows)
 
     def led(
         self,
-        rates: dict[str, Array],
         known: Sequence[PossibleStart | None],
         present: list[float | None],
         starts: list[PossibleStart] | None = None,
@@ -441,23 +448,23 @@ class _Plan:
             state_at(one.actuator, way.state, y) if one.actuator.model.has_dynamics else way.state
             for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
-        commands = self.follow(rates, begins, [way.last for way in ways], ways[0].step)
+        commands = self.follow(begins, [way.last for way in ways], ways[0].step)
         before = self.lead(ways)
         if starts:
             ways = [way._replace(start=start) for way, start in zip(ways, starts, strict=True)]
         return self.joined(ways, before, commands, self.rows)
 
-    def follow(
-        self, rates: dict[str, Array], states: list[State], present: list[float] | None, period: float | None
-    ) -> Sequence[Command]:
+    def follow(self, states: list[State], present: list[float] | None, period: float | None) -> Sequence[Command]:
         """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
         if self.single is not None:
             one = Compensator(self.single.actuator, self.single.limits, self.single.slew_rate, period=period)
-            options: dict[str, Any] = {"time": self.time, "present": None if present is None else present[0], **rates}
-            return [one.trajectory(self.rows[:, 0], state=states[0], **options)]
+            options: dict[str, Any] = {"time": self.time, "temperature": self.warmth[0], **self.rates}
+            begin = None if present is None else present[0]
+            return [one.trajectory(self.rows[:, 0], state=states[0], present=begin, **options)]
         limits, slews = [one.limits for one in self.loops], [one.slew_rate for one in self.loops]
         several = StageCompensator(self.stage, period=period, limits=limits, slew_rate=slews, states=states)
-        return several.trajectory(self.rows, time=self.time, present=present)
+        warm = self.temperature if any(degrees is not None for degrees in self.warmth) else None
+        return several.trajectory(self.rows, time=self.time, temperature=warm, present=present)
 
     def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
         """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits."""
@@ -564,9 +571,11 @@ class _Plan:
         after = np.zeros((0, len(ways))) if rows is None else rows
         time = self.time_of(ways[0], len(after))
         motions = []
-        for one, way, volts in zip(self.loops, ways, after.T, strict=True):
-            voltage, when = np.concatenate([way.voltage, volts]), time if one.actuator.needs_time else None
-            motions.append(one.actuator.simulate(voltage, time=when, state=way.start.state, extrapolate=True))
+        for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
+            degrees = self.degrees(warmth, way.voltage.size, volts.size)
+            options: dict[str, Any] = {"time": time if one.actuator.needs_time else None, "temperature": degrees}
+            voltage = np.concatenate([way.voltage, volts])
+            motions.append(one.actuator.simulate(voltage, **options, state=way.start.state, extrapolate=True))
         moved = np.column_stack([motion.displacement for motion in motions])
         return apply(self.stage.coupling, moved), [motion.state for motion in motions]
 
@@ -584,12 +593,19 @@ class _Plan:
         self, ways: Sequence[_Way], before: Array, commands: Sequence[Command], wanted: Array
     ) -> list[HomedPath]:
         """Return the path of each axis: its way, with displacements `before` (k, axes) [m], then its command."""
-        size = len(wanted)
+        size, first = len(wanted), ways[0].voltage.size
         time, phase = self.time_of(ways[0], size), np.concatenate([ways[0].phase, np.full(size, PATH)])
+        temperatures = [None] * len(ways) if self.temperature is None else list(self.temperature.T)
+        columns = self.loops, ways, commands, before.T, wanted.T, self.warmth, temperatures
         paths = []
-        for one, way, command, led, path in zip(self.loops, ways, commands, before.T, wanted.T, strict=True):
+        for j, (one, way, command, led, path, warmth, temperature) in enumerate(zip(*columns, strict=True)):
             voltage = np.concatenate([way.voltage, command.voltage])
-            first = way.voltage.size
+            error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first)
+            if one.actuator.thermal and warmth is not None:
+                low, high = (one.actuator.thermal.warmed(values, warmth) for values in (error.lowest, error.highest))
+                error = replace(error, lowest=low, highest=high)
+            promise, untested = promised(one.actuator, command.voltage, self.time, temperature)
+            speeds = () if self.voltage else self.speeds(j, command)
             paths.append(
                 HomedPath(
                     time,
@@ -602,8 +618,55 @@ class _Plan:
                     homing=way.homing,
                     clamped=np.concatenate([np.zeros(first, dtype=bool), command.clamped]),
                     followed=command.followed,
-                    error=way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first),
-                    warnings=(*way.warnings, *command.warnings),
+                    error=error,
+                    promise=promise,
+                    warnings=(*way.warnings, *command.warnings, *speeds, *untested),
+                    temperature=self.degrees(temperature, first, size),
                 )
             )
         return paths
+
+    def speeds(self, j: int, command: Command) -> tuple[str, ...]:
+        """Return a remark if the path of an axis needs more than its slew rate, or than the speed of the records."""
+        one, voltage = self.loops[j], command.voltage
+        if self.time is None or self.time.size < 2:
+            return ()
+        if not command.clamped.any():
+            return speed_remark(one.actuator, float(np.abs(np.diff(voltage) / np.diff(self.time)).max()), one.slew_rate)
+        options: dict[str, Any] = {"temperature": self.warmth[j], **self.rates}
+        needed = needed_slew_rate(one.actuator, self.targets[j], self.time, one.limits, **options)
+        return speed_remark(one.actuator, needed, one.slew_rate)
+
+
+def needed_slew_rate(
+    actuator: Actuator,
+    displacement: Array,
+    time: Array,
+    limits: tuple[float, float],
+    *,
+    temperature: ArrayLike | None = None,
+    **rates: Array,
+) -> float:
+    """Return the slew rate [V/s] that a path (n,) [m] at `time` (n,) [s] needs within `limits` [V], n at least 2.
+
+    `temperature`, and `rates`, a velocity and an acceleration: as in `Actuator.compensate`.
+    """
+    first = displacement[:1]
+    if actuator.thermal is not None and temperature is not None:
+        first = actuator.thermal.at_reference(displacement, temperature)[:1]
+    options: dict[str, Any] = {"time": time, "temperature": temperature, **rates}
+    state = state_at(actuator, actuator.state, float(first[0]))
+    voltage = actuator.compensate(displacement, **options, state=state, extrapolate=True).voltage
+    return float(np.abs(np.diff(np.clip(voltage, *limits)) / np.diff(time)).max())
+
+
+def speed_remark(actuator: Actuator, needed: float, slew_rate: float | None = None) -> tuple[str, ...]:
+    """Return a remark if a path needs more V/s than its `slew_rate`, or than the records of its model have; or none."""
+    recorded, words = actuator.recorded_slew_rate, f"the path needs up to {needed:.4g} V/s"
+    held = slew_rate is not None and needed > slew_rate
+    if recorded is not None and needed > recorded:
+        margin = f"with a margin of 5 % ({recorded:.4g} V/s)"
+        words += f", {needed / recorded:.3g} times the speed of the model's records {margin}"
+    elif not held:
+        return ()
+    return (f"{words}: held back to {slew_rate:.4g} V/s" if held else words,)

@@ -33,7 +33,7 @@ static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
     loop.limited = loop.slewed = loop.refused = 0;
     for (i = 0; i < size; i++) p->spare[i] = numbers[i];
     dehyst_loop_commit(models[axis], &loop, p->spare, voltage);
-    return loop.w;
+    return loop.offset + loop.gain * loop.w;
 }
 
 /* Return the sum of products, from the first axis to the last. */
@@ -137,7 +137,7 @@ void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES])
 {
     dehyst_real moved[MODEL_AXES];
     int j;
-    for (j = 0; j < MODEL_AXES; j++) moved[j] = p->loop[j].w;
+    for (j = 0; j < MODEL_AXES; j++) moved[j] = p->loop[j].offset + p->loop[j].gain * p->loop[j].w;
     for (j = 0; j < MODEL_AXES; j++) displacement[j] = dot(coupling[j], moved);
 }
 
@@ -147,3 +147,4 @@ void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real
     for (j = 0; j < MODEL_AXES; j++) dehyst_loop_play(models[j], &p->loop[j], p->memory + begins[j], voltage[j]);
     piezo_displacement(p, displacement);
 }
+/* temperature */

@@ -37,6 +37,7 @@ void piezo_hold(piezo *p);
 void piezo_simulate(piezo *p, const dehyst_real voltage[MODEL_AXES], dehyst_real displacement[MODEL_AXES]);
 /* Compute the displacements of the body from all voltages that were sent; without the delay of a mass. */
 void piezo_displacement(const piezo *p, dehyst_real displacement[MODEL_AXES]);
+/* temperature */
 #ifdef __cplusplus
 }
 #endif

@@ -248,11 +248,12 @@ class Column:
     def role(self) -> str:
         """Role as a further channel of a record, by name and unit: "temperature", "load" or "other".
 
-        A temperature has "temp" in its name, or the unit degC or °C; a load has "load", "force" or "kraft".
+        A temperature has "temp" in its name, or the unit degC, °C, degF or °F; a load has "load", "force" or "kraft".
         """
         word, unit = self.parts[0].lower(), self.parts[1]
         role = quantity_of(unit)
-        parts, units = {"temperature": (("temp",), ("degC", "°C")), "load": (("load", "force", "kraft"), ())}.get(
+        degrees = "degC", "°C", "degF", "°F"
+        parts, units = {"temperature": (("temp",), degrees), "load": (("load", "force", "kraft"), ())}.get(
             role, ((), ())
         )
         return role if unit in units or any(part in word for part in parts) else "other"

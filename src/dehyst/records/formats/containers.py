@@ -25,6 +25,8 @@ from dehyst.records.formats.file_content import Allowance
 # "guesses" by quantity and the columns of "others".
 MEMBER = "dehyst-record"
 LINE = f"# {MEMBER}: "
+# Why complex numbers cannot be used.
+COMPLEX = "holds complex numbers; export their real part, or their magnitude, as a column of its own"
 # Longest text of it [bytes].
 LONGEST = 4096
 
@@ -46,10 +48,15 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
 
 
 def vectors(name: str, array: Any, unit: str = "") -> list[Column]:
-    """Return a column for an array of real numbers that is 1-D, or 2-D with one row or column, as in MATLAB."""
+    """Return a column for an array of numbers that is 1-D, or 2-D with one row or column, as in MATLAB.
+
+    Complex numbers have a fault.
+    """
     array = np.asarray(array)
-    if array.dtype.kind not in "fiu" or array.size < 2 or array.size != max(array.shape):
+    if array.dtype.kind not in "fiuc" or array.size < 2 or array.size != max(array.shape):
         return []
+    if array.dtype.kind == "c":
+        return [Column(name, np.empty(0), unit, fault=COMPLEX)]
     with np.errstate(all="ignore"):
         return [Column(name, array.ravel().astype(np.float64, copy=False), unit)]
 
@@ -78,7 +85,7 @@ class _Array(NamedTuple):
         count = product(self.shape)
         if self.dtype.kind == "U" and not self.shape and self.dtype.itemsize <= 4 * LONGEST:
             return "text"
-        if self.dtype.names is None and self.dtype.kind not in "fiu":
+        if self.dtype.names is None and self.dtype.kind not in "fiuc":
             return ""
         if len(self.shape) == 2 and self.dtype.names is None:
             few, many = sorted(self.shape)
@@ -110,7 +117,8 @@ class _Array(NamedTuple):
             "with the names time_s, voltage_V and displacement_um by numpy.savez"
         )
         with np.errstate(all="ignore"):
-            return [Column(str(k), row.astype(np.float64), unnamed=unnamed) for k, row in enumerate(rows, 1)]
+            columns = [column for k, row in enumerate(rows, 1) for column in vectors(str(k), row)]
+        return [replace(column, unnamed=unnamed) for column in columns]
 
 
 def _header(opened: Callable[[], IO[bytes]], size: int, name: str, allowance: Allowance) -> _Array:
@@ -228,6 +236,9 @@ def hdf5_nodes(file: Any) -> Iterator[Node]:
                     fault = f"is a virtual dataset, made of others, which are not read; {_OWN_SAMPLES}"
                 elif item.external:
                     fault = f"has external storage in '{item.external[0][0]}', which is not read; {_OWN_SAMPLES}"
+                # MATLAB writes complex numbers as pairs.
+                elif (item.dtype.kind == "c" or item.dtype.names == ("real", "imag")) and item.size == max(item.shape):
+                    fault = COMPLEX
                 yield Node(name, item, fault)
 
 
@@ -256,7 +267,7 @@ def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
             if name.startswith("#"):
                 continue
             if fault:
-                columns.append(Column(name, np.empty(0), fault=fault, foreign=True))
+                columns.append(Column(name, np.empty(0), fault=fault, foreign=fault != COMPLEX))
             elif is_vector(dataset) and dataset.size > 1:
                 (column,) = vectors(name, samples_of(dataset, name, allowance), _unit(dataset))
                 if not symbol_of(column.parts[1]) and (unit := _unit(dataset.parent)):

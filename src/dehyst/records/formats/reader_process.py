@@ -73,7 +73,12 @@ def _of_plugin(suffix: str, reader: Callable[[bytes, Allowance], list[Column]]) 
         for one in columns:
             if not isinstance(one.name, str) or not isinstance(one.unit, str):
                 raise TypeError(f"its reader returned the name {one.name!r} with the unit {one.unit!r}, need text")
-        return [replace(one, data=np.asarray(one.data, dtype=np.float64)) for one in columns]
+        return [
+            replace(one, data=np.empty(0), fault=containers.COMPLEX)
+            if np.iscomplexobj(one.data)
+            else replace(one, data=np.asarray(one.data, dtype=np.float64))
+            for one in columns
+        ]
 
     return Format(checked)
 
