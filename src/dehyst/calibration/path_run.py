@@ -18,7 +18,6 @@ from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
 from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
-from dehyst.control.planning.path import HOMING
 from dehyst.instruments import AbstractRig, Samples
 from dehyst.model import Actuator, State, promised
 from dehyst.records import Record
@@ -191,7 +190,7 @@ class PathRun:
             self._unsure = abs(self._seen.drift) * self._wanted.size / self.rate
         # Before the way to the path the state of the actuator is not known.
         when = at[self._rig.rows(at.size)]
-        late = when >= times[np.flatnonzero(way.phase > HOMING)[0]] if len(times) > 1 else np.ones(1, dtype=bool)
+        late = when >= times[np.flatnonzero(way.phase)[0]] if len(times) > 1 else np.ones(1, dtype=bool)
         expected = np.interp(when - self.actuator.delay, times, way.expected)
         self._off = float((moved - expected)[late].mean()) if late.any() else None
         self._loop = self._begun(way.state)

@@ -152,18 +152,18 @@ class _Promises:
     """
 
     def __init__(self, run: Run, follower: PathRun) -> None:
-        self._run, self._stroke, self._said = run, follower.stroke, follower.judged()
-        lines = [*self._said.lines(self._stroke), *self._said.untested]
-        self.fields: dict[str, Any] = {"judgement": self._said.as_dict(), "promise": lines}
+        self._run, self._stroke, self._printed = run, follower.stroke, follower.judged()
+        lines = [*self._printed.lines(self._stroke), *self._printed.untested]
+        self.fields: dict[str, Any] = {"judgement": self._printed.as_dict(), "promise": lines}
         run.known = self.fields
         for line in lines:
             run.say(line)
 
     def update(self, now: Judgement) -> None:
         """Print the errors to expect on the next repetition, if they are larger than those that were printed."""
-        if now.bounds is None or self._said.bounds is None or now.bounds[1] <= _MORE * self._said.bounds[1]:
+        if now.bounds is None or self._printed.bounds is None or now.bounds[1] <= _MORE * self._printed.bounds[1]:
             return
-        self._said = now
+        self._printed = now
         new = [*(f"From now on {line}." for line in now.lines(self._stroke)), *now.untested]
         lines = [line for line in new if line not in self.fields["promise"]]
         self.fields["promise"] += lines
