@@ -158,7 +158,7 @@ class PathRun:
         self,
         repetitions: int,
         watcher: ProgressListener | None = None,
-        judged: Callable[[Judgement], object] = lambda _: None,
+        judged: Callable[[Judgement], object] | None = None,
     ) -> Iterator[Repetition]:
         """Home, and yield each of the `repetitions` as it ends; the voltage ends at the safe one, after any error too.
 
@@ -170,7 +170,8 @@ class PathRun:
             end, pause = self._home(listener), 0.0
             for number in range(1, repetitions + 1):
                 promised = self.judged()
-                judged(promised)
+                if judged is not None:
+                    judged(promised)
                 repetition, pause = self._repeat(f"repetition {number}", end, pause, promised, listener)
                 end = float(repetition.record.time[-1])
                 yield repetition
