@@ -88,7 +88,7 @@ class Gradual:
 
     def play(self, u: Array, steps: Array) -> Array:
         """Return the displacement."""
-        return self.actuator._map(self.actuator._follow(u))
+        return self.actuator._mapped(self.actuator._follow(u))
 
 
 class Dahl(Bristles):

@@ -476,7 +476,7 @@ def test_ctrl_c_between_an_error_and_the_retreat_waits():
 
     def listen(samples):
         if samples.voltage[-1] > 20:
-            rig._retreated = late
+            vars(rig)["_retreated"] = late
             raise ValueError("first")
 
     with pytest.raises(KeyboardInterrupt) as caught:

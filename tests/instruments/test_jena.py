@@ -18,7 +18,7 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "nv200", None)
     for name in ("nv200.serial_protocol", "nv200.telnet_protocol"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingExtraError, match=r"3\.12 or later.*dehyst\[jena\]"):
+    with pytest.raises(MissingExtraError, match=r"3\.12 and 3\.13.*dehyst\[jena\]"):
         open_rig("jena://192.0.2.1")
     with pytest.raises(RigError, match="jena:///dev/ttyUSB0"):
         open_rig("jena://")

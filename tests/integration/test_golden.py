@@ -76,6 +76,10 @@ def test_the_memory_of_a_loop_that_learns():
     loop.restore(AdaptiveSnapshot.load(GOLDEN / "adaptive-loop-1.json"))
     with pytest.warns(dehyst.ClampWarning):
         assert loop.step(6e-6, 5e-6) == pytest.approx(39.8454545454545, rel=1e-12)
+    loop = AdaptiveCompensator(actuator, (0, 90), slew_rate=2e4, period=1e-3, zero_drifts=False, warns=False)
+    loop.restore(AdaptiveSnapshot.load(GOLDEN / "adaptive-loop-2.json"))
+    assert loop.step(5e-6, 4.9e-6) == pytest.approx(33.3909090909091, rel=1e-12)
+    assert loop.snapshot().learnt["before"][:2] == pytest.approx([0.04226946, 0.0638009], rel=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "h5"])
@@ -135,7 +139,7 @@ NEWER = "got (format .* )?version 99, need .*a newer dehyst wrote it: install th
         (Actuator, "actuator-4.json"),
         (Stage, "stage-2.json"),
         (Snapshot, "loop-2.json"),
-        (AdaptiveSnapshot, "adaptive-loop-1.json"),
+        (AdaptiveSnapshot, "adaptive-loop-2.json"),
     ],
 )
 def test_a_newer_model_or_memory_is_refused(kind, name):

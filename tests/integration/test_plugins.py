@@ -263,6 +263,16 @@ def test_no_base_of_a_rig_replaces_what_limits_and_retreat_rely_on(name):
         type("Own", (mixin, FakeRig), {})
 
 
+@pytest.mark.parametrize("name", ["play", "_ramp", "_reading"])
+def test_no_attribute_of_a_rig_hides_what_limits_and_retreat_rely_on(name):
+    class Own(FakeRig):
+        def __init__(self):
+            setattr(self, name, None)
+
+    with pytest.raises(TypeError, match=f"Own: sets {name}, a method of AbstractRig"):
+        Own()
+
+
 def test_a_rig_whose_bases_hide_the_check_of_its_class_cannot_be_constructed():
     class Silent:
         def __init_subclass__(cls):

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from dehyst import _validation as check
 from dehyst._errors import ModelError
+from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
 from dehyst.adaptation.estimator import Estimator, Exchange, PathCycle
@@ -20,7 +21,8 @@ from dehyst.control import Compensator, Snapshot, VoltageLimits
 from dehyst.model import Actuator, State, looped
 from dehyst.model import serialization as files
 
-FORMAT, VERSION = "dehyst-adaptive-loop", 1
+# Version 1 has no means of the cycle before.
+FORMAT, VERSIONS = "dehyst-adaptive-loop", (1, 2)
 # Samples of a cycle in the loop at most, of any cycle at least, and those after which turns are looked for.
 _MOST, FEWEST, _DUE = 4096, 24, 32
 # The integral action moves the path by this part of the reach at most.
@@ -42,12 +44,12 @@ class AdaptiveSnapshot(files.JsonFile):
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; `from_dict` reads them back without loss."""
         learnt = {name: values.tolist() for name, values in self.learnt.items()}
-        return {"format": FORMAT, "version": VERSION, "loop": self.loop.as_dict(), "learnt": learnt}
+        return {"format": FORMAT, "version": VERSIONS[-1], "loop": self.loop.as_dict(), "learnt": learnt}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> AdaptiveSnapshot:
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
-        files.demand_format(data, FORMAT, (VERSION,))
+        files.demand_format(data, FORMAT, VERSIONS)
         files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
         learnt = {name: files.numbers(values, f"learnt.{name}") for name, values in data["learnt"].items()}
         return cls(Snapshot.from_dict(data["loop"]), learnt)
@@ -55,6 +57,8 @@ class AdaptiveSnapshot(files.JsonFile):
 
 class Drift(NamedTuple):
     """Changes of a model in use relative to the initial one, on a slow loop between the limits.
+
+    Where the path does not go, the initial model counts: after a narrow path the changes here are smaller than on it.
 
     `gain`: of the displacement. `width`: of the loop as a part of the stroke. `offset`: sensor reading minus the
     model's displacement [m, or `units`], which is not learnt.
@@ -412,10 +416,11 @@ class AdaptiveCompensator:
         if not isinstance(snapshot, AdaptiveSnapshot):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="an AdaptiveSnapshot")
         given = self._estimator.numbers() | {"correction": np.zeros(1)}
-        learnt = dict(snapshot.learnt)
+        learnt = {"before": EMPTY, **snapshot.learnt}
         same = given.keys() == learnt.keys() and all(
-            learnt[name].size == values.size for name, values in given.items() if name != "usual"
+            learnt[name].size == values.size for name, values in given.items() if name not in {"usual", "before"}
         )
+        same = same and learnt["before"].size in {0, given["factors"].size + 1}
         if not same:
             raise ModelError("it is of another actuator", argument="snapshot", hint="make the loop as it was")
         self._compensator.exchange(self._estimator.restore(learnt))

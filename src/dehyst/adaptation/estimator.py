@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._native import StepCoefficients, output_creep, strains
+from dehyst._native import EMPTY, StepCoefficients, output_creep, strains
 from dehyst._types import Array, Mask
 from dehyst.adaptation.active_set import StepwiseProgram
 from dehyst.adaptation.weights import Tracker, Weights
@@ -29,6 +29,8 @@ _RIDGE, _ALIKE = 1e-2, 1e-1
 _FIRST, _BETTER, _SURE, _EVIDENCE = 5, 0.95, 2.0, 0.7
 # Factor on the means of the cycles before: an offset is that of the last cycles.
 _RECENT = 0.5
+# Weight of the change of the means from one cycle to the next: that of a pair with one common mean.
+_BETWEEN = 0.25
 # Part of the sensor's noise below which an error is not known.
 _UNKNOWN = 0.2
 # Slopes of the drive over the path differ from the mean by this factor at most; samples that move less than this part
@@ -45,8 +47,9 @@ _COUNTED, _FOLLOWS, _CORRELATED = 0.5, (0.6, 1.6), 0.95
 # An error this many times the usual one, and of this part of the reach, is that of something else; so often in a row it
 # is a change that stays.
 _ODD, _ODD_PART, _ODD_CYCLES = 4.0, 0.002, 3
-# A delay of the sensor must leave no more than this part of the error that gain and width leave.
-_LATE = 0.6
+# A delay of the sensor must leave no more than this part of the error that gain and width leave; what it explains must
+# be at least this part of the whole error, and this part of the reach.
+_LATE, _LATE_SHARE, _LATE_PART = 0.6, 0.1, 5e-4
 # Samples for which a sensor may repeat its value while the path moves, and parts of its noise in a first breakaway.
 _REPEATS, _QUIET = 8, 30.0
 # Entries of the log that are kept.
@@ -139,6 +142,8 @@ class Estimator:
         self._means, self._evidence = np.zeros(size + 2), np.zeros(3)
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, self.factors)
         self._tracker, self._creep = Tracker(self.weights, state), _CreepBehind(actuator, state)
+        # Means of columns and drive in the cycle before, if that was learnt.
+        self._before = EMPTY
         self._usual, self._odd, self._learnt = deque[float](maxlen=9), 0, 0
         self._lagging: Array = np.zeros(1)
         low, high = actuator.before_creep.reach
@@ -157,6 +162,7 @@ class Estimator:
             "image": self._image,
             "sizes": self._sizes,
             "means": self._means,
+            "before": self._before,
             "evidence": self._evidence,
             "usual": np.array(self._usual),
             "counts": np.array(counts, dtype=np.float64),
@@ -171,7 +177,7 @@ class Estimator:
     def restore(self, numbers: dict[str, Array]) -> Actuator:
         """Continue from `numbers` of the same actuator; return the actuator to use."""
         self.factors, self._image, self._sizes = (numbers[name].copy() for name in ("factors", "image", "sizes"))
-        self._means, self._evidence = numbers["means"].copy(), numbers["evidence"].copy()
+        self._means, self._evidence, self._before = (numbers[name].copy() for name in ("means", "evidence", "before"))
         self._gram = numbers["gram"].reshape(self.factors.size, -1).copy()
         self._program = StepwiseProgram(self.weights.least, *self.weights.limits, numbers["offered"])
         self.datum, self._zero, self.constant, odd, learnt = numbers["counts"].tolist()
@@ -193,6 +199,7 @@ class Estimator:
         `keep`: factor on the weight of the cycles before.
         """
         cycle = self._creep.removed_from(cycle)
+        before, self._before = self._before, EMPTY
         path, left, noise, counted, reason = self._signal(cycle)
         yield None
         drive = self._drive(cycle)
@@ -232,7 +239,7 @@ class Estimator:
         yield from self._judged(cycle, found)
         if not self._odd:
             yield None
-            yield from self._learnt_from(found, keep)
+            yield from self._learnt_from(found, keep, before)
 
     def _judged(self, cycle: PathCycle, found: _Sums) -> Iterator[Actuator | None]:
         """Predict a cycle, and exchange the weights if the new ones predict the last cycles better."""
@@ -282,13 +289,22 @@ class Estimator:
             yield made
         self._note(cycle, reason, error, offered)
 
-    def _learnt_from(self, found: _Sums, keep: float) -> Iterator[None]:
-        """Add the sums of a cycle, and solve for new weights step by step; the next cycle tests them."""
+    def _learnt_from(self, found: _Sums, keep: float, before: Array) -> Iterator[None]:
+        """Add the sums of a cycle, and solve for new weights step by step; the next cycle tests them.
+
+        `before`: means of columns and drive in the cycle before (m + 1,) [V]; empty if that was not learnt.
+        """
         self._learnt += 1
         columns, centred = found.mean[:-1], found.centred
         # As if the path had been followed with the sensor's zero.
         drive = found.mean[-1] - self._slope * (found.datum - self._zero)
-        self._means = min(keep, _RECENT) * self._means + np.array([*columns, drive, 1.0])
+        mean = np.array([*columns, drive])
+        if before.size:
+            centred = centred + _BETWEEN * np.outer(mean - before, mean - before)
+        if not self._zero_drifts:
+            # If the sensor keeps its zero, the means of successive cycles determine slopes too.
+            self._before = mean
+        self._means = min(keep, _RECENT) * self._means + np.append(mean, 1.0)
         self._gram = keep * self._gram + centred[:-1, :-1]
         self._image = keep * self._image + centred[:-1, -1]
         self._sizes = np.maximum(self._sizes, np.diag(centred)[:-1])
@@ -320,9 +336,9 @@ class Estimator:
         target = small[:3, 3]
         without, found = (np.linalg.lstsq(small[:n, :n], target[:n], rcond=1e-12)[0] for n in (2, 3))
         squares = float(small[3, 3] - without @ target[:2]), float(small[3, 3] - found @ target)
-        late = float(found[2])
-        effect = abs(late) * float(np.sqrt(small[2, 2])) / self._slope
-        return late if squares[1] < _LATE**2 * squares[0] and effect > _ODD_PART * self.reach else 0.0
+        explained = squares[0] - squares[1]
+        least = max(_LATE_SHARE**2 * float(small[3, 3]), (_LATE_PART * self.reach * self._slope) ** 2)
+        return float(found[2]) if squares[1] < _LATE**2 * squares[0] and explained > least else 0.0
 
     def _error(self, found: _Sums, factors: Array) -> float:
         """Return the RMS error [m] of factors on a cycle, without its mean and the sensor's noise."""
@@ -405,13 +421,15 @@ class Estimator:
         wanted one plus the smoothed difference of the measured one from it; the rest counts with the mean slope.
         """
         rest = cycle.measured - self.datum - cycle.wanted
-        counted = np.isfinite(rest) & ~cycle.clamped & ~_stuck(cycle.measured, cycle.wanted, self.least_motion)
+        seen = np.isfinite(rest) & ~(_stuck(cycle.measured, cycle.wanted, self.least_motion) & ~cycle.clamped)
+        counted = seen & ~cycle.clamped
         reason = self._contradiction(cycle, counted)
         if reason:
             return cycle.wanted, np.zeros(rest.size), 0.0, counted, reason
         places = np.arange(rest.size)
-        rest = np.interp(places, places[counted], rest[counted])
-        noise = float(np.std(np.diff(rest, 2))) / np.sqrt(6)
+        rest = np.interp(places, places[seen], rest[seen])
+        inner = counted[:-2] & counted[1:-1] & counted[2:]
+        noise = float(np.std(np.diff(rest, 2)[inner])) / np.sqrt(6)
         smooth = self._smoothed(rest, noise)
         return cycle.wanted + smooth + self._lead(cycle), rest - smooth, noise, counted, ""
 

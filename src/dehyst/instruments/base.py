@@ -147,6 +147,12 @@ class AbstractRig(ABC):
         self._closed = False
         self._last_voltage: float | None = None
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Refuse an attribute that would hide a method on which limits and retreat rely."""
+        if name in _OWN:
+            raise TypeError(f"{type(self).__name__}: sets {name}, a method of AbstractRig; choose another name")
+        super().__setattr__(name, value)
+
     @property
     def rigs(self) -> tuple[AbstractRig, ...]:
         """The rig of each axis."""
@@ -481,11 +487,18 @@ class AbstractRig(ABC):
             return VoltageNote(f"{failure}: {BY_HAND}.", safe=False)
 
 
+# Methods and properties that belong to the base class alone.
+_OWN = tuple(
+    name
+    for name, value in vars(AbstractRig).items()
+    if (callable(value) or isinstance(value, property)) and name not in _DRIVERS and not name.startswith("__")
+)
+
+
 def _refuse_replacements(kind: type[AbstractRig]) -> None:
     """Raise TypeError if a class finds a method of AbstractRig, other than a driver's, in another class."""
     found = []
-    own = [name for name, value in vars(AbstractRig).items() if callable(value) or isinstance(value, property)]
-    for name in (*(one for one in own if one not in _DRIVERS and not one.startswith("__")), *_SPECIAL):
+    for name in (*_OWN, *_SPECIAL):
         owner = next(one for one in kind.__mro__ if name in vars(one))
         if owner not in (AbstractRig, object):
             found.append(name if owner is kind else f"{name} (in {owner.__name__})")

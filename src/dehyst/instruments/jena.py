@@ -91,7 +91,7 @@ class JenaRig(AbstractRig):
             from nv200.serial_protocol import SerialProtocol
             from nv200.telnet_protocol import TelnetProtocol
         except ImportError as error:
-            raise MissingExtraError.of("nv200 (for Python 3.12 or later)", "jena", "An NV200/D") from error
+            raise MissingExtraError.of("nv200 (for Python 3.12 and 3.13)", "jena", "An NV200/D") from error
         serial = address.startswith(("/", "COM"))
         transport = SerialProtocol(port=address) if serial else TelnetProtocol(host=address)
         return cls(transport, limits=limits, slew_rate=slew_rate)
