@@ -14,6 +14,7 @@ from dehyst.calibration.plan import ExcitationPlan
 from dehyst.calibration.tracking import PathPlanner, SeenTemperature
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator
+from dehyst.waveforms import raised_cosine
 
 RATE, AGEING = 200.0, AgeingCourse(gain=-7, width=25, seconds=12)
 
@@ -155,10 +156,42 @@ def test_the_rigs_temperature_is_used_in_the_loop_and_recorded(model):
         assert run.actuator.thermal == thermal
         assert found[-1].path.rms_percent < 0.4 * unaware[-1].path.rms_percent
         assert found[-1].record.temperature[-1] == pytest.approx(40.0)
-    # Without a channel the reference is taken.
+        # What it warms along a repetition is planned too, and promised as long as it is not known.
+        assert found[-1].path.rms_percent < 0.3
+        assert all(np.abs(one.path.error).max() <= one.promised.bounds[1] for one in found)
+        assert found[0].promised.bounds[1] > 1.5 * found[-1].promised.bounds[1]
+    # Without a channel the reference is taken, or what is known of the path.
+    warm = AgeingCourse(gain=-7, seconds=0.1)
+    _, given = lived(rig_of(warm), aware, 2, temperature=np.full(240, 40.0))
+    assert given[-1].path.rms_percent < 0.3
+    _, given = lived(rig_of(replace(warm, kelvins=20)), aware, 2, temperature=np.full(240, -40.0))
+    assert given[-1].path.rms_percent < 0.3
     _, blind = lived(rig_of(AgeingCourse(gain=-7, seconds=12)), aware, 20)
     assert blind[-1].path.rms_percent == pytest.approx(unaware[-1].path.rms_percent, rel=0.05)
     assert blind[-1].record.temperature is None
+
+
+def test_what_the_sensor_shows_at_the_start_is_promised(model):
+    """Creep from before the homing, and a zero that has moved: neither is in the errors on the records."""
+    creeping = replace(model, creep=Creep([20.0], [0.05 * model.spring.slopes.mean()]))
+    rig = SimulatedRig(creeping)
+    rig.play(raised_cosine([200.0], cycles=1))
+    rig.set_voltage(200.0)
+    rig._wait(100.0)
+    for one, truth in ((creeping, rig), (model, rig_of(AgeingCourse(offset=3, seconds=0.1)))):
+        run = PathRun(truth, one, path_of(one), RATE)
+        before, found = run.judged(), list(run.play(3))
+        assert all(np.abs(one.path.error).max() <= one.promised.bounds[1] for one in found)
+        assert found[0].promised.begins == "seen" != before.begins
+    assert found[0].promised.start == pytest.approx(0.03 * model.stroke, rel=0.1)
+    assert before.bounds[1] < 0.5 * np.abs(found[0].path.error).max()
+
+
+def test_percentages_are_of_the_full_stroke(model):
+    for limits in ((0.0, 200.0), (0.0, 150.0)):
+        run = PathRun(rig_of(limits=limits), model, path_of(model, (0.1, 0.5, 0.1)), RATE)
+        assert run.stroke == model.stroke == next(run.play(1)).path.stroke
+    assert replace(model, identification=None).stroke == pytest.approx(np.ptp(model.reach))
 
 
 def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):

@@ -1,6 +1,7 @@
 """`dehyst run`: a path on a rig that ages, what it writes and says, and its exit status."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def test_the_promise_is_that_of_compensate_and_says_what_is_untested_before_anyt
         "\n\ndef still(**options):\n    return Still(PlayActuator(), **options)\n"
     )
     _, out, err = run("run", "never_moves.py:still", *words[2:], cwd=folder)
-    assert out.splitlines()[:2] == ran["promise"], err
+    assert out.splitlines()[:2] == ran["promise"][:2], err
 
 
 def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):
@@ -126,3 +127,47 @@ def test_an_offset_that_is_not_corrected_is_mentioned(folder):
     assert "zero_drifts" in held[1] and "zero_drifts" not in trusted[1]
     largest = [float(out.split("largest")[1].split("%")[0]) for _, out, _ in (held, trusted)]
     assert largest[1] < 0.5 * largest[0]
+
+
+def test_the_temperature_of_a_path_counts_unless_the_rig_measures_it(folder):
+    model = dehyst.Actuator.load(folder / "model.json")
+    replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)).save(folder / "thermal.json")
+    phase = 2 * np.pi * np.arange(200) / 200
+    columns = {"time_s": 0.005 * np.arange(200), "displacement_um": 7 - 5 * np.cos(phase)}
+    write_columns(folder / "warm.csv", {**columns, "temperature_C": np.full(200, 40.0)})
+    errors = {}
+    for kelvins in (0, 20):
+        rig = f"sim://play?gain=-7,seconds=0.1,kelvins={kelvins}"
+        for path in ("path.csv", "warm.csv"):
+            words = ("run", rig, "--model", "thermal.json", "--path", path, "--cycles", "2", "--json")
+            status, out, err = run(*words, cwd=folder)
+            assert status == 0
+            errors[kelvins, path] = json.loads(out)["cycles"][-1]["rms_percent"]
+            assert ("that of the path is not used" in err) == (kelvins > 0 and path == "warm.csv")
+    assert errors.pop((0, "path.csv")) > 2
+    assert max(errors.values()) < 0.5
+    words = (
+        "run",
+        "sim://play",
+        "--model",
+        "model.json",
+        "--path",
+        "warm.csv",
+        "--columns",
+        "temperature=temperature_C",
+    )
+    status, _, err = run(*words, cwd=folder)
+    assert status == 2 and "temperature" in err
+
+
+def test_an_error_that_the_sensor_shows_before_a_repetition_is_printed_and_expected(folder):
+    rig = "sim://play?offset=3,seconds=0.1"
+    words = ("run", rig, "--model", "model.json", "--path", "path.csv", "--cycles", "3")
+    _, out, _ = run(*words, "--json", cwd=folder)
+    found = json.loads(out)
+    assert all(one["largest_percent"] <= one["promised_percent"] for one in found["cycles"])
+    assert (
+        found["judgement"]["largest_m"] * 1e6 / found["stroke_um"] < 0.01 < 0.01 * found["cycles"][0]["largest_percent"]
+    )
+    more = next(line for line in found["promise"] if "From now on" in line)
+    assert more in run(*words, cwd=folder)[1]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,12 @@ from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
-from dehyst.calibration.tracking import TrackedPath
+from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, promised
 from dehyst.records import Record
+from dehyst.trust import Judgement, judge_planned
 from dehyst.waveforms import Excitation, wanted_path
 
 # A step from the end of a path to its beginning that is larger than this many steps of the path needs a way back.
@@ -33,13 +35,14 @@ class Repetition:
     `record`: as recorded, with the way back to the beginning, if there is one. `wanted` (n,): displacement [m] of each
     of its samples. `path`: the path and its errors. `clamped`: number of samples whose voltage was changed to keep
     limits and slew rate. `drift`: changes of the model so far; None without adaptation. `used`: whether new weights are
-    used after this repetition. `reason`: why not.
+    used after this repetition. `reason`: why not. `promised`: the error to expect, as judged before it was played.
     """
 
     record: Record
     wanted: Array
     path: TrackedPath
     clamped: int
+    promised: Judgement
     drift: Drift | None = None
     used: bool = False
     reason: str = ""
@@ -57,11 +60,14 @@ class PathRun:
     rig : AbstractRig
     actuator : Actuator
         The model; the resonance of a mass is not compensated. If it depends on temperature, a repetition is planned at
-        the last temperature that the rig recorded, or at the reference; the weights adapt at the reference.
+        the one that the rig recorded last, with its drift; the weights adapt at the reference.
     displacement : (n,) array_like
         The path [m].
     sample_rate : float
         Of the path [Hz]; the rig plays at the nearest rate that it has.
+    temperature : (n,) array_like, optional
+        Temperature of the path [degrees Celsius], where the rig measures none; default: not known, the reference of the
+        model is taken.
     adapt : bool, optional
         Whether to adapt the model.
     memory, zero_drifts
@@ -71,6 +77,8 @@ class PathRun:
     ----------
     rate : float
         Rate [Hz] at which the rig plays.
+    stroke : float
+        `Actuator.stroke` [m], the reference of percentages.
 
     Raises
     ------
@@ -86,6 +94,7 @@ class PathRun:
         displacement: ArrayLike,
         sample_rate: float,
         *,
+        temperature: ArrayLike | None = None,
         adapt: bool = False,
         memory: float = 10.0,
         zero_drifts: bool = True,
@@ -97,14 +106,20 @@ class PathRun:
         self.rate = rig.nearest_rate(sample_rate)
         (low, high), period = actuator.voltage_range, 1 / self.rate
         limits = max(low, rig.limits.low), min(high, rig.limits.high)
+        self.stroke = actuator.stroke
         self._thermal = actuator.thermal
-        self._temperature = 0.0 if self._thermal is None else self._thermal.reference
         at_reference = actuator if self._thermal is None else replace(actuator, thermal=None)
         self._planner = Compensator(at_reference, limits, rig.slew_rate, period=period, warns=False)
         if sentence := self._planner.strays(self._path):
             raise ModelError(sentence)
         if self._wanted.size < FEWEST:
             raise RecordError(argument="path", got=f"{self._wanted.size} samples", need=f"{FEWEST} at least")
+        # Of the path, and as the rig measured it last; the kelvins by which this may be wrong; and the displacement [m]
+        # that the sensor showed last, relative to the model's.
+        self._given = None if temperature is None else vector(temperature, "temperature")
+        self._seen: SeenTemperature | None = None
+        self._unsure = 0.0
+        self._off: float | None = None
         self._options: dict[str, Any] = {"period": period, "warns": False, "memory": memory, "zero_drifts": zero_drifts}
         self._loop = self._begun(actuator.state)
 
@@ -120,25 +135,44 @@ class PathRun:
         return self._planner.limits
 
     @property
-    def stroke(self) -> float:
-        """Displacement [m] between these limits, the reference of percentages."""
-        low, high = self._planner.reach
-        return high - low
+    def measures_temperature(self) -> bool:
+        """Whether the rig has a channel of temperature."""
+        return any("temp" in name for name in self._rig.others)
 
-    def planned(self) -> HomedPath:
-        """Return the homing, from 0 V or the nearest limit, and the first repetition as the model expects them."""
+    def judged(self) -> Judgement:
+        """Judge the error of the next repetition: before the homing by the model, then by what the rig measured too."""
+        path = self._planned
+        known = self._given is not None if not self.measures_temperature else self._thermal is not None
+        warmth = self._temperature(0.0) if known else None
+        times = None if path.time is None else path.time[path.first :]
+        found, untested = promised(self.actuator, path.voltage[path.first :], times, warmth)
+        judged = judge_planned(self.actuator, replace(path, promise=found), drift=self._unsure, seen=self._off)
+        return judged if found else replace(judged, untested=untested)
+
+    @cached_property
+    def _planned(self) -> HomedPath:
+        """The homing, from 0 V or the nearest limit, and the first repetition as the model expects them."""
         return plan_path(self._planner, self._wanted, home=True)
 
-    def play(self, repetitions: int, watcher: ProgressListener | None = None) -> Iterator[Repetition]:
+    def play(
+        self,
+        repetitions: int,
+        watcher: ProgressListener | None = None,
+        judged: Callable[[Judgement], object] | None = None,
+    ) -> Iterator[Repetition]:
         """Home, and yield each of the `repetitions` as it ends; the voltage ends at the safe one, after any error too.
 
-        `watcher` receives the progress. Raise `RigError` if the instrument or its sensor fails.
+        `watcher` receives the progress, `judged` the errors to expect on a repetition before it is played. Raise
+        `RigError` if the instrument or its sensor fails.
         """
         listener = watcher or NullProgress()
         with self._rig.safely():
             end, pause = self._home(listener), 0.0
             for number in range(1, repetitions + 1):
-                repetition, pause = self._repeat(f"repetition {number}", end, pause, listener)
+                promised = self.judged()
+                if judged is not None:
+                    judged(promised)
+                repetition, pause = self._repeat(f"repetition {number}", end, pause, promised, listener)
                 end = float(repetition.record.time[-1])
                 yield repetition
             self._rig.retreat()
@@ -152,7 +186,14 @@ class PathRun:
         count = round((times[-1] - times[0]) * self.rate)
         at = times[-1] - np.arange(max(count, 1), -1, -1) / self.rate
         record = self._play("homing", np.interp(at, times, way.voltage), None, listener)
-        self._warm(record)
+        moved = self._observed(record, self._temperature(0.0)[:1])
+        if self._seen:
+            self._unsure = abs(self._seen.drift) * self._wanted.size / self.rate
+        # Before the way to the path the state of the actuator is not known.
+        when = at[self._rig.rows(at.size)]
+        late = when >= times[np.flatnonzero(way.phase)[0]] if len(times) > 1 else np.ones(1, dtype=bool)
+        expected = np.interp(when - self.actuator.delay, times, way.expected)
+        self._off = float((moved - expected)[late].mean()) if late.any() else None
         self._loop = self._begun(way.state)
         return float(record.time[-1])
 
@@ -162,7 +203,9 @@ class PathRun:
         loop.learning = self._adapt
         return loop
 
-    def _repeat(self, name: str, end: float, expected: float, listener: ProgressListener) -> tuple[Repetition, float]:
+    def _repeat(
+        self, name: str, end: float, expected: float, promised: Judgement, listener: ProgressListener
+    ) -> tuple[Repetition, float]:
         """Play a repetition; return it, and the pause [s] since the `end` of the wave before, by the device's time.
 
         `expected`: this pause as a guess, the one before: what a device needs between two waves, it needs again.
@@ -170,8 +213,9 @@ class PathRun:
         loop, wanted, size = self._loop, self._wanted, self._wanted.size
         at = np.arange(size) / self.rate
         ahead = np.interp(at + loop.actuator.delay, at, wanted, period=size / self.rate)
+        warmth = self._temperature(expected)
         if self._thermal is not None:
-            ahead = self._thermal.at_reference(ahead, self._temperature)
+            ahead = self._thermal.at_reference(ahead, warmth)
         with warnings.catch_warnings():
             # They are counted.
             warnings.simplefilter("ignore", ClampWarning)
@@ -179,25 +223,40 @@ class PathRun:
         record = self._play(name, voltage, wanted, listener)
         rows = self._rig.rows(size)
         measured = np.full(size, np.nan)
-        measured[rows] = self._warm(record)
+        measured[rows] = self._observed(record, warmth[rows])
         pause = max(0.0, float(record.time[0]) - end - 1 / self.rate)
         loop.learn(ahead, voltage, measured, pause)
         along = rows < self._path.size
         path = TrackedPath(record.time[along], wanted[rows[along]], record.displacement[along], self.stroke)
-        repetition = Repetition(record, wanted[rows], path, int(loop.clamped(voltage).sum()))
+        clamped = loop.clamped(voltage)
+        followed = ~clamped[rows[along]]
+        self._off = float(path.error[followed].mean()) if followed.any() else self._off
+        repetition = Repetition(record, wanted[rows], path, int(clamped.sum()), promised)
         if self._loop.learning:
             last = loop.log[-1]
             repetition = replace(repetition, drift=loop.drift, used=last.used, reason=last.reason)
         return repetition, pause
 
-    def _warm(self, record: Record) -> Array:
-        """Take over the last temperature of a record; return its displacement (n,) [m] at the reference."""
+    def _temperature(self, pause: float) -> Array:
+        """Return the temperature (n,) [degrees Celsius] to expect in a repetition that begins after a `pause` [s]."""
+        size = self._wanted.size
+        if self._seen is not None:
+            return self._seen.after(pause + np.arange(1, size + 1) / self.rate)
+        if self._given is not None and not self.measures_temperature:
+            return np.pad(self._given, (0, size - self._given.size), "edge")
+        return np.full(size, 0.0 if self._thermal is None else self._thermal.reference)
+
+    def _observed(self, record: Record, expected: Array) -> Array:
+        """Take over the temperature of a record, if it has one; return its displacement (n,) [m] at the reference.
+
+        `expected`: the temperatures (n,), or one, for which the record was planned [degrees Celsius].
+        """
         if self._thermal is None:
             return record.displacement
-        if record.temperature is None:
-            return self._thermal.at_reference(record.displacement, self._temperature)
-        self._temperature = float(record.temperature[-1])
-        return self._thermal.at_reference(record.displacement, record.temperature)
+        if record.temperature is not None:
+            self._unsure = float(np.abs(record.temperature - expected).max())
+            self._seen, expected = SeenTemperature.of(record), record.temperature
+        return self._thermal.at_reference(record.displacement, np.broadcast_to(expected, len(record)))
 
     def _play(self, name: str, voltage: Array, wanted: Array | None, listener: ProgressListener) -> Record:
         excitation, count = Excitation(name, voltage, self.rate), 0

@@ -180,6 +180,12 @@ class Actuator(JsonFile, AbstractModel):
         return self.knots if self.limits is None else self.major_loop(self.limits)
 
     @property
+    def stroke(self) -> float:
+        """The full stroke [m]: the range of the widest loop of its records, or of `reach` if it is not known."""
+        tested = None if self.identification is None else self.identification.validity
+        return float(np.ptp(self.reach)) if tested is None else tested.stroke
+
+    @property
     def knots(self) -> tuple[float, float]:
         """Displacements [m] at the first and the last knot of the spring, creep at rest."""
         first, last = self.spring.displacement[[0, -1]].tolist()

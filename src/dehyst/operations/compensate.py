@@ -22,7 +22,6 @@ from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared
 from dehyst.operations.paths import (
     PathSlew,
     Zero,
-    promise_lines,
     reach_remarks,
     temperature_column,
     temperature_of,
@@ -290,7 +289,7 @@ def _follow(
         *known.prefixed(
             starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths
         ),
-        *known.prefixed(promise_lines(one.actuator, got) for one, got in zip(axes, judged, strict=True)),
+        *known.prefixed(got.lines(one.actuator.stroke) for one, got in zip(axes, judged, strict=True)),
     ]
     certified = all(path.certified for path in paths)
     good = all(path.followed for path in paths) and (certified or not home)
@@ -396,7 +395,7 @@ def _tabulate(
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
         *starts.error_lines(start.name, left, homed=homes),
-        *promise_lines(actuator, judged),
+        *judged.lines(actuator.stroke),
     ]
     good = table.settled and table.certified and not table.clamped
     return Result(fields, lines, warnings=warnings, good=good)

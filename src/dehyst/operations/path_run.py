@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,22 +14,22 @@ from dehyst.adaptation import AdaptiveCompensator
 from dehyst.calibration.path_run import PathRun, Repetition
 from dehyst.calibration.plan import even_rate
 from dehyst.instruments import open_rig
-from dehyst.model import Actuator, promised
-from dehyst.operations.axes import is_stage
+from dehyst.model import Actuator
+from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
-from dehyst.operations.files import AS_FOUND, PATH, Columns, read_model, write_table
-from dehyst.operations.paths import Zero, promise_lines, reach_remarks, zero_of_path
+from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
+from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, largest, rms
+from dehyst.records import Record, largest, percent, rms
 from dehyst.records.files import demand_text
-from dehyst.trust import judge_planned
+from dehyst.trust import Judgement
 
 # Repetitions that are printed: the first, the last, and some between them.
 _PRINTED = 12
 # Error [%] above which the model is of another actuator; part of the stroke from which on an offset is mentioned.
 _FOREIGN, _OFFSET = 50.0, 0.005
-# Part by which a rate may differ without a remark.
-_RATES = 0.01
+# Part by which a rate may differ without a remark; ratio to the promise from which on a larger one is printed.
+_RATES, _MORE = 0.01, 1.25
 _adapting = beside("adapt")
 
 
@@ -64,7 +63,7 @@ def run_path(
         The model (JSON) of one axis.
     path
         A file with times and a displacement, or the path of dehyst scan. If it does not end where it begins, a way back
-        follows.
+        follows. A column temperature_C counts if the model depends on temperature and the rig measures none.
     cycles
         Repetitions of the path.
     adapt
@@ -80,43 +79,33 @@ def run_path(
     zero
         Zero of the path, as of dehyst compensate.
     """
-    columns.demand([key for key in PATH if key != "temperature"], "on a path that is run")
+    columns.demand(PATH, "on a path")
     check.between(cycles, "cycles", 1, 1_000_000)
     if output is not None:
         demand_text(output)
     if is_stage(model):
         raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
-    actuator = read_model(run, model)
-    table = columns.table(path)
-    wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
-    if not clock:
-        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
-    rate = even_rate(path, clock["time_s"])
+    known = AxesModel.read(run, model)
+    (actuator,) = known.actuators
+    wanted, rate, given = _read(path, known, columns)
     done: list[Repetition] = []
     with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
         wanted = wanted + zero_of_path(actuator, allowed, zero)
-        follower = PathRun(instrument, actuator, wanted, rate, adapt=adapt, memory=memory, zero_drifts=zero_drifts)
+        options: dict[str, Any] = {"adapt": adapt, "memory": memory, "zero_drifts": zero_drifts}
+        follower = PathRun(instrument, actuator, wanted, rate, temperature=given, **options)
         if abs(follower.rate / rate - 1) > _RATES:
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
         for remark in reach_remarks(actuator, wanted, follower.limits, zero):
             run.note(remark)
-        # Before the homing nobody knows the temperature that a rig measures; it is known along the path.
-        measured = any("temp" in name for name in instrument.others)
-        warmth = actuator.thermal.reference if actuator.thermal and measured else None
-        planned = follower.planned()
-        times = None if planned.time is None else planned.time[planned.first :]
-        found, untested = promised(actuator, planned.voltage[planned.first :], times, warmth)
-        judged = judge_planned(actuator, replace(planned, promise=found))
-        promise = {"judgement": judged.as_dict(), "promise": [*promise_lines(actuator, judged), *untested]}
-        run.known = promise
-        for line in promise["promise"]:
-            run.say(line)
+        if given is not None and follower.measures_temperature:
+            run.note(f"{instrument.name} measures the temperature: that of the path is not used")
+        promises = _Promises(run, follower)
         try:
             with run.watch(["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]) as watcher:
-                for repetition in follower.play(cycles, watcher):
+                for repetition in follower.play(cycles, watcher, promises.update):
                     done.append(repetition)
-                    run.known = {**promise, "cycles": [_fields(one) for one in done]}
+                    run.known = {**promises.fields, "cycles": [_fields(one) for one in done]}
                     _demand_same_actuator(done)
         except BaseException as error:
             for line in _written(done, follower.actuator, output, updated):
@@ -125,14 +114,16 @@ def run_path(
     fields = {
         "rig": instrument.identity,
         "stroke_um": 1e6 * follower.stroke,
-        **promise,
+        **promises.fields,
         "cycles": [_fields(one) for one in done],
         "exchanges": sum(one.used for one in done),
     }
     rows = [_line(number, one) for number, one in enumerate(done, 1)]
     picked = np.unique(np.linspace(0, len(rows) - 1, _PRINTED).astype(int)).tolist()
     last = done[-1]
-    head = f"The last repetition: {_errors(last)} of the stroke"
+    head = f"The last repetition: {_errors(last)} of the stroke of {1e6 * follower.stroke:.4g} um"
+    if last.promised.bounds is not None:
+        head += f", {100 * last.promised.bounds[1] / follower.stroke:.2g} % was to be expected"
     if last.clamped:
         head += f"; {last.clamped} samples were clamped at a limit or by the slew rate"
     offset = _offset(last, follower.stroke) if zero_drifts else []
@@ -143,6 +134,41 @@ def run_path(
         [head, *offset, *(f"{row}  {one.reason}" for row, one in zip(rows, done, strict=True)), *ends],
         good=not last.clamped,
     )
+
+
+def _read(path: Path, known: AxesModel, columns: Columns) -> tuple[Array, float, float | Array | None]:
+    """Return the displacement (n,) [m] in a file, its rate [Hz], and its temperature (n,) [degC] if that counts."""
+    table = columns.table(path)
+    wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
+    if not clock:
+        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+    return wanted, even_rate(path, clock["time_s"]), temperature_of(known, None, columns, table, len(wanted))
+
+
+class _Promises:
+    """The promises of a run: one before anything moves, and a later one if the rig shows that more is to be expected.
+
+    `fields`: as JSON values.
+    """
+
+    def __init__(self, run: Run, follower: PathRun) -> None:
+        self._run, self._stroke, self._printed = run, follower.stroke, follower.judged()
+        lines = [*self._printed.lines(self._stroke), *self._printed.untested]
+        self.fields: dict[str, Any] = {"judgement": self._printed.as_dict(), "promise": lines}
+        run.known = self.fields
+        for line in lines:
+            run.say(line)
+
+    def update(self, now: Judgement) -> None:
+        """Print the errors to expect on the next repetition, if they are larger than those that were printed."""
+        if now.bounds is None or self._printed.bounds is None or now.bounds[1] <= _MORE * self._printed.bounds[1]:
+            return
+        self._printed = now
+        new = [*(f"From now on {line}." for line in now.lines(self._stroke)), *now.untested]
+        lines = [line for line in new if line not in self.fields["promise"]]
+        self.fields["promise"] += lines
+        for line in lines:
+            self._run.say(line)
 
 
 def _demand_same_actuator(done: list[Repetition]) -> None:
@@ -218,7 +244,8 @@ def _line(number: int, one: Repetition) -> str:
 
 
 def _fields(one: Repetition) -> dict[str, Any]:
-    found = {**one.path.as_dict(), "clamped": one.clamped}
+    promised = None if one.promised.bounds is None else percent(one.promised.bounds[1], one.path.stroke)
+    found = {**one.path.as_dict(), "promised_percent": promised, "clamped": one.clamped}
     if one.drift is None:
         return found
     return found | {

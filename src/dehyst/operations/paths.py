@@ -16,7 +16,6 @@ from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
 from dehyst.records.formats.columns import Table
-from dehyst.trust import Judgement
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -113,15 +112,6 @@ def temperature_of(
 def temperature_column(path: HomedPath) -> dict[str, Array]:
     """Return the column of temperatures of a planned path, if it has one."""
     return {} if path.temperature is None else {"temperature_C": path.temperature}
-
-
-def promise_lines(actuator: Actuator, judged: Judgement) -> list[str]:
-    """Return a line on the promised error of a path, if it is known."""
-    known = actuator.identification
-    if known is not None and known.validity is not None:
-        # Limits of the file may be wider than what was recorded.
-        return judged.lines(known.validity.stroke)
-    return judged.lines(float(np.ptp(actuator.reach)))
 
 
 def zero_of_path(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,13 +34,15 @@ class Judgement:
         Largest error by cause [m]: keys of `PredictionBand.errors`; "training", the error on the training records; and
         "temperature", what a temperature adds that was not tested, or is not known.
     start : float
-        Largest displacement error due to an unknown start [m]; 0 if the start is known.
+        Largest displacement error due to an unknown start [m], which adds to `rms` and `largest`; 0 if the start is
+        known.
     untested : tuple of str
         Sentences on the parts of the path that the records do not test.
     validated : bool
         Whether the errors come from validation records.
     begins : str
-        The start of the path: "homed", "unknown", or the name of a known start; empty without a path.
+        The start of the path: "homed", "unknown", or the name of a known start; empty without a path. "seen": a sensor
+        shows how far the actuator is off the model; `start` is that, and what may change of it along the path.
     """
 
     rms: float | None
@@ -51,23 +53,33 @@ class Judgement:
     validated: bool
     begins: str = ""
 
-    def words(self, stroke: float) -> str:
-        """Return the errors as text, in percent of a stroke [m]; empty if they are not known."""
+    @property
+    def bounds(self) -> tuple[float, float] | None:
+        """RMS and largest error of the path [m] from its start; None if they are not known."""
         if self.rms is None or self.largest is None:
+            return None
+        return float(np.hypot(self.rms, self.start)), self.largest + self.start
+
+    def words(self, stroke: float) -> str:
+        """Return the errors from the start of the path as text, in percent of a stroke [m]; empty if not known."""
+        if self.bounds is None:
             return ""
-        rms, largest = (100 * error / stroke for error in (self.rms, self.largest))
+        rms, largest = (100 * error / stroke for error in self.bounds)
         return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most"
 
     def lines(self, stroke: float) -> list[str]:
         """Return the promise of a path with its start in a line; no line if it is not known."""
         if not (words := self.words(stroke)):
             return []
-        # A homing leaves a little open always; what is small beside the promise is in it.
-        open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins == "homed" else 0.0)
-        adds = f", which adds up to {100 * self.start / stroke:.2g} %" if open_ else ""
-        begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
-        start = begins.get(self.begins, f", from the start {self.begins}")
-        return [f"expect this path {words} of the stroke{start}{adds}"]
+        # A homing leaves a little open always: what is small beside the promise is not mentioned.
+        open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins in ("homed", "seen") else 0.0)
+        share = f", {100 * self.start / stroke:.2g} % of it" if open_ else ""
+        if self.begins == "seen":
+            start = share and f"{share} by what the sensor shows more or less than the model"
+        else:
+            begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
+            start = begins.get(self.begins, f", from the start {self.begins}") + (share and f"{share} by that")
+        return [f"expect this path {words} of the stroke{start}"]
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
@@ -124,12 +136,30 @@ def judge(
     return Judgement(rms, largest, parts, opened, untested, known.validated, begins)
 
 
-def judge_planned(actuator: Actuator, path: HomedPath) -> Judgement:
-    """Judge the error to expect on a planned path, from its start: that after its homing, if there is one."""
-    return judge(
+def judge_planned(actuator: Actuator, path: HomedPath, *, drift: float = 0.0, seen: float | None = None) -> Judgement:
+    """Judge the error to expect on a planned path, from its start: that after its homing, if there is one.
+
+    `drift`: by which its temperature may be another one [K]. `seen`: displacement that a sensor showed at the start,
+    minus that of the model [m]; default: what the start leaves open.
+    """
+    judged = judge(
         actuator,
         path=path.left_open,
         promised=path.promise,
         missed=(path.expected - path.displacement)[path.first :] / per_metre(path.units),
         begins=path.start.name if path.homing is None else "homed",
     )
+    if seen is not None:
+        # What a temperature that is not known may do is in the promise. What the start leaves open changes: it fades.
+        more = max(abs(seen) - judged.parts.get("temperature", 0.0), 0.0)
+        fades = float(np.ptp(path.error.difference)) / per_metre(path.units)
+        judged = replace(judged, start=more + fades, begins="seen")
+    if judged.bounds is None or actuator.thermal is None or not drift:
+        return judged
+    stroke = actuator.stroke
+    cost = drift * actuator.thermal.per_kelvin(stroke)
+    parts = {**judged.parts, "temperature": judged.parts.get("temperature", 0.0) + cost}
+    words = f"The temperature may drift by {drift:.2g} K along it, which adds up to {100 * cost / stroke:.2g} %."
+    # Half of a range bounds the standard deviation in it.
+    rms, largest = (judged.rms or 0.0) + 0.5 * cost, (judged.largest or 0.0) + cost
+    return replace(judged, rms=rms, largest=largest, parts=parts, untested=(*judged.untested, words))
