@@ -24,6 +24,8 @@ SHARES = {"dead": 0.04, "noisy": 0.04, "drifting": 0.04, "duplicate": 0.03}
 AGEING, GAIN_A_SESSION, WIDTH_A_SESSION = 0.04, -0.015, 0.04
 HIGHEST, PERIOD = 200.0, 1e-3
 NOISE = 2e-9
+# Samples of a cycle, of which a record has eight.
+SAMPLES = (120, 260)
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,11 @@ class Unit:
         return BoucWenActuator(lag=0.075 * width, bend=0.10 * self.bend, **common)
 
 
-def make(path: Path, count: int, seed: int = 1) -> list[dict]:
-    """Write `count` records to a Parquet file, and the truth beside it; return the truth, one entry a record."""
+def make(path: Path, count: int, seed: int = 1, samples: tuple[int, int] = SAMPLES) -> list[dict]:
+    """Write `count` records to a Parquet file, and the truth beside it; return the truth, one entry a record.
+
+    `samples`: range of the samples of a cycle.
+    """
     random = np.random.default_rng(seed)
     kinds = kinds_of(count, random)
     units = [
@@ -66,7 +71,7 @@ def make(path: Path, count: int, seed: int = 1) -> list[dict]:
             if kind == "duplicate":
                 source, columns = healthy[int(random.integers(len(healthy)))]
             else:
-                source, columns = position, record(units[serial], session, kind, random)
+                source, columns = position, record(units[serial], session, kind, random, samples)
             if kind == "healthy" and len(healthy) < 200:
                 healthy.append((position, columns))
             truth.append(
@@ -98,9 +103,11 @@ def kinds_of(count: int, random: np.random.Generator) -> list[str]:
     return list(kinds)
 
 
-def record(unit: Unit, session: int, kind: str, random: np.random.Generator) -> tuple[np.ndarray, ...]:
+def record(
+    unit: Unit, session: int, kind: str, random: np.random.Generator, samples: tuple[int, int]
+) -> tuple[np.ndarray, ...]:
     """Return time [s], voltage [V] and displacement [um] of one measurement."""
-    v = voltage(int(random.integers(120, 260)))
+    v = voltage(int(random.integers(*samples)))
     t = PERIOD * np.arange(v.size)
     noise = NOISE * float(np.exp(0.1 * random.standard_normal()))
     if kind == "noisy":
