@@ -39,6 +39,7 @@ def folder(tmp_path_factory):
     write_columns(target / "path.csv", columns)
     write_columns(target / "warm.csv", columns | {"temperature_K": DEGREES + 273.15})
     write_columns(target / "two.csv", columns | {"room_C": DEGREES - 10, "stage_C": DEGREES})
+    write_columns(target / "rooms.csv", columns | {"room_temp_C": DEGREES - 10, "temperature_C": DEGREES})
     write_columns(target / "hole.csv", columns | {"temperature_C": np.where(TIME == 0.5, 4000.0, DEGREES)})
     return target
 
@@ -86,6 +87,7 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
     [
         (("cold.json", "path.csv", "--temperature", "30"), "does not depend on temperature"),
         (("model.json", "two.csv", "--columns", "temperature=third"), "third"),
+        (("model.json", "rooms.csv"), "temperature=room_temp_C"),
         (("model.json", "two.csv", "--columns", "temperature=stage_C", "--temperature", "30"), "leave one out"),
         (("model.json", "hole.csv"), "temperature"),
         (("model.json", "path.csv", "--temperature", "450"), "positive factor"),

@@ -320,3 +320,10 @@ def test_kelvins_in_a_column_of_degrees_are_remarked(temperature, remarks):
     time = np.arange(100.0)
     record = Record(time, np.sin(time), 1e-6 * np.sin(time), others={"temperature_C": temperature + time / 10})
     assert sum("temperature_K" in sentence for sentence in record.problems()) == remarks
+
+
+def test_several_temperatures_are_remarked_because_none_is_used():
+    record = Record(T, V, Y, others={"temperature_C": T, "room_degC": T})
+    assert record.temperature is None
+    assert any("room_degC" in sentence for sentence in record.problems())
+    assert not any("temperature" in sentence for sentence in Record(T, V, Y, others={"temperature_C": T}).problems())

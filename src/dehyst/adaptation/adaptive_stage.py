@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import vector
 from dehyst.adaptation.adaptive_compensator import AdaptiveCompensator, AdaptiveSnapshot
-from dehyst.control import StageCompensator
+from dehyst.control import StageCompensator, restore_all
 from dehyst.model import Stage, State, dot
 
 
@@ -131,13 +131,4 @@ class AdaptiveStageCompensator:
 
         After an error the memory is unchanged.
         """
-        if len(snapshots) != len(self.axes):
-            raise ModelError(f"snapshots: got {len(snapshots)}, need {len(self.axes)}, one an axis")
-        before = self.snapshot()
-        try:
-            for axis, snapshot in zip(self.axes, snapshots, strict=True):
-                axis.restore(snapshot)
-        except ModelError:
-            for axis, snapshot in zip(self.axes, before, strict=True):
-                axis.restore(snapshot)
-            raise
+        restore_all(self.axes, snapshots)

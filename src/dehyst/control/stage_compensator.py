@@ -148,7 +148,7 @@ class StageCompensator(ReadOnly):
         Raises and warns as `step`; after an error the memory is unchanged.
         """
         wanted = self.stage.columns(displacement, "displacement", "m")
-        with self._unchanged_by_errors():
+        with unchanged_by_errors(self.compensators):
             return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
     def offer(self, displacement: ArrayLike) -> Array:
@@ -204,7 +204,7 @@ class StageCompensator(ReadOnly):
         changes.
         """
         values = self._values(voltage, "voltage")
-        with self._unchanged_by_errors():
+        with unchanged_by_errors(self.compensators):
             for one, value in zip(self.compensators, values, strict=True):
                 one.commit(value)
 
@@ -224,7 +224,7 @@ class StageCompensator(ReadOnly):
         Raise `ModelError` if a state does not fit: the memory is unchanged.
         """
         given = for_each(states, len(self.compensators), "states")
-        with self._unchanged_by_errors():
+        with unchanged_by_errors(self.compensators):
             for one, state in zip(self.compensators, given, strict=True):
                 one.reset(state)
 
@@ -237,23 +237,7 @@ class StageCompensator(ReadOnly):
 
         Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
         """
-        count = len(self.compensators)
-        if len(snapshots) != count:
-            raise ModelError(f"snapshots: got {len(snapshots)}, need {count}, one an axis")
-        with self._unchanged_by_errors():
-            for one, snapshot in zip(self.compensators, snapshots, strict=True):
-                one.restore(snapshot)
-
-    @contextmanager
-    def _unchanged_by_errors(self) -> Iterator[None]:
-        """Restore the memory of all axes if an error occurs in the block."""
-        before = self.snapshot()
-        try:
-            yield
-        except (ModelError, ClampWarning):
-            for one, snapshot in zip(self.compensators, before, strict=True):
-                one.restore(snapshot)
-            raise
+        restore_all(self.compensators, snapshots)
 
     def trajectory(
         self,
@@ -343,6 +327,27 @@ class StageCompensator(ReadOnly):
         if numbers.size != count:
             raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one an axis")
         return list(numbers.tolist())
+
+
+@contextmanager
+def unchanged_by_errors(loops: Sequence[Any]) -> Iterator[None]:
+    """Restore the memory of all `loops` if an error occurs in the block."""
+    before = [one.snapshot() for one in loops]
+    try:
+        yield
+    except (ModelError, ClampWarning):
+        for one, snapshot in zip(loops, before, strict=True):
+            one.restore(snapshot)
+        raise
+
+
+def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
+    """Continue each of the `loops` of several axes from its snapshot; after a `ModelError` the memory is unchanged."""
+    if len(snapshots) != len(loops):
+        raise ModelError(f"snapshots: got {len(snapshots)}, need {len(loops)}, one an axis")
+    with unchanged_by_errors(loops):
+        for one, snapshot in zip(loops, snapshots, strict=True):
+            one.restore(snapshot)
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:

@@ -17,7 +17,7 @@ from dehyst._validation import vector
 from dehyst._views import html, tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits, outside_identified
-from dehyst.model import Actuator, Motion, PathData, Promise, State, Thermal, Validity, promise
+from dehyst.model import Actuator, Motion, PathData, Promise, State, promised
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -58,10 +58,8 @@ class Command:
         Whether nothing was clamped and `missed` is at most a thousandth of the range of the spring's knots.
     time : (n,) array or None
         Time of the samples [s], if it was given.
-    validity : Validity or None
-        What the records of the model tested, if the model holds it.
-    thermal : Thermal or None
-        The part of the model that depends on temperature.
+    actuator : Actuator or None
+        The model with which it was computed.
     temperature : (n,) array or None
         Temperature of the samples [degC], if it was given.
     """
@@ -75,16 +73,15 @@ class Command:
     followed: bool
     units: str = "m"
     time: Array | None = None
-    validity: Validity | None = None
-    thermal: Thermal | None = None
+    actuator: Actuator | None = None
     temperature: Array | None = None
 
     @cached_property
     def promise(self) -> Promise | None:
-        """Promised error of the path [m], in addition to `missed`; None without `validity`."""
-        if self.validity is None:
+        """Promised error of the path [m], in addition to `missed`; None if the model does not know its records."""
+        if self.actuator is None:
             return None
-        return promise(self.validity, self.voltage, self.time, thermal=self.thermal, temperature=self.temperature)
+        return promised(self.actuator, self.voltage, self.time, self.temperature)[0]
 
     def in_units(self, units: str) -> Command:
         """Return the command with its displacements converted from metres to `units`, such as "um"."""
@@ -195,7 +192,6 @@ def follow(
             "actuator's state, or moves too fast for its sample rate"
         )
     warnings += outside_identified(actuator, voltage, refuse=False).warnings
-    known = actuator.identification
     return Command(
         voltage,
         reached,
@@ -205,8 +201,7 @@ def follow(
         missed,
         followed,
         time=None if time is None else vector(time, "time"),
-        validity=None if known is None else known.validity,
-        thermal=actuator.thermal,
+        actuator=actuator,
     )
 
 

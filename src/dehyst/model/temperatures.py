@@ -139,13 +139,16 @@ class TemperatureCost:
     temperature: ArrayLike | None = None
 
     @cached_property
-    def outside(self) -> Array:
-        """Distance [K] of each temperature from the tested ones; 0 if these or the temperature are not known."""
-        degrees = np.asarray([] if self.temperature is None else self.temperature, dtype=np.float64)
-        if self.tested is None or not degrees.size:
+    def kelvins(self) -> Array:
+        """Distance [K] from the tested temperatures, one or one a sample; of an unknown one from the reference."""
+        if self.tested is None:
             return np.zeros(())
-        off = np.maximum(np.maximum(self.tested[0] - degrees, degrees - self.tested[1]), 0.0)
-        return np.asarray(off)
+        low, high = self.tested
+        if self.temperature is None:
+            reference = None if self.thermal is None else self.thermal.reference
+            return np.asarray(0.0 if reference is None else max(reference - low, high - reference, 0.0))
+        degrees = np.asarray(self.temperature, dtype=np.float64)
+        return np.asarray(np.maximum(np.maximum(low - degrees, degrees - high), 0.0))
 
     @property
     def per_kelvin(self) -> float:
@@ -153,16 +156,9 @@ class TemperatureCost:
         return 0.0 if self.thermal is None else self.thermal.per_kelvin(self.stroke)
 
     @property
-    def unknown(self) -> float:
-        """Distance [K] of the reference from the farthest tested temperature if the temperature is not known, or 0."""
-        if self.temperature is not None or self.thermal is None or self.tested is None:
-            return 0.0
-        return max(self.thermal.reference - self.tested[0], self.tested[1] - self.thermal.reference, 0.0)
-
-    @property
     def along(self) -> Array:
         """The added error [m], one number or one a sample."""
-        return np.asarray(self.per_kelvin * (self.outside + self.unknown))
+        return np.asarray(self.per_kelvin * self.kelvins)
 
     @property
     def largest(self) -> float:
@@ -182,7 +178,7 @@ class TemperatureCost:
                 f"Without its temperature it is computed at {reference:.3g} degC; each kelvin off adds up to "
                 f"{percent * self.per_kelvin:.2g} % of the stroke{within}."
             )
-        farthest = float(self.outside.max(initial=0.0))
+        farthest = float(self.kelvins.max(initial=0.0))
         if farthest <= (NEAR_KELVINS if reference is None else _ALIKE):
             return ""
         low, high = float(np.min(self.temperature)), float(np.max(self.temperature))

@@ -53,10 +53,6 @@ class _AxisRequest:
         """The effective limits [V]."""
         return self.limits or self.actuator.voltage_range
 
-    def reach_remarks(self, wanted: Array, zero: Zero | None) -> list[str]:
-        """Return a remark on a path (n,) [m] outside of the reachable range; raise an error if it is far outside."""
-        return reach_remarks(self.actuator, wanted, self.limits, zero)
-
 
 def _is_scan(given: Values) -> bool:
     return not is_stage(given["model"]) and scan_declared(given["trajectory"]) is not None
@@ -163,7 +159,7 @@ def compensate(
         moved, time = path.displacement[:, None], {"time_s": path.time}
         warmth = temperature_of(known, temperature, columns)
         return _follow(run, known, axes, moved, time, rates, warmth, output, zero, home, [*remarks, *made.warnings])
-    remarks += axes[0].reach_remarks(made.path(axis).displacement, zero)
+    remarks += reach_remarks(axes[0].actuator, made.path(axis).displacement, axes[0].limits, zero)
     refuse_cycles(made, cycles)
     options = {"approach": approach, "cycles": start_up, "tolerance": None if tolerance is None else tolerance * 1e-6}
     return _tabulate(run, axes[0], made, axis, cycles, (output, table), home, options, remarks)
@@ -240,7 +236,8 @@ def _follow(
     when = time.get("time_s")
     slews = [one.slew.of_path(timed=when is not None) for one in axes]
     targets = known.targets(wanted, warmth).T
-    remarks += known.prefixed(one.reach_remarks(target, zero) for one, target in zip(axes, targets, strict=True))
+    pairs = zip(axes, targets, strict=True)
+    remarks += known.prefixed(reach_remarks(one.actuator, target, one.limits, zero) for one, target in pairs)
     paths = known.planned(
         plan_path,
         wanted,

@@ -219,7 +219,7 @@ class Columns:
     def warmth(self, table: Table, samples: int) -> Array | None:
         """Return the temperatures (n,) [degC] in a table: the named column, or the only one that is a temperature.
 
-        None if there is no such column, or several. Raise an error if the named one is missing, or cannot be used.
+        None if there is no such column. Raise an error if there are several, or one that cannot be used.
         """
         found = [column for column in table.columns if column.role == "temperature" and not column.foreign]
         if self.temperature is not None:
@@ -238,7 +238,13 @@ class Columns:
                     hint=f"give temperature={named.column.name}:C",
                 )
             found = [replace(named.column, name="temperature", unit=named.unit, divided=False)]
-        if len(found) != 1:
+        if len(found) > 1:
+            raise FileFormatError(
+                f"{table.source}: {listed(tuple(column.name for column in found))} are temperatures",
+                argument="columns",
+                hint=f"select one by temperature={found[0].name}",
+            )
+        if not found:
             return None
         channel, fault = Channel.of(found[0]), found[0].fault
         if not fault and channel.values.size != samples:

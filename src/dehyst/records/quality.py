@@ -159,6 +159,9 @@ def _of_units(record: Record) -> Iterator[str]:
         yield f"The stroke is {stroke}, unusual for a piezo actuator; check the displacement's unit."
     if highest > HIGHEST_VOLTAGE:
         yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
+    temperatures = [one.column for one in record.others if one.role == "temperature"]
+    if len(temperatures) > 1:
+        yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
     for one in record.others:
         low, high = float(one.values.min()), float(one.values.max())
         if one.role == "temperature" and _KELVINS[0] <= low and high <= _KELVINS[1]:

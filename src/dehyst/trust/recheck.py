@@ -17,7 +17,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promise, tested_temperatures
+from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
 from dehyst.trust.changes import LEARNT, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
@@ -289,10 +289,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
     before = judge(actuator).parts.get("training") or None
-    promised = None
-    if origin.validity is not None:
-        warmth = record.temperature
-        promised = promise(origin.validity, record.voltage, record.time, thermal=actuator.thermal, temperature=warmth)
+    promise, _ = promised(actuator, record.voltage, record.time, record.temperature)
     known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
     changes = find_changes(trace, slow, known, _PART * goal / 100 * stroke)
     return Recheck(
@@ -312,7 +309,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         changes=changes,
         remarks=(*_warmth(actuator, record), *_remarks(actuator, record, changes), *prepared.sentences),
         trace=trace,
-        promise=promised,
+        promise=promise,
     )
 
 

@@ -208,7 +208,7 @@ class StageFit:
                 counts = f"{error.role:<10} {error.samples:>8} {error.left_out:>8}"
                 yield f"{name:<{width}}  {counts}  {error.largest_percent:>7.3f} %  {error.rms_percent:>7.3f} %"
         for axis, one in zip(self.axes, self.fits, strict=True):
-            yield from ("", f"Axis {axis}: {one}")
+            yield from ("", f"Axis {axis}: {one}", *(f"  - {remark}" for remark in one.remarks))
         if self.remarks:
             yield from ("", "Remarks:", *(f"  - {remark}" for remark in self.remarks))
 
