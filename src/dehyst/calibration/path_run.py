@@ -66,7 +66,7 @@ class PathRun:
     sample_rate : float
         Of the path [Hz]; the rig plays at the nearest rate that it has.
     temperature : (n,) array_like, optional
-        Temperature of the path [degrees Celsius], where the rig measures none; default: not known, the reference of the
+        Temperature of the path [degC], where the rig measures none; default: not known, the reference of the
         model is taken.
     adapt : bool, optional
         Whether to adapt the model.
@@ -238,7 +238,7 @@ class PathRun:
         return repetition, pause
 
     def _temperature(self, pause: float) -> Array:
-        """Return the temperature (n,) [degrees Celsius] to expect in a repetition that begins after a `pause` [s]."""
+        """Return the temperature (n,) [degC] to expect in a repetition that begins after a `pause` [s]."""
         size = self._wanted.size
         if self._seen is not None:
             return self._seen.after(pause + np.arange(1, size + 1) / self.rate)
@@ -249,7 +249,7 @@ class PathRun:
     def _observed(self, record: Record, expected: Array) -> Array:
         """Take over the temperature of a record, if it has one; return its displacement (n,) [m] at the reference.
 
-        `expected`: the temperatures (n,), or one, for which the record was planned [degrees Celsius].
+        `expected`: the temperatures (n,), or one, for which the record was planned [degC].
         """
         if self._thermal is None:
             return record.displacement

@@ -118,12 +118,13 @@ class _AxisView:
 
     def understood(self) -> list[tuple[str, str, str]]:
         """Return each quantity, its column and its range, in words."""
-        record, used = self.record, self.record.meta.get("columns", {})
+        record = self.record
+        used = {**{one.name: one.column for one in record.others}, **record.meta.get("columns", {})}
 
         def origin(quantity: str) -> str:
             scale = getattr(self.columns, f"{quantity}_scale", None)
             mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
-            column = used.get(quantity) or (self._wanted(quantity) if quantity in _SHOWN else None) or quantity
+            column = used.get(quantity) or self._wanted(quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range

@@ -19,7 +19,7 @@ export interface About {
   reach: [number, number];
   /** Where memory begins: displacement [m], voltage [V] and the way to bring the actuator there. */
   start: { displacement: number; voltage: number; way: string };
-  /** Only of a model that depends on temperature: 1/K, m/K, degrees Celsius. */
+  /** Only of a model that depends on temperature: 1/K, m/K, degC. */
   thermal?: { gain: number; offset: number; reference: number };
 }
 
@@ -73,7 +73,7 @@ export class Compensator {
   reset(): void;
   /** Set gain and offset [m] of the displacement between two steps, for another temperature or an aged actuator. */
   scale(gain: number, offset?: number): void;
-  /** Set gain and offset for a temperature [degrees Celsius] between two steps; needs a model that depends on it. */
+  /** Set gain and offset for a temperature [degC] between two steps; needs a model that depends on it. */
   setTemperature(degrees: number): void;
   /**
    * Learn gain and offset from a sensor [m] between two steps. NaN: not measured. `rate`: weight of a sample, 0.01.

@@ -85,7 +85,7 @@ export class Compensator {
     if (this.#core.scale(gain, offset)) throw new RangeError(`gain: got ${gain}, offset ${offset}`);
   }
 
-  /** Set gain and offset for a temperature [degrees Celsius] between two steps; needs a model that depends on it. */
+  /** Set gain and offset for a temperature [degC] between two steps; needs a model that depends on it. */
   setTemperature(degrees) {
     const { thermal } = this.about;
     if (!thermal) throw new RangeError("temperature: this model does not depend on it");
