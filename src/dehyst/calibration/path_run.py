@@ -169,10 +169,10 @@ class PathRun:
         with self._rig.safely():
             end, pause = self._home(listener), 0.0
             for number in range(1, repetitions + 1):
-                promised = self.judged()
+                judgement = self.judged()
                 if judged is not None:
-                    judged(promised)
-                repetition, pause = self._repeat(f"repetition {number}", end, pause, promised, listener)
+                    judged(judgement)
+                repetition, pause = self._repeat(f"repetition {number}", end, pause, judgement, listener)
                 end = float(repetition.record.time[-1])
                 yield repetition
             self._rig.retreat()
@@ -204,7 +204,7 @@ class PathRun:
         return loop
 
     def _repeat(
-        self, name: str, end: float, expected: float, promised: Judgement, listener: ProgressListener
+        self, name: str, end: float, expected: float, judgement: Judgement, listener: ProgressListener
     ) -> tuple[Repetition, float]:
         """Play a repetition; return it, and the pause [s] since the `end` of the wave before, by the device's time.
 
@@ -231,7 +231,7 @@ class PathRun:
         clamped = loop.clamped(voltage)
         followed = ~clamped[rows[along]]
         self._off = float(path.error[followed].mean()) if followed.any() else self._off
-        repetition = Repetition(record, wanted[rows], path, int(clamped.sum()), promised)
+        repetition = Repetition(record, wanted[rows], path, int(clamped.sum()), judgement)
         if self._loop.learning:
             last = loop.log[-1]
             repetition = replace(repetition, drift=loop.drift, used=last.used, reason=last.reason)

@@ -31,7 +31,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import StructureTrial
 from dehyst.identification.training_data import TrainingData
-from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of
+from dehyst.identification.validation import RecordComparison, compare, counted_of, errors_of, joined
 from dehyst.model import Actuator, legs
 from dehyst.records import rms
 
@@ -128,8 +128,8 @@ def _played(actuator: Actuator, compared: RecordComparison) -> tuple[Array, Arra
     if sum(epoch.stop - epoch.start for _, epoch, _ in last) < _SOON * sum(map(len, compared.measured)):
         _, trace = errors_of(actuator, compared, "training")
         return trace.time, trace.measured, trace.simulated
-    columns = zip(*(counted_of(played, compared.record.record) for _, _, played in last), strict=True)
-    time, _, measured, simulated, _ = map(np.concatenate, columns)
+    columns = list(zip(*(counted_of(played, compared.record.record) for _, _, played in last), strict=True))
+    time, measured, simulated = (joined(columns[k]) for k in (0, 2, 3))
     return time, measured, simulated
 
 

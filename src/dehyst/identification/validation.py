@@ -120,7 +120,7 @@ class RecordComparison:
             for epoch in own:
                 begin, span = (self.state_before(actuator, number, epoch), next(left)), slice(epoch.start, epoch.stop)
                 runs = self.play(actuator, number, span, begin, self.given.block * (epoch.stop - epoch.start))
-                parts.append((number, epoch, tuple(map(np.concatenate, zip(*runs, strict=True)))))
+                parts.append((number, epoch, tuple(map(joined, zip(*runs, strict=True)))))
         return parts
 
     def play(
@@ -139,7 +139,8 @@ class RecordComparison:
         # The piece's voltages are those that act, behind the amplifier.
         model = actuator.before_creep
         model = replace(model, lag=0.0) if actuator.lag else model
-        steady = drifting = state.shifted(self.datum)
+        # Without a drift both are the same motion.
+        states = [state.shifted(self.datum)] * (2 if self.drift else 1)
         for start, stop, counted in _runs(piece, first, last, size):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > first)
@@ -147,22 +148,21 @@ class RecordComparison:
             time = piece.time[run] if model.needs_time else None
             measured = piece.displacement[run] + self.datum
             if counted:
-                one, other = (
+                less_of: list[Array | float] = [drift[run], level]
+                motions = [
                     model.simulate(
                         without_offset(actuator, piece.voltage[run], offset, less),
                         time=time,
                         state=state,
                         extrapolate=True,
                     )
-                    for state, less in ((steady, drift[run]), (drifting, level))
-                )
-                simulated, drifted = one.displacement[again:], other.displacement[again:]
+                    for state, less in zip(states, less_of, strict=False)
+                ]
+                simulated, drifted = motions[0].displacement[again:], motions[-1].displacement[again:]
             else:
-                one, other = (
-                    model.compensate(measured, time=time, state=state, extrapolate=True) for state in (steady, drifting)
-                )
+                motions = [model.compensate(measured, time=time, state=state, extrapolate=True) for state in states]
                 simulated = drifted = measured[again:]
-            steady, drifting = one.state, other.state
+            states = [motion.state for motion in motions]
             voltage = without_offset(actuator, piece.voltage[own], offset)
             yield piece.time[own], voltage, measured[again:], simulated, drifted
 
@@ -447,6 +447,11 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
         settled_rms=rms(settled),
     ), trace
+
+
+def joined(parts: Sequence[Array]) -> Array:
+    """Return arrays one after the other; a single one is not copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:

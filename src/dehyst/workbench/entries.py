@@ -228,8 +228,10 @@ class VoltageEntry:
 
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
-        errors = [one["largest_m"] for one in each("judgement")]
-        self.largest_um = [None if one is None else one * _MICRO for one in errors]
+        self.largest_um = [
+            None if one["largest_m"] is None else (one["largest_m"] + one["start_m"]) * _MICRO
+            for one in each("judgement")
+        ]
         self.words = [in_page(str(one)) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))
