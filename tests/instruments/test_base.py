@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import replace
 
 import numpy as np
 import places
@@ -15,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import ModelError, RecordError
+from dehyst.calibration.plan import Plan, steps
 from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, VoltageNote
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import SensorWatch
@@ -244,15 +246,108 @@ def test_a_retreat_needs_no_sensor(broken):
     assert max(abs(np.diff(back))) <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize("name", ["_read", "_put", "_wave", "_halt", "nearest_rate"])
-def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name):
+class Panic(BaseException):
+    """Such as libraries in other languages raise."""
+
+
+HOOKS = ["_read", "_put", "_wave", "_halt", "_wait", "_close", "nearest_rate"]
+
+
+@pytest.mark.parametrize("name", HOOKS)
+@pytest.mark.parametrize("error", [KeyError("1"), SystemExit(0), SystemExit("bye"), Panic("oh"), GeneratorExit()])
+def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
     rig = FakeRig((0.0, 100.0))
-    setattr(rig, name, lambda *_: {}[1])
-    with pytest.raises(DeviceError, match=f"{name} of the rig raised KeyError.*check its code"):
-        rig.retreat() if name == "_halt" else rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
+
+    def fail(*_):
+        raise error
+
+    setattr(rig, name, fail)
+    with pytest.raises(DeviceError, match=f"fake: {name} of the rig raised {type(error).__name__}: .*check its code"):
+        {"_halt": rig.retreat, "_close": rig.close}.get(name, lambda: rig.play(replace(UP, voltage=UP.voltage + 1)))()
 
 
-@pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -5.0])
+@pytest.mark.parametrize("name", ["_read", "_wave", "_halt", "_wait"])
+@pytest.mark.parametrize("error", [ZeroDivisionError(), SystemExit(0), Panic("oh")])
+def test_a_leaf_that_fails_from_a_high_voltage_on_is_brought_back(name, error):
+    rig = FakeRig((0.0, 100.0))
+    put = rig._put
+
+    def fail(*_):
+        raise error
+
+    def sending(voltage):
+        put(voltage)
+        if voltage > 30:
+            setattr(rig, name, fail)
+
+    rig._put = sending
+    with pytest.raises(DeviceError, match="raised") as caught:
+        rig.set_voltage(50.0)
+        rig.play(replace(UP, voltage=UP.voltage[::-1])) if name == "_wave" else rig.retreat()
+    assert rig.instrument.voltage == 0.0
+    assert max(abs(np.diff(rig.instrument.sent[-30:]))) <= 1.0 + 1e-9
+    if name == "_halt":
+        assert "the voltage was ramped there, but a wave may go on" in str(caught.value)
+    else:
+        assert caught.value.__notes__ == [BROUGHT]
+
+
+def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against():
+    rig = FakeRig((0.0, 100.0))
+    rig.set_voltage(20.0)
+    sent = len(rig.instrument.sent)
+
+    def fail():
+        raise DeviceError("plays on")
+
+    rig._halt = fail
+    with pytest.raises(DeviceError, match="plays on"):
+        rig.retreat()
+    assert len(rig.instrument.sent) == sent
+
+
+def test_what_a_wave_raises_as_it_is_closed_is_a_fault():
+    rig = FakeRig((0.0, 100.0))
+    wave = rig._wave
+
+    def ending(voltage, rate):
+        try:
+            yield from wave(voltage, rate)
+        finally:
+            sys.exit(0)
+
+    def listen(samples):
+        if samples.voltage[-1] > 20:
+            raise ValueError
+
+    rig._wave = ending
+    with pytest.raises(DeviceError, match="_wave of the rig raised SystemExit: 0") as caught:
+        rig.play(UP, listen)
+    assert caught.value.__notes__ == [BROUGHT]
+
+
+@pytest.mark.parametrize("values", [(0.0, 10**400, 0.0), (10**5000,) * 3, (0.0, "high", 0.0), (1.0, 2.0), 5])
+def test_a_reading_of_other_values_is_a_fault(values):
+    rig = FakeRig()
+    rig._read = lambda: values
+    with pytest.raises(DeviceError, match=r"fake: .*read"):
+        rig.read()
+
+
+def test_a_link_that_cannot_be_closed_hides_no_other_error():
+    rig = FakeRig()
+
+    def fail():
+        sys.exit(3)
+
+    rig._close = fail
+    with pytest.raises(ValueError, match="first") as caught, rig:
+        raise ValueError("first")
+    (note,) = caught.value.__notes__
+    assert note.startswith("fake: _close of the rig raised SystemExit: 3")
+
+
+@pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, 0, -5.0, 10**400, "fast", None, True])
 def test_a_rate_that_no_device_can_have_is_refused_with_nothing_sent(rate):
     rig = FakeRig()
     rig.nearest_rate = lambda _: rate
@@ -260,6 +355,8 @@ def test_a_rate_that_no_device_can_have_is_refused_with_nothing_sent(rate):
         DeviceError, match=r"fake: nearest_rate of 100 Hz is .*, need a positive number.*nothing was sent"
     ):
         rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
+    with pytest.raises(DeviceError, match=r"fake: nearest_rate of .*, need a positive number"):
+        steps(rig, Plan())
     assert rig.done == []
 
 
@@ -432,6 +529,31 @@ def test_a_handler_that_only_takes_note_stops_nothing(monkeypatch):
     finally:
         signal.signal(signal.SIGTERM, before)
     assert noted == [signal.SIGTERM] * 2
+
+
+@POSIX
+@pytest.mark.parametrize("name", ["_wait", "_read", "_wave"])
+def test_a_programs_own_handler_may_end_it_within_a_leaf(name):
+    def leave(number, _):
+        sys.exit(128 + number)
+
+    rig = FakeRig((0.0, 100.0))
+    rig.set_voltage(20.0)
+    usual, before = getattr(rig, name), signal.signal(signal.SIGTERM, leave)
+
+    def interrupted(*given):
+        vars(rig).pop(name)
+        interrupt(signal.SIGTERM)
+        return usual(*given)
+
+    setattr(rig, name, interrupted)
+    try:
+        with pytest.raises(SystemExit) as caught:
+            rig.read() if name == "_read" else rig.play(UP)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert caught.value.code == 128 + signal.SIGTERM
+    assert getattr(caught.value, "__notes__", [BROUGHT]) == [BROUGHT]
 
 
 def test_another_thread_has_no_signals():

@@ -18,7 +18,7 @@ from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
 from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
-from dehyst.instruments import AbstractRig, Samples
+from dehyst.instruments import AbstractRig, Samples, played_rate
 from dehyst.model import Actuator, State, promised
 from dehyst.records import Record
 from dehyst.trust import Judgement, judge_planned
@@ -103,7 +103,7 @@ class PathRun:
         self._wanted = _closed(self._path)
         if not 0 < number(sample_rate, "sample_rate") < np.inf:
             raise ModelError(argument="sample_rate", got=sample_rate, need="a positive number of hertz")
-        self.rate = rig.nearest_rate(sample_rate)
+        self.rate = played_rate(rig, sample_rate)
         (low, high), period = actuator.voltage_range, 1 / self.rate
         limits = max(low, rig.limits.low), min(high, rig.limits.high)
         self.stroke = actuator.stroke

@@ -13,7 +13,7 @@ from dehyst._errors import FileFormatError, RecordError
 from dehyst._types import Array
 from dehyst.calibration.comparison_loop import replay
 from dehyst.calibration.tracking import PathPlanner
-from dehyst.instruments import AbstractRig
+from dehyst.instruments import AbstractRig, played_rate
 from dehyst.records import MOST, Record, read_table, time_of
 from dehyst.waveforms import (
     Excitation,
@@ -216,7 +216,7 @@ class Plan:
     def excitations(self, rig: AbstractRig) -> ExcitationPlan:
         """Return the excitations of this plan on a `rig` of one axis."""
         hold = _HOLD / self.frequency if self.hold is None else self.hold
-        rate = rig.nearest_rate(_SAMPLES_A_CYCLE * self.frequency)
+        rate = played_rate(rig, _SAMPLES_A_CYCLE * self.frequency)
         return ExcitationPlan(rig.limits.low, rig.limits.high, rate, self.frequency, hold, rig.slew_rate)
 
     def axes_excitations(self, rig: AbstractRig) -> AxesExcitations:
@@ -264,7 +264,7 @@ def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
     for step in steps(rig, plan):
         entry: dict[str, Any] = {"step": step.name, "what": step.words}
         if step.excitation is not None:
-            rate, v = rig.nearest_rate(step.excitation.sample_rate), step.excitation.voltage
+            rate, v = rig.check(step.excitation), step.excitation.voltage
             entry["samples"] = len(v) + step.more
             entry["seconds"] = (entry["samples"] - 1) / rate
             entry["lowest_V"], entry["highest_V"] = v.min(axis=0).tolist(), v.max(axis=0).tolist()

@@ -2,7 +2,7 @@
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import SCHEMES, Scheme, open_rig
-from dehyst.instruments.base import BY_HAND, HIGHEST_RATE, AbstractRig, VoltageNote, host_timed
+from dehyst.instruments.base import BY_HAND, HIGHEST_RATE, AbstractRig, VoltageNote, host_timed, played_rate
 from dehyst.instruments.samples import Reading, Samples
 
 __all__ = [

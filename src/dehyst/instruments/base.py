@@ -7,7 +7,7 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeAlias, TypeVar, final
@@ -15,7 +15,7 @@ from typing import Any, Self, TypeAlias, TypeVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DeviceError, LinkError, ModelError, RecordError, RigError
+from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
@@ -183,7 +183,12 @@ class AbstractRig(ABC):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        try:
+            self.close()
+        except DehystError as failed:
+            if error is None:
+                raise
+            error.add_note(str(failed))
 
     def __repr__(self) -> str:
         bounds = "; ".join(f"axis {one.axis}: {one.limits.words}, {one.slew_rate:.6g} V/s" for one in self.rigs)
@@ -286,13 +291,7 @@ class AbstractRig(ABC):
             )
         rates = set()
         for one, column in zip(self.rigs, columns, strict=True):
-            with driver_errors(self.name, "nearest_rate"):
-                rates.add(rate := float(one.nearest_rate(excitation.sample_rate)))
-            if not 0 < rate < math.inf:
-                raise DeviceError(
-                    f"{one.name}: nearest_rate of {excitation.sample_rate:.6g} Hz is {rate:g} Hz, need a positive "
-                    "number; check the rig's nearest_rate, or the device; nothing was sent"
-                )
+            rates.add(rate := played_rate(one, excitation.sample_rate))
             name, limits = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name, one.limits
             low, high = float(column.min()), float(column.max())
             if low < limits.low or high > limits.high:
@@ -336,26 +335,38 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         errors: list[Exception] = []
+        mistakes: list[Exception] = []
         ramps = []
         with shielded(defer=True):
             for one in self.rigs:
+                foreseen = False
                 try:
                     with driver_errors(one.name, "_halt"):
-                        one._halt()
-                    ramps.append(one._ramping(one.safe, one._last_voltage))
+                        try:
+                            one._halt()
+                        except DehystError:
+                            foreseen = True
+                            raise
                 except Exception as error:  # the other axes go on
-                    errors.append(error)
-            self._ramp(ramps, errors)
+                    (errors if foreseen else mistakes).append(error)
+                # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
+                if not foreseen:
+                    ramps.append(one._ramping(one.safe, one._last_voltage))
+            self._ramp(ramps, errors, retreating=True)
+            if mistakes:
+                raise DeviceError(f"{mistakes[0]}; the voltage was ramped there, but a wave may go on") from mistakes[0]
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
     @final
     def close(self) -> None:
-        """Close the link and leave the voltage unchanged. May be called twice."""
+        """Close the link and leave the voltage unchanged. May be called twice. Raise `RigError` if closing fails."""
         if not self._closed:
             self._closed = True
-            for one in self._parts:
-                one.close()
-            self._close()
+            with ExitStack() as stack:
+                stack.enter_context(driver_errors(self.name, "_close"))
+                stack.callback(self._close)
+                for one in reversed(self._parts):
+                    stack.callback(one.close)
 
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
@@ -388,14 +399,19 @@ class AbstractRig(ABC):
 
     @abstractmethod
     def _close(self) -> None:
-        """Close the link; raises nothing."""
+        """Close the link; the voltage stays where it is."""
 
     def _wait(self, seconds: float) -> None:
         """Wait."""
         time.sleep(seconds)
 
-    def _ramp(self, ramps: Sequence[Iterator[None]], errors: Sequence[Exception] = ()) -> None:
-        """Ramp axes side by side, a step of each in a tick; raise the first error when those that can have ramped."""
+    def _ramp(
+        self, ramps: Sequence[Iterator[None]], errors: Sequence[Exception] = (), *, retreating: bool = False
+    ) -> None:
+        """Ramp axes side by side, a step of each in a tick; raise the first error when those that can have ramped.
+
+        When `retreating`, the ramp goes on after an error of `_wait`.
+        """
         found, going = list(errors), list(ramps)
         while going:
             left = []
@@ -407,7 +423,13 @@ class AbstractRig(ABC):
                     found.append(error)
             going = left
             if going:
-                self.rigs[0]._wait(TICK)
+                try:
+                    with driver_errors(self.name, "_wait"):
+                        self.rigs[0]._wait(TICK)
+                except DehystError:
+                    if not retreating:
+                        raise
+                    time.sleep(TICK)
         if found:
             raise found[0]
 
@@ -455,12 +477,12 @@ class AbstractRig(ABC):
         """Read once; numbers may not be finite."""
         with driver_errors(self.name, "_read"):
             values: Any = self._read()
-        try:
-            time_, voltage, displacement = map(float, values)
-        except (TypeError, ValueError) as error:
-            raise DeviceError(
-                f"{self.name}: read {values!r}, need time, voltage and displacement; check the rig's _read"
-            ) from error
+            try:
+                time_, voltage, displacement = map(float, values)
+            except (TypeError, ValueError) as error:
+                raise DeviceError(
+                    f"{self.name}: read {values!r}, need time, voltage and displacement; check the rig's _read"
+                ) from error
         return Reading(time_, voltage, displacement)
 
     def _refuse_several(self) -> None:
@@ -505,6 +527,22 @@ def _refuse_replacements(kind: type[AbstractRig]) -> None:
     if found:
         drivers = ", ".join(_DRIVERS)
         raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")
+
+
+def played_rate(rig: AbstractRig, sample_rate: float) -> float:
+    """Return the `nearest_rate` [Hz] of a rig; raise `DeviceError` if it fails or is not a positive number."""
+    with driver_errors(rig.name, "nearest_rate"):
+        nearest = rig.nearest_rate(sample_rate)
+        try:
+            rate = number(nearest, "rate")
+        except ModelError:
+            rate = math.nan
+        if not rate > 0:
+            raise DeviceError(
+                f"{rig.name}: nearest_rate of {sample_rate:.6g} Hz is {nearest!r}, need a positive number; check the "
+                "rig's nearest_rate, or the device; nothing was sent"
+            )
+    return rate
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from traceback import walk_tb
 from types import FrameType
 
 from dehyst._errors import Terminated
@@ -64,6 +65,13 @@ class Shield:
         handler(number, frame)
         # A handler that raises nothing does not stop the block.
         self.deferring = self._stopped = False
+
+
+def by_signal(error: BaseException) -> bool:
+    """Return whether the handler of a signal raised an error, such as the SystemExit of a program's own handler."""
+    handlers = [Shield._handle, *map(signal.getsignal, signal.valid_signals())]
+    codes = {getattr(handler, "__code__", None) for handler in handlers}
+    return any(frame.f_code in codes for frame, _ in walk_tb(error.__traceback__))
 
 
 @contextmanager

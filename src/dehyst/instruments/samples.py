@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError
+from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError, Terminated
 from dehyst._types import Array
 from dehyst._units import plain
+from dehyst.instruments.interrupts import by_signal
 
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
@@ -64,13 +65,15 @@ def astray(difference: float) -> str:
 
 @contextmanager
 def driver_errors(name: str, method: str) -> Iterator[None]:
-    """Re-raise what a driver's `method` raises as DeviceError; errors of dehyst pass unchanged."""
+    """Re-raise what a driver's `method` raises as DeviceError; errors of dehyst and of signals pass unchanged."""
     try:
         yield
-    except DehystError:
+    except (DehystError, KeyboardInterrupt, Terminated):
         raise
-    # A driver, or its library, may raise anything.
-    except Exception as error:
+    # A driver, or its library, may raise anything, and SystemExit must not end the program before a retreat.
+    except BaseException as error:
+        if by_signal(error):
+            raise
         raise DeviceError(
             f"{name}: {method} of the rig raised {type(error).__name__}: {error}; check its code, or the device"
         ) from error
@@ -115,7 +118,8 @@ def inspected(
                 raise DeviceError(f"{where}: {astray(np.ravel(differences)[worst])}")
     finally:
         if isinstance(batches, Generator):
-            batches.close()
+            with driver_errors(name, "_wave"):
+                batches.close()
     if count < len(sent):
         raise DeviceError(f"{name}: recorded {count} of {len(sent)} samples; check its data recorder")
 
