@@ -18,7 +18,7 @@ from fleet_records import until
 from plugged_in import describe, plugged_in, write_distribution
 
 import dehyst
-from dehyst._errors import FileFormatError, MissingExtraError, ModelError, PluginError, RigError
+from dehyst._errors import FileFormatError, MissingExtraError, ModelError, PluginError, RecordError, RigError
 from dehyst._plugins import PluginWarning, Registry
 from dehyst.baselines import BASELINES
 from dehyst.baselines.comparison import OURS, contenders
@@ -61,6 +61,10 @@ def read(data, allowance):
         np.ones(400_000_000)
     if data == b"complex":
         return [Column(n, np.arange(3) + 1j) for n in ("time_s", "voltage_V", "displacement_um")]
+    if data == b"empty":
+        return [Column(n, np.zeros(0)) for n in ("a", "b", "c")]
+    if data == b"masked":
+        return [Column(n, np.ma.masked_all(3)) for n in ("time_s", "voltage_V", "displacement_um")]
     if data == b"bare":
         return [np.zeros(3)]
     if data == b"allowance":
@@ -183,6 +187,13 @@ def test_what_is_no_member_is_refused(tmp_path, group, entry):
         assert list(REGISTRIES[group]) == list(REGISTRIES[group].own)
 
 
+def test_masked_values_of_a_plug_in_are_no_numbers(tmp_path):
+    write_distribution(tmp_path, "reads", {"readers": ".daq = reads:read"}, READER)
+    (tmp_path / "a.daq").write_text("masked")
+    with plugged_in(tmp_path), pytest.raises(RecordError, match="time holds 3 values not finite"):
+        dehyst.read(tmp_path / "a.daq")
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the limits of the reader's process need fork")
 @pytest.mark.parametrize(
     ("content", "message"),
@@ -191,6 +202,7 @@ def test_what_is_no_member_is_refused(tmp_path, group, entry):
         ("memory", "takes more memory"),
         ("bare", "need Columns"),
         ("complex", "column 'time_s': holds complex numbers"),
+        ("empty", "column"),
         ("name", "the name 5 .*, need text"),
         ("sleep", "its plug-in did not finish it in .* s in all"),
         ("deaf", "its plug-in did not finish it in .* s of CPU time"),

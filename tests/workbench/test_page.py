@@ -220,6 +220,8 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     person.page.get_by_role("radio", name="A file").check()
     (tmp_path / "path.csv").write_text("time_s,y_um,x_um\n0,3,2\n1,8,10\n2,12,4\n")
     person.page.locator("#path-file").set_input_files(tmp_path / "path.csv")
+    # Its rate is offered once it is read.
+    person.until("() => [...document.querySelectorAll('#path input')].some((field) => field.value === '1')")
     person.fill("Samples a second", 50, within="#path")
     person.write_voltage()
     _, content = person.download("link", "Download CSV", within="#voltage-list")

@@ -68,6 +68,7 @@ _MODELS = {
 _BEGINNINGS: dict[str, dict[str, Any]] = {
     "slew rate": {"slew_rate": 5e3},
     "state": {"state": _PLAIN.simulate([0.0, 70.0, 20.0, 45.0]).state},
+    "preview": {"actuator": _MODELS["dynamics"], "preview": True},
     "both": {"slew_rate": 5e3, "state": _PLAIN.simulate([80.0, 10.0, 30.0]).state},
 }
 _OPTIONS = {"number": "double", "name": None, "measure": False, "force": False, "fmu": "3.0", "kind": None}
@@ -169,13 +170,11 @@ class TargetContract:
             _compare(candidate, again, compensator)
 
     @pytest.mark.parametrize("kind", _BEGINNINGS)
-    def test_slew_rate_and_state_are_kept_or_refused(
+    def test_what_a_compensator_begins_with_is_kept_or_refused(
         self, candidate: TargetCandidate, kind: str, tmp_path: Path
     ) -> None:
-        compensator, path = (
-            Compensator(_PLAIN, period=_PERIOD, **_BEGINNINGS[kind]),
-            tmp_path / f"stage{candidate.suffix}",
-        )
+        options: dict[str, Any] = {"actuator": _PLAIN, "period": _PERIOD, **_BEGINNINGS[kind]}
+        compensator, path = Compensator(**options), tmp_path / f"stage{candidate.suffix}"
         try:
             TARGETS[candidate.suffix].write(compensator, path, _OPTIONS)
         except ModelError:

@@ -114,7 +114,9 @@ def is_small(volts: Array) -> bool:
 def plausible_unit(quantity: str, data: Array) -> str:
     """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
     with np.errstate(all="ignore"):
-        size = float(np.ptp(data)) if quantity == "displacement" else float(np.abs(data).max(initial=0.0))
+        size = float(np.abs(data).max(initial=0.0))
+        if quantity == "displacement" and data.size:
+            size = float(np.ptp(data))
     known = QUANTITIES[quantity]
     sizes = {unit: size * FACTORS[quantity][unit] for unit in known.units}
     plausible = [unit for unit, value in sizes.items() if known.range[0] <= value <= known.range[1]]

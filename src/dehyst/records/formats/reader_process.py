@@ -76,7 +76,7 @@ def _of_plugin(suffix: str, reader: Callable[[bytes, Allowance], list[Column]]) 
         return [
             replace(one, data=np.empty(0), fault=containers.COMPLEX)
             if np.iscomplexobj(one.data)
-            else replace(one, data=np.asarray(one.data, dtype=np.float64))
+            else replace(one, data=np.ma.filled(np.ma.asarray(one.data, dtype=np.float64), np.nan))
             for one in columns
         ]
 
