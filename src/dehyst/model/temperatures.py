@@ -94,7 +94,8 @@ class TemperatureCover:
             return "" if self.tested is None else known
         low, high = self.used
         if not self.missing:
-            return f"{known} They cover {low:.3g} to {high:.3g} degC."
+            used = " to ".join(dict.fromkeys((f"{low:.3g}", f"{high:.3g}")))
+            return f"{known} That covers the {used} degC of the use."
         gaps = [(low, high)]
         if self.tested is not None:
             below, above = (low, min(high, self.tested[0])), (max(low, self.tested[1]), high)
