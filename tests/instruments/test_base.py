@@ -191,6 +191,45 @@ def test_a_wave_is_closed_before_the_retreat(stop):
     assert set(rig.done[ended + 2 :]) == {"put"}
 
 
+def paced(change, longest=None):
+    """Return a rig whose samples have times that are changed: a function of the times since the first one."""
+    rig = FakeRig((0.0, 100.0), longest=longest)
+    wave, begun = rig._wave, []
+
+    def pacing(voltage, rate):
+        for samples in wave(voltage, rate):
+            begun.append(samples.time[0])
+            yield samples._replace(time=begun[0] + change(samples.time - begun[0]))
+
+    rig._wave = pacing
+    return rig
+
+
+@pytest.mark.parametrize("longest", [None, 11])
+@pytest.mark.parametrize("factor", [10.0, 2.0])
+def test_a_device_that_plays_faster_than_asked_is_stopped(factor, longest):
+    rig, heard = paced(lambda t: t / factor, longest), []
+    with pytest.raises(DeviceError, match=r"fake: plays faster than the 1000 Hz .* after the first, need ") as caught:
+        rig.play(UP, heard.append)
+    assert caught.value.__notes__ == [BROUGHT]
+    assert 20 < sum(samples.time.size for samples in heard) < len(rig.rows(len(UP)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: t / 1.05,
+        lambda t: 3 * t,
+        # The first one, or one in the middle, is late by 15 periods, and the next ones make up for it.
+        lambda t: np.maximum(t, 0.015 + 1e-6 * t),
+        lambda t: np.where(t > 0.05, np.maximum(t, 0.065 + 1e-6 * t), t),
+    ],
+    ids=["a clock that differs", "slow", "first late", "late"],
+)
+def test_a_device_that_is_late_and_catches_up_is_not_stopped(change):
+    assert len(paced(change).play(UP)) == len(UP)
+
+
 def test_what_shows_that_the_sensor_is_dead_is_heard_too():
     rig, heard = FakeRig((0.0, 100.0)), []
     rig.instrument.unplugged = True

@@ -38,7 +38,8 @@ class Target(NamedTuple):
 
     `words`: its name in messages. `write`: function that writes a compensator to a path with a dictionary of options.
     `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
-    None for a folder, whose export checks its files itself. `about`: a sentence for the page.
+    None, for a folder whose export checks its files itself, is dehyst's own: a plug-in must list them. `about`: a
+    sentence for the page.
     """
 
     words: str

@@ -23,6 +23,7 @@ from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import (
     READBACK_TOLERANCE,
     Listener,
+    PaceWatch,
     Reading,
     Samples,
     SensorWatch,
@@ -250,6 +251,7 @@ class AbstractRig(ABC):
             )
             for one, column, span in zip(self.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
         ]
+        pace = PaceWatch(self.name, rate, self.rows(len(excitation)))
         batches: list[Samples] = []
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
@@ -273,6 +275,7 @@ class AbstractRig(ABC):
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
                             sensor.observe(voltage, displacement)
+                        pace.observe(samples.time)
         times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
         others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError, Terminated
 from dehyst._types import Array
@@ -17,6 +18,8 @@ from dehyst.instruments.interrupts import by_signal
 
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
+# A wave may not be faster than was asked by more than this factor, from so many samples on: clocks differ a little.
+_PACE, _PACED_FROM = 0.9, 20
 # A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2
 
@@ -197,3 +200,33 @@ class SensorWatch:
             )
         self._moved = self._moved or starts.size > 1
         self._value, self._low, self._high = float(displacement[-1]), float(low[-1]), float(high[-1])
+
+
+class PaceWatch:
+    """A check of times as they arrive: it raises when a rig `name` plays a wave faster than at its `rate` [Hz].
+
+    `rows`: for each sample, the number of its voltage. Late samples are allowed, and ones that make up for a delay.
+    """
+
+    def __init__(self, name: str, rate: float, rows: NDArray[np.intp]) -> None:
+        self._name, self._rate, self._rows = name, rate, rows
+        # The earliest time at which the wave can have begun, by its first samples, of which some may be late.
+        self._count, self._begin, self._first = 0, math.inf, math.nan
+
+    def observe(self, time: Array) -> None:
+        """Check times (n,) [s] that follow the ones before; raise `DeviceError` if they are too early."""
+        rows = self._rows[self._count : self._count + time.size]
+        if not self._count:
+            self._first = float(time[0])
+        self._count += time.size
+        due = rows / self._rate
+        first = rows < _PACED_FROM
+        self._begin = min(self._begin, float((time - due)[first].min(initial=math.inf)))
+        early = np.flatnonzero(~first & (time - self._begin < _PACE * due))
+        if early.size:
+            row, passed = int(rows[early[0]]), float(time[early[0]] - self._first)
+            raise DeviceError(
+                f"{self._name}: plays faster than the {self._rate:.6g} Hz that were asked for: by its times, sample "
+                f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
+                "nearest_rate, and the device's clock"
+            )

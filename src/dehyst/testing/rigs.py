@@ -31,10 +31,10 @@ class RigCandidate(NamedTuple):
 
     `name`: in the reports of pytest. `open`: context manager that takes `limits` and `slew_rate`, and `longest`, to
     which the rig's waves are shortened if that is possible; it yields the rig and the instrument behind it, which has
-    the attributes of a `FakeInstrument`, stands at 0 V, and allows -20 to 100 V. `gain`: displacement at 80 V less the
-    one at 0 V after it, over 80 V [m/V]. `volts`, `rate`: how far recorded voltages [V] and the rate (relative) may be
-    from what was asked for, as the device's digits are. `real_time`: whether the wave plays on while a stop is on its
-    way.
+    the attributes of a `FakeInstrument` (its `limits` are a pair of voltages), stands at 0 V, and allows -20 to 100 V.
+    `gain`: displacement at 80 V less the one at 0 V after it, over 80 V [m/V]. `volts`, `rate`: how far recorded
+    voltages [V] and the rate (relative) may be from what was asked for, as the device's digits are. `real_time`:
+    whether the wave plays on while a stop is on its way.
     """
 
     name: str
@@ -86,7 +86,7 @@ class RigContract:
         class TestMyRig(RigContract):
             @pytest.fixture
             def candidate(self):
-                return RigCandidate("mine", open_on_an_emulator)
+                return RigCandidate("mine", open_on_an_emulator, gain=1e-7)
     """
 
     @pytest.fixture
