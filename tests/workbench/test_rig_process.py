@@ -394,7 +394,8 @@ def test_a_driver_that_fails_at_rest_disarms(holder, tmp_path):
     (tmp_path / "moody").touch()
     holder.until(lambda: holder.state["status"] in ("lost", "connected"))
     words = " ".join(holder.state["words"])
-    assert words.startswith("Stopped: the rig cannot be read: SystemExit: no more. The voltage could not be brought")
+    assert words.startswith("Stopped: the rig cannot be read: simulated PlayActuator: _read of the rig raised")
+    assert "SystemExit: no more; check its code, or the device. The voltage could not be brought" in words
     assert holder.state["status"] == "lost"
     assert words.count("by hand") == 1
 
