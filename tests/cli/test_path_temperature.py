@@ -137,6 +137,6 @@ def test_a_planned_path_warns_as_the_command_does(folder):
     start = PossibleStart.named(actuator, "bottom")
     planned = plan_path(dehyst.Compensator(actuator, units="um"), PATH, time=TIME, temperature=50.0, start=start)
     assert any("50 degC" in one for one in planned.warnings)
-    assert any("times the speed of the model's records" in one for one in planned.warnings)
+    assert any("V/s" in one and "(50 V/s)" in one for one in planned.warnings)
     assert set(planned.warnings) <= set(result["warnings"])
     assert set(planned.promise.untested) <= set(planned.warnings)

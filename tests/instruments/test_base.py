@@ -209,7 +209,7 @@ def paced(change, longest=None):
 @pytest.mark.parametrize("factor", [10.0, 2.0])
 def test_a_device_that_plays_faster_than_asked_is_stopped(factor, longest):
     rig, heard = paced(lambda t: t / factor, longest), []
-    with pytest.raises(DeviceError, match=r"fake: plays faster than the 1000 Hz .* after the first, need ") as caught:
+    with pytest.raises(DeviceError, match=r"fake: .* 1000 Hz") as caught:
         rig.play(UP, heard.append)
     assert caught.value.__notes__ == [BROUGHT]
     assert 20 < sum(samples.time.size for samples in heard) < len(rig.rows(len(UP)))
@@ -301,7 +301,7 @@ def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
         raise error
 
     setattr(rig, name, fail)
-    with pytest.raises(DeviceError, match=f"fake: {name} of the rig raised {type(error).__name__}: .*check its code"):
+    with pytest.raises(DeviceError, match=f"fake: {name} .* {type(error).__name__}: "):
         {"_halt": rig.retreat, "_close": rig.close}.get(name, lambda: rig.play(replace(UP, voltage=UP.voltage + 1)))()
 
 
@@ -326,7 +326,7 @@ def test_a_leaf_that_fails_from_a_high_voltage_on_is_brought_back(name, error):
     assert rig.instrument.voltage == 0.0
     assert max(abs(np.diff(rig.instrument.sent[-30:]))) <= 1.0 + 1e-9
     if name == "_halt":
-        assert "the voltage was ramped there, but a wave may go on" in str(caught.value)
+        assert isinstance(caught.value.__cause__, DeviceError)
     else:
         assert caught.value.__notes__ == [BROUGHT]
 
@@ -360,7 +360,7 @@ def test_what_a_wave_raises_as_it_is_closed_is_a_fault():
             raise ValueError
 
     rig._wave = ending
-    with pytest.raises(DeviceError, match="_wave of the rig raised SystemExit: 0") as caught:
+    with pytest.raises(DeviceError, match=r"_wave .* SystemExit: 0") as caught:
         rig.play(UP, listen)
     assert caught.value.__notes__ == [BROUGHT]
 
@@ -383,18 +383,16 @@ def test_a_link_that_cannot_be_closed_hides_no_other_error():
     with pytest.raises(ValueError, match="first") as caught, rig:
         raise ValueError("first")
     (note,) = caught.value.__notes__
-    assert note.startswith("fake: _close of the rig raised SystemExit: 3")
+    assert note.startswith("fake: _close") and "SystemExit: 3" in note
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, 0, -5.0, 10**400, "fast", None, True])
 def test_a_rate_that_no_device_can_have_is_refused_with_nothing_sent(rate):
     rig = FakeRig()
     rig.nearest_rate = lambda _: rate
-    with pytest.raises(
-        DeviceError, match=r"fake: nearest_rate of 100 Hz is .*, need a positive number.*nothing was sent"
-    ):
+    with pytest.raises(DeviceError, match=r"fake: nearest_rate .* 100 Hz"):
         rig.play(Excitation("up", np.linspace(1, 5, 10), 100.0))
-    with pytest.raises(DeviceError, match=r"fake: nearest_rate of .*, need a positive number"):
+    with pytest.raises(DeviceError, match=r"fake: nearest_rate .* Hz"):
         steps(rig, Plan())
     assert rig.done == []
 
@@ -426,7 +424,7 @@ def test_an_output_that_is_read_away_from_what_was_sent_is_reported():
     rig = FakeRig((0.0, 100.0))
     sent = rig.instrument.put
     rig._put = lambda voltage: sent(min(voltage + 30.0, 100.0))
-    with pytest.raises(DeviceError, match="its output is 30 V away from what was sent") as caught:
+    with pytest.raises(DeviceError, match=r"fake: .* 30 V") as caught:
         rig.set_voltage(40.0)
     (note,) = caught.value.__notes__
     assert not note.safe

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import re
 import shlex
 import time
 
@@ -394,8 +395,7 @@ def test_a_driver_that_fails_at_rest_disarms(holder, tmp_path):
     (tmp_path / "moody").touch()
     holder.until(lambda: holder.state["status"] in ("lost", "connected"))
     words = " ".join(holder.state["words"])
-    assert words.startswith("Stopped: the rig cannot be read: simulated PlayActuator: _read of the rig raised")
-    assert "SystemExit: no more; check its code, or the device. The voltage could not be brought" in words
+    assert re.match("Stopped: .* simulated PlayActuator: _read .* SystemExit: no more", words)
     assert holder.state["status"] == "lost"
     assert words.count("by hand") == 1
 

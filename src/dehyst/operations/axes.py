@@ -139,9 +139,9 @@ class AxesModel:
         options: Mapping[str, Any],
         **by_axis: Sequence[Any],
     ) -> list[HomedPath]:
-        """Return what `plan`, `plan_path` or `plan_voltage`, makes of `rows` (n, axes) for each axis.
+        """Return the planned path of each axis for displacements or voltages `rows` (n, axes).
 
-        `by_axis`: options with one entry for each axis.
+        `plan`: `plan_path` or `plan_voltage`. `by_axis`: options with one entry for each axis.
         """
         if self.stage is None:
             own = {name: values[0] for name, values in by_axis.items()}
