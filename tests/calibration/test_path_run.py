@@ -171,6 +171,25 @@ def test_the_rigs_temperature_is_used_in_the_loop_and_recorded(model):
     assert blind[-1].record.temperature is None
 
 
+@pytest.mark.parametrize(
+    ("others", "known"),
+    [
+        (("Chamber [degC]",), True),
+        (("Temp_C",), True),
+        (("load_N", "T_degF"), True),
+        (("load_N",), False),
+        (("attempts [%]",), False),
+        (("temp_1_C", "temp_2_C"), False),
+    ],
+)
+def test_a_temperature_is_found_as_in_records(model, others, known):
+    rig = rig_of()
+    rig.others = others
+    assert PathRun(rig, model, path_of(model), RATE).measures_temperature == known
+    record = dehyst.Record([0, 1], [0, 1], [0, 1], "", others={name: [20, 21] for name in others})
+    assert (record.temperature is not None) == known
+
+
 def test_what_the_sensor_shows_at_the_start_is_promised(model):
     """Creep from before the homing, and a zero that has moved: neither is in the errors on the records."""
     creeping = replace(model, creep=Creep([20.0], [0.05 * model.spring.slopes.mean()]))

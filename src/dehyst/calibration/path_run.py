@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
+from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import number, vector
 from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
@@ -20,7 +21,7 @@ from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.instruments import AbstractRig, Samples, played_rate
 from dehyst.model import Actuator, State, promised
-from dehyst.records import Record
+from dehyst.records import Column, Record
 from dehyst.trust import Judgement, judge_planned
 from dehyst.waveforms import Excitation, wanted_path
 
@@ -136,8 +137,8 @@ class PathRun:
 
     @property
     def measures_temperature(self) -> bool:
-        """Whether the rig has a channel of temperature."""
-        return any("temp" in name for name in self._rig.others)
+        """Whether one further channel of the rig is a temperature, as in `Record.temperature`."""
+        return [Column(name, EMPTY).role for name in self._rig.others].count("temperature") == 1
 
     def judged(self) -> Judgement:
         """Judge the error of the next repetition: before the homing by the model, then by what the rig measured too."""
