@@ -171,6 +171,17 @@ def test_the_rigs_temperature_is_used_in_the_loop_and_recorded(model):
     assert blind[-1].record.temperature is None
 
 
+def test_what_an_aged_actuator_does_not_reach_any_more_is_promised(model):
+    run = PathRun(
+        rig_of(AgeingCourse(gain=-7, seconds=6)), model, path_of(model, (0.1, 0.99, 0.4, 0.7, 0.1)), RATE, adapt=True
+    )
+    found = list(run.play(20))
+    for one in found[-5:]:
+        missed = np.abs(one.path.error).max()
+        assert one.clamped > 0
+        assert 0.03 * run.stroke < missed <= one.promised.bounds[1] < 1.5 * missed
+
+
 @pytest.mark.parametrize(
     ("others", "known"),
     [

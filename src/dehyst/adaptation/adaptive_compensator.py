@@ -378,6 +378,11 @@ class AdaptiveCompensator:
         return self._compensator.bounds
 
     @property
+    def reach(self) -> tuple[float, float]:
+        """As `Compensator.reach`, of the model in use."""
+        return self._compensator.reach
+
+    @property
     def clamps(self) -> tuple[int, int]:
         """Number of samples clamped at a limit, and by the slew rate."""
         return self._compensator.clamps

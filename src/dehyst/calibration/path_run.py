@@ -147,8 +147,19 @@ class PathRun:
         warmth = self._temperature(0.0) if known else None
         times = None if path.time is None else path.time[path.first :]
         found, untested = promised(self.actuator, path.voltage[path.first :], times, warmth)
-        judged = judge_planned(self.actuator, replace(path, promise=found), drift=self._unsure, seen=self._off)
+        path = replace(path, promise=found)
+        if self._off is not None:
+            path = replace(path, expected=np.append(path.expected[: path.first], self._reachable()))
+        judged = judge_planned(self.actuator, path, drift=self._unsure, seen=self._off)
         return judged if found else replace(judged, untested=untested)
+
+    def _reachable(self) -> Array:
+        """Return the path (n,) [m] as far as the present model reaches it at the temperature to expect."""
+        warmth, targets = self._temperature(0.0), self._wanted
+        if self._thermal is not None:
+            targets = self._thermal.at_reference(targets, warmth)
+        reached = np.clip(targets, *self._loop.reach)
+        return reached if self._thermal is None else self._thermal.warmed(reached, warmth)
 
     @cached_property
     def _planned(self) -> HomedPath:
