@@ -1,20 +1,23 @@
 """Several axes calibrated over a socket: plan, records, stage, and a path that all axes follow together."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 
+import dehyst
 from dehyst import FileFormatError, Stage
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.plan import entries as planned_entries
 from dehyst.calibration.plan import steps as planned_steps
-from dehyst.calibration.tracking import PathPlanner
+from dehyst.calibration.tracking import PathPlanner, TrackedPath
 from dehyst.cli import main
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
+from dehyst.model import MaxwellSlip, Spring, Thermal
 from dehyst.records import read
 from dehyst.waveforms import Excitation
 
@@ -201,3 +204,34 @@ class TestCommand:
 
     def test_as_many_actuators_as_axes_are_needed(self):
         self.run("rig", "serve", "--axes", 3, "--actuator", "play,preisach", "--port", 0, "--seconds", 0, status=2)
+
+
+def test_the_path_of_several_axes_is_planned_at_the_measured_temperature():
+    """Coupled axes, one of which loses a fifth of a percent of its motion a kelvin, while they warm by 10 K."""
+    plain = dehyst.Actuator(MaxwellSlip([1e-6, 3e-6], [1e6, 5e5]), Spring([0.0, 9e-6], [0.0, 60.0]))
+    warm = replace(plain, thermal=Thermal(-0.002, 5e-9, 20.0))
+    truth = Stage((plain, warm), np.array([[1.0, 0.02], [-0.03, 1.0]]))
+    unaware = replace(truth, actuators=(plain, plain))
+    homing = Excitation("homing", np.outer(np.abs(np.linspace(-2, 2, 1201) % 2 - 1) * 60, [1, 1]), 400.0)
+    planner = PathPlanner(homing, [VoltageLimits(0, 60)] * 2, 200)
+
+    def degrees(time):
+        return 22 + 0.5 * time
+
+    def played(excitation, begin, states):
+        time = begin + excitation.time
+        moved = truth.simulate(excitation.voltage, time=time, temperature=degrees(time), states=states)
+        others = {"temperature_C": degrees(time)}
+        return dehyst.Record(time, excitation.voltage, moved.displacement + 1e-7, others=others), moved.state
+
+    missed = {}
+    for name, model in (("aware", truth), ("unaware", unaware)):
+        start = [one.relaxed(0.0) for one in truth.actuators]
+        first, state = played(homing, 0.0, start)
+        nominal, state = played(planner.nominal(model, [first]).excitation, first.time[-1] + 0.0025, state)
+        planned = planner.compensated(model, [first, nominal])
+        assert not planned.warnings
+        last, _ = played(planned.excitation, nominal.time[-1] + 0.0025, state)
+        missed[name] = TrackedPath.of(planned, last, np.arange(len(last))).largest_percent
+    assert max(missed["aware"]) < 0.02
+    assert missed["unaware"][1] > 0.3

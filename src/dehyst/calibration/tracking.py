@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
 from dehyst.control import Compensator, StageCompensator, VoltageLimits
-from dehyst.model import Actuator, Stage, State, Thermal, apply, beginning
+from dehyst.model import Actuator, Stage, State, apply, beginning
 from dehyst.records import Record, largest, percent, rms
 from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 
@@ -95,7 +95,7 @@ class PathPlanner:
     the lowest and highest voltage of the homing, at the reference temperature of its model; for several axes they
     follow from the model.
 
-    A model that depends on temperature moves in that of the last record, which goes on as it drifted.
+    Models that depend on temperature move in that of the last record, which goes on as it drifted.
     """
 
     homing: Excitation
@@ -113,15 +113,16 @@ class PathPlanner:
 
         With several axes, the `model` determines the place of the path after all records so far, `before`.
         """
+        seen = _seen(model, before)
         if self.ends is not None or model is None:
-            place = _Place.between(*(self.ends or (0.0, 1.0)))
+            place = self._between_ends(model, seen)
             start = place.low
         else:
-            place, start, *_ = self._homed(model, before)
+            place, start, *_ = self._homed(model, before, seen)
         bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
         wanted = self._wanted(place, start)
         voltage = bottom + (wanted - place.low) * (top - bottom) / place.stroke
-        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place, *_warmth(model, before))
+        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place)
 
     def compensated(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a `model`; its state follows from all earlier records, its zero from the last.
@@ -129,28 +130,27 @@ class PathPlanner:
         `before`: all records so far, in order; the last one is the nominal run, whose path corrects for the history
         before the records and for the drift of the sensor.
         """
-        place, start, states, datum = self._homed(model, before)
-        thermal, seen = _warmth(model, before)
+        seen = _seen(model, before)
+        place, start, states, datum = self._homed(model, before, seen)
         wanted = self._wanted(place, start)
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
-        # The path stays where it is while the temperature drifts.
-        now, then = seen.last, seen.after(self.homing.duration + time)
-        columns = [thermal.at_reference(thermal.warmed(column, now), then) for column in wanted.T]
-        zeros = zip(actuators, columns, datum.tolist(), strict=True)
+        zeros = zip(actuators, wanted.T, datum.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in zeros])
+        # The path stays where it is while the temperature drifts.
+        warmth = None if seen is None else seen.after(self.homing.duration + time)
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
         if isinstance(model, Stage):
             several = StageCompensator(model, limits=bounds, slew_rate=rates, states=states)
-            commands = several.trajectory(ahead, time=time)
+            commands = several.trajectory(ahead, time=time, temperature=warmth)
             pairs = zip(model.axes, commands, strict=True)
             remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
             voltage = np.column_stack([one.voltage for one in commands])
-            return self._run("compensated", wanted, voltage, place, thermal, seen, remarks)
+            return self._run("compensated", wanted, voltage, place, remarks)
         one = Compensator(model, bounds[0], rates[0])
         present = float(self.homing.voltage[-1])
-        followed = one.trajectory(ahead[:, 0], time=time, state=states[0], present=present)
-        return self._run("compensated", wanted, followed.voltage[:, None], place, thermal, seen, followed.warnings)
+        followed = one.trajectory(ahead[:, 0], time=time, temperature=warmth, state=states[0], present=present)
+        return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
 
     @property
     def _legs(self) -> list[int]:
@@ -158,25 +158,26 @@ class PathPlanner:
         return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
 
     def _homed(
-        self, model: Actuator | Stage, before: Sequence[Record]
+        self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None
     ) -> tuple[_Place, Array, tuple[State, ...], Array]:
         """Return the place of the path, and the readings [m], states and sensor zeros [m] after the next homing.
 
-        All are at the reference temperature. The zeros come from the last record.
+        All are at the temperature that was `seen` last. The zeros come from the last record.
         """
         stage = model if isinstance(model, Stage) else Stage((model,))
-        cold = [model.at_reference(record) for record in before] if isinstance(model, Actuator) else before
-        time, voltage, displacement = _joined(cold)
+        time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
-        played = stage.simulate(voltage, time=time, states=starts, extrapolate=True)
+        options: dict[str, Any] = {"temperature": None if seen is None else warmth, "extrapolate": True}
+        played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * self.leg if len(stage.axes) == 1 else len(before[-1]) // 2
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
-        homed = stage.simulate(rows, time=homing.time, states=played.state, extrapolate=True)
+        options["temperature"] = None if seen is None else seen.after(homing.time)
+        homed = stage.simulate(rows, time=homing.time, states=played.state, **options)
         start = homed.displacement[-1] + datum
         if self.ends is not None:
-            return _Place.between(*self.ends), start, homed.state, datum
+            return self._between_ends(model, seen), start, homed.state, datum
         # Each actuator alone at the ends of its major loop.
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
@@ -187,6 +188,13 @@ class PathPlanner:
         low = apply(stage.coupling, bottom[None])[0] + datum
         place = _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
         return place, start, homed.state, datum
+
+    def _between_ends(self, model: Actuator | Stage | None, seen: SeenTemperature | None) -> _Place:
+        """Return the place of the path of a single axis at the temperature that was `seen` last."""
+        ends = np.array(self.ends or (0.0, 1.0))
+        if isinstance(model, Actuator) and model.thermal is not None and seen is not None:
+            ends = model.thermal.warmed(ends, seen.last)
+        return _Place.between(*ends.tolist())
 
     def _wanted(self, place: _Place, start: Array) -> Array:
         """Return the way from the end of the homing to the path, and the path (n, axes) [m]."""
@@ -203,35 +211,29 @@ class PathPlanner:
         return np.vstack([np.column_stack(way)[1:], path[1:]])
 
     def _run(
-        self,
-        name: str,
-        wanted: Array,
-        voltage: Array,
-        place: _Place,
-        thermal: Thermal,
-        seen: SeenTemperature,
-        warnings: tuple[str, ...] = (),
+        self, name: str, wanted: Array, voltage: Array, place: _Place, warnings: tuple[str, ...] = ()
     ) -> PlannedRun:
-        """Return the run, with what is `wanted` at the reference temperature shown at the one that was `seen` last."""
         home, one = self.homing, self.homing.voltage.ndim == 1
-        wanted = np.column_stack([thermal.warmed(column, seen.last) for column in wanted.T])
-        strokes = place.stroke * thermal.scale(seen.last, 1)[0]
-        stroke = float(strokes[0]) if one else strokes
+        stroke = float(place.stroke[0]) if one else place.stroke
         shape = (-1,) if one else (-1, len(self.limits))
         excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
         shown = np.concatenate([np.full(home.voltage.shape, np.nan), wanted.reshape(shape)])
         return PlannedRun(shown, len(home) + self.leg - 1, excitation, stroke, warnings)
 
 
-def _warmth(model: Actuator | Stage | None, records: Sequence[Record]) -> tuple[Thermal, SeenTemperature]:
-    """Return how temperature moves an actuator, and the temperature after the records; none has an effect of 0."""
-    thermal = model.thermal if isinstance(model, Actuator) else None
-    seen = SeenTemperature.of(records[-1]) if thermal and records else None
-    return thermal or Thermal(0.0), seen or SeenTemperature((thermal or Thermal(0.0)).reference)
+def _seen(model: Actuator | Stage | None, records: Sequence[Record]) -> SeenTemperature | None:
+    """Return the temperature after the records; None if it does not move the model or was not measured."""
+    actuators = model.actuators if isinstance(model, Stage) else (model,)
+    if any(one is not None and one.thermal is not None for one in actuators) and records:
+        return SeenTemperature.of(records[-1])
+    return None
 
 
-def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:
-    """Return the records joined, as far back as their times increase: time (n,), voltage, displacement (n, axes)."""
+def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:
+    """Return the records joined, as far back as their times increase.
+
+    Time (n,), voltage and displacement (n, axes), and the temperature (n,) if all of them have it.
+    """
     kept = [records[-1]]
     for record in records[-2::-1]:
         if record.time[-1] >= kept[0].time[0]:
@@ -240,7 +242,9 @@ def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array]:
     time, voltage, displacement = (
         np.concatenate([getattr(record, column) for record in kept]) for column in ("time", "voltage", "displacement")
     )
-    return time, voltage.reshape(time.size, -1), displacement.reshape(time.size, -1)
+    warmth = [record.temperature for record in kept if record.temperature is not None]
+    known = np.concatenate(warmth) if len(warmth) == len(kept) else None
+    return time, voltage.reshape(time.size, -1), displacement.reshape(time.size, -1), known
 
 
 @dataclass(frozen=True, eq=False)
