@@ -217,6 +217,19 @@ def test_what_the_sensor_shows_at_the_start_is_promised(model):
     assert before.bounds[1] < 0.5 * np.abs(found[0].path.error).max()
 
 
+@pytest.mark.parametrize("adapt", [False, True])
+def test_errors_that_grow_with_age_are_promised_before_they_come(model, adapt):
+    """Nine of ten repetitions keep the promise, which is not wide."""
+    _, found = lived(rig_of(AgeingCourse(gain=6, width=20, seconds=30)), model, 24, adapt=adapt)
+    missed = np.array([np.abs(one.path.error).max() for one in found])
+    promised = np.array([one.promised.bounds[1] for one in found])
+    assert np.count_nonzero(missed > promised) <= 2
+    assert np.all(missed < 1.1 * promised)
+    assert np.median(promised / missed) < 1.3
+    rms = np.array([np.sqrt(np.mean(np.square(one.path.error))) for one in found])
+    assert np.count_nonzero(rms > [one.promised.bounds[0] for one in found]) <= 2
+
+
 def test_percentages_are_of_the_full_stroke(model):
     for limits in ((0.0, 200.0), (0.0, 150.0)):
         run = PathRun(rig_of(limits=limits), model, path_of(model, (0.1, 0.5, 0.1)), RATE)

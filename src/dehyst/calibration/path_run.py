@@ -21,12 +21,14 @@ from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.instruments import AbstractRig, Samples, played_rate
 from dehyst.model import Actuator, State, promised
-from dehyst.records import Column, Record
+from dehyst.records import Column, Record, largest, rms
 from dehyst.trust import Judgement, judge_planned
 from dehyst.waveforms import Excitation, wanted_path
 
 # A step from the end of a path to its beginning that is larger than this many steps of the path needs a way back.
 _CLOSED = 2.0
+# Repetitions from which a growth of the error is known, and how much of the fastest is promised: it is not steady.
+_REMEMBERED, _GROWTH = 3, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,8 @@ class PathRun:
         self._seen: SeenTemperature | None = None
         self._unsure = 0.0
         self._off: float | None = None
+        # RMS and largest error [m] of the last repetitions.
+        self._errors: list[tuple[float, float]] = []
         self._options: dict[str, Any] = {"period": period, "warns": False, "memory": memory, "zero_drifts": zero_drifts}
         self._loop = self._begun(actuator.state)
 
@@ -150,8 +154,16 @@ class PathRun:
         path = replace(path, promise=found)
         if self._off is not None:
             path = replace(path, expected=np.append(path.expected[: path.first], self._reachable()))
-        judged = judge_planned(self.actuator, path, drift=self._unsure, seen=self._off)
+        judged = judge_planned(self.actuator, path, drift=self._unsure, seen=self._off, measured=self._next_errors())
         return judged if found else replace(judged, untested=untested)
+
+    def _next_errors(self) -> tuple[float, float]:
+        """Return RMS and largest error [m] of the next repetition if they go on to grow as they did lately."""
+        if not self._errors:
+            return 0.0, 0.0
+        errors = np.array(self._errors)
+        grown = errors[-1] + _GROWTH * np.diff(errors, axis=0).max(axis=0, initial=0.0)
+        return float(grown[0]), float(grown[1])
 
     def _reachable(self) -> Array:
         """Return the path (n,) [m] as far as the present model reaches it at the temperature to expect."""
@@ -240,6 +252,7 @@ class PathRun:
         loop.learn(ahead, voltage, measured, pause)
         along = rows < self._path.size
         path = TrackedPath(record.time[along], wanted[rows[along]], record.displacement[along], self.stroke)
+        self._errors = [*self._errors[-_REMEMBERED:], (rms(path.error), largest(path.error))]
         clamped = loop.clamped(voltage)
         followed = ~clamped[rows[along]]
         self._off = float(path.error[followed].mean()) if followed.any() else self._off

@@ -136,11 +136,19 @@ def judge(
     return Judgement(rms, largest, parts, opened, untested, known.validated, begins)
 
 
-def judge_planned(actuator: Actuator, path: HomedPath, *, drift: float = 0.0, seen: float | None = None) -> Judgement:
+def judge_planned(
+    actuator: Actuator,
+    path: HomedPath,
+    *,
+    drift: float = 0.0,
+    seen: float | None = None,
+    measured: tuple[float, float] = (0.0, 0.0),
+) -> Judgement:
     """Judge the error to expect on a planned path, from its start: that after its homing, if there is one.
 
     `drift`: by which its temperature may be another one [K]. `seen`: displacement that a sensor showed at the start,
-    minus that of the model [m]; default: what the start leaves open.
+    minus that of the model [m]; default: what the start leaves open. `measured`: RMS and largest error [m] to which
+    those of earlier repetitions have come; no less is promised.
     """
     judged = judge(
         actuator,
@@ -154,12 +162,15 @@ def judge_planned(actuator: Actuator, path: HomedPath, *, drift: float = 0.0, se
         more = max(abs(seen) - judged.parts.get("temperature", 0.0), 0.0)
         fades = float(np.ptp(path.error.difference)) / per_metre(path.units)
         judged = replace(judged, start=more + fades, begins="seen")
-    if judged.bounds is None or actuator.thermal is None or not drift:
+    if judged.bounds is None:
         return judged
-    stroke = actuator.stroke
-    cost = drift * actuator.thermal.per_kelvin(stroke)
-    parts = {**judged.parts, "temperature": judged.parts.get("temperature", 0.0) + cost}
-    words = f"The temperature may drift by {drift:.2g} K along it, which adds up to {100 * cost / stroke:.2g} %."
-    # Half of a range bounds the standard deviation in it.
-    rms, largest = (judged.rms or 0.0) + 0.5 * cost, (judged.largest or 0.0) + cost
-    return replace(judged, rms=rms, largest=largest, parts=parts, untested=(*judged.untested, words))
+    if actuator.thermal is not None and drift:
+        stroke = actuator.stroke
+        cost = drift * actuator.thermal.per_kelvin(stroke)
+        parts = {**judged.parts, "temperature": judged.parts.get("temperature", 0.0) + cost}
+        words = f"The temperature may drift by {drift:.2g} K along it, which adds up to {100 * cost / stroke:.2g} %."
+        # Half of a range bounds the standard deviation in it.
+        rms, largest = (judged.rms or 0.0) + 0.5 * cost, (judged.largest or 0.0) + cost
+        judged = replace(judged, rms=rms, largest=largest, parts=parts, untested=(*judged.untested, words))
+    rms = max(judged.rms or 0.0, float(np.sqrt(max(measured[0] ** 2 - judged.start**2, 0.0))))
+    return replace(judged, rms=rms, largest=max(judged.largest or 0.0, measured[1] - judged.start))
