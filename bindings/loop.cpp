@@ -105,7 +105,7 @@ struct Loop {
     }
     void report(bool slewed, double u) {
         if (reported[slewed]) return;
-        on_clamp(slewed, u, loop.voltage);
+        on_clamp(slewed, u, loop.voltage, loop.sent);
         reported[slewed] = true;
     }
 

@@ -98,15 +98,15 @@ class Core:
         pace: StepCoefficients,
         tap: Array,
         numbers: Array,
-        on_clamp: Callable[[bool, float, float], None],
+        on_clamp: Callable[[bool, float, float, float], None],
         start: CoreState,
     ) -> compiled.Loop:
         """Return a loop with the coefficients of one step, from a state; see `dehyst_model`.
 
         `tap` (M,). `numbers` (7,): lowest and highest voltage, largest change, lag in periods, and the three
         coefficients of the amplifier. `on_clamp` is called at the first clamp of each kind, before its voltage is
-        committed, with three arguments: whether the slew rate is the cause, the wanted displacement [m], and the
-        voltage [V].
+        committed, with four arguments: whether the slew rate is the cause, the wanted displacement [m], the voltage
+        [V], and the one sent before [V].
         """
         decay, gain, transition = (table[0] for table in pace[1:])
         loop: compiled.Loop = checked(compiled.Loop, self._core, decay, gain, transition, tap, numbers, on_clamp)

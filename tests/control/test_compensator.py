@@ -276,6 +276,47 @@ def test_a_clamp_is_said_once_of_each_kind():
         compensator.run(np.full(50, 1.2 * plain_records.STROKE))
 
 
+def said_of(call, wanted):
+    """Return the warnings of a call with a wanted displacement."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        call(wanted)
+    return [one.message for one in heard]
+
+
+def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_assumed():
+    top = PLANT.voltage()
+    options = {"limits": (0.0, 200.0), "slew_rate": 1e3, "period": 1e-3}
+    low, path = 0.2 * plain_records.STROKE, np.full(3, 0.2 * plain_records.STROKE)
+    assert Compensator(PLANT, **options).assumed == top
+    for kind in (Compensator, dehyst.AdaptiveCompensator):
+        (said,) = said_of(kind(PLANT, **options).step, low)
+        assert said.assumed == top
+        given = PLANT.turned(0.9 * plain_records.STROKE)
+        (said,) = said_of(kind(PLANT, **options, state=given).step, low)
+        assert said.assumed is None
+    (said,) = said_of(Compensator(PLANT, **options).run, path)
+    assert said.assumed == top
+    copied = pickle.loads(pickle.dumps(Compensator(PLANT, **options)))
+    assert said_of(copied.step, low)[0].assumed == top
+    assert said_of(copied.clone().step, low)[0].assumed == top
+    later = Compensator(PLANT, **options)
+    assert said_of(later.step, later.state.displacement - 1e-9) == []
+    assert said_of(later.step, low)[0].assumed is None
+    later.reset(PLANT.turned(0.9 * plain_records.STROKE))
+    assert (later.assumed, said_of(later.run, path)[0].assumed) == (None, None)
+
+
+def test_a_path_names_the_voltage_that_was_assumed_unless_it_is_given():
+    loop = Compensator(PLANT, (0, 150), 1e3, period=1e-3)
+    path = np.full(3, 0.2 * plain_records.STROKE)
+    alone, present, state = (
+        len(loop.trajectory(path, **given).warnings)
+        for given in ({}, {"present": 150.0}, {"state": PLANT.turned(0.9 * plain_records.STROKE)})
+    )
+    assert alone == present + 1 == state + 1
+
+
 def test_a_clamp_that_is_made_an_error_has_moved_nothing():
     compensator = Compensator(PLANT, (0, 100), state=PLANT.turned(0.2 * plain_records.STROKE))
     before = compensator.snapshot()

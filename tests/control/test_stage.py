@@ -138,12 +138,26 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
         assert axis.state.displacement < dehyst.Compensator(one, limits).state.displacement - 1e-8
 
 
+def test_a_first_step_that_is_held_back_names_the_voltage_assumed_of_each_axis():
+    options = {"period": 1e-3, "slew_rate": [1e3] * 3}
+    loop = StageCompensator(stage(), **options)
+    begins = loop.voltage.tolist()
+    with pytest.warns(dehyst.ClampWarning) as caught:
+        loop.step([0.0, 0.0, 0.0])
+    assert [one.message.assumed for one in caught] == begins
+    given = StageCompensator(stage(), **options, states=[one.state for one in stage().actuators])
+    with pytest.warns(dehyst.ClampWarning) as caught:
+        given.step([0.0, 0.0, 0.0])
+    assert [one.message.assumed for one in caught] == [None] * 3
+
+
 def test_a_clamped_step_warns_of_its_axis_and_of_what_is_wanted_of_it():
     loop = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
     with pytest.warns(dehyst.ClampWarning) as caught:
         for _ in range(3):
             loop.step([6e-6, 3e-6, 2e-6])
     assert [str(one.message).split(",")[0] for one in caught] == ["CLAMPED: axis x: 6 um wanted"]
+    assert caught[0].message.assumed is None
     other = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
     with warnings.catch_warnings():
         warnings.simplefilter("error", dehyst.ClampWarning)

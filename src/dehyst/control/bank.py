@@ -92,7 +92,7 @@ class Bank:
     period : float, optional
         Seconds between samples; needed with a slew rate, and by actuators with creep, dynamics or a lag.
     states : State or sequence of M State, optional
-        Where each actuator starts; default: its own state.
+        Where each actuator starts; default: its own state, usually the top of its records, as in `Compensator`.
     threads : int, optional
         Number of threads among which the actuators are divided; default 1.
 

@@ -15,7 +15,15 @@ from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, keep, number, vector
-from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, unit_hint, warn_of_run
+from dehyst.control.limits import (
+    Clamps,
+    ClampWarning,
+    VoltageLimits,
+    assumed_start,
+    stray_sentence,
+    unit_hint,
+    warn_of_run,
+)
 from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow
 from dehyst.model import (
@@ -30,6 +38,9 @@ from dehyst.model import (
 
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
+
+# Of the largest step: a first step of this size is held back by the slew rate.
+_STEEP = 1 - 1e-9
 
 
 class Compensator(ReadOnly):
@@ -56,8 +67,10 @@ class Compensator(ReadOnly):
     period : float, optional
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
     state : State, optional
-        Initial state of the actuator, e.g. after a homing; default: the actuator's own. If its voltage lies outside the
-        limits, the actuator is assumed to have moved to the nearest limit.
+        Initial state of the actuator, e.g. after a homing. If its voltage lies outside the limits, the actuator is
+        assumed to have moved to the nearest limit. Default: the actuator's own, for an identified model the top of its
+        records, so that the first voltages lie near the highest. `voltage` is the assumed voltage before any step, and
+        a `ClampWarning` of the first step names it; `reset` begins in another state.
     units : str, optional
         Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
         Velocities and accelerations follow. A `state` is in SI units always.
@@ -93,6 +106,7 @@ class Compensator(ReadOnly):
     bounds: VoltageLimits
     initial_state: State
     _start: State
+    _assumed: bool
     _warns: bool
     _per_metre: float
 
@@ -120,6 +134,7 @@ class Compensator(ReadOnly):
         keep(self, limits=(bounds.low, bounds.high), slew_rate=bounds.slew_rate)
         keep(self, _warns=bool(warns), _per_metre=per_metre(units))
         self.reset(actuator.state if state is None else state)
+        keep(self, _assumed=state is None)
 
     def __repr__(self) -> str:
         slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
@@ -136,7 +151,7 @@ class Compensator(ReadOnly):
     def _options(self) -> dict[str, Any]:
         names = ("actuator", "limits", "slew_rate", "period", "preview", "units")
         options = {name: getattr(self, name) for name in names}
-        return options | {"state": self.initial_state, "warns": self._warns}
+        return options | {"state": None if self._assumed else self.initial_state, "warns": self._warns}
 
     def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
@@ -220,14 +235,16 @@ class Compensator(ReadOnly):
         ClampWarning
             As `step`.
         """
-        wanted, before = self.in_metres(displacement), self.snapshot()
+        wanted, begin, before = self.in_metres(displacement), self.assumed, self.snapshot()
         voltage = self._loop.run(wanted)
         limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before.counts))
         try:
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted)
+                steepest = _STEEP * self.bounds.largest_step(self.period or 0.0)
+                assumed = None if begin is None or abs(voltage[0] - begin) < steepest else begin
+                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted, assumed)
         except (ClampWarning, ModelError):
             self.restore(before)
             raise
@@ -267,7 +284,7 @@ class Compensator(ReadOnly):
             State of the actuator before the path; default: `self.state`.
         present : float, optional
             Voltage [V] before the first sample; default: the voltage that holds `state`, or without `state` the last
-            sent voltage.
+            sent voltage. Before any step this is the assumed one, see `state` of the class.
         extrapolate : bool, optional
             Allow a path more than one stroke outside the actuator's reach, and follow it as far as the limits allow. By
             default it is an error, because such a path is usually in micrometres instead of metres.
@@ -295,6 +312,7 @@ class Compensator(ReadOnly):
             now = self.bounds.within(present, "present")
         else:
             now = self.voltage if state is None else self.held(state)
+        assumed = self.assumed if state is None and present is None else None
         if state is None:
             state = self.state if self._running else self.initial_state
         command = follow(
@@ -308,6 +326,11 @@ class Compensator(ReadOnly):
             start=state,
             present=now,
         )
+        low, high = self.limits
+        if assumed is not None and any(
+            command.clamped[:1] & (command.voltage[:1] > low) & (command.voltage[:1] < high)
+        ):
+            command = replace(command, warnings=(*command.warnings, assumed_start(assumed)))
         if temperature is not None and thermal is not None:
             warm = thermal.warmed(command.displacement, temperature)
             reached = np.where(command.displacement == followed, wanted, warm)
@@ -343,6 +366,12 @@ class Compensator(ReadOnly):
         """The last voltage sent [V]; before any step, the voltage that holds the actuator in its state."""
         return self._loop.sent() if self._running else self.held(self._start)
 
+    @property
+    def assumed(self) -> float | None:
+        """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
+        begins = self._assumed and (not self._running or self._loop.sent() == self.held(self._start))
+        return self.voltage if begins else None
+
     def held(self, state: State) -> float:
         """Return the voltage [V] within the limits that holds the actuator in a `state`, or the nearest limit."""
         return self.bounds.nearest(self.actuator.voltage(state))
@@ -374,7 +403,8 @@ class Compensator(ReadOnly):
         Raise `ModelError` if it does not fit the actuator.
         """
         if state is not None:
-            keep(self, _start=state_within_limits(self.actuator, state, self.limits), initial_state=state)
+            start = state_within_limits(self.actuator, state, self.limits)
+            keep(self, _start=start, initial_state=state, _assumed=False)
         self.__dict__.pop("_loop", None)
 
     def clone(self, units: str | None = None) -> Compensator:
@@ -411,7 +441,7 @@ class Compensator(ReadOnly):
             raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
         differing = differences(self.actuator, actuator)
         if not differing:
-            new = Compensator(**self._options() | {"actuator": actuator})
+            new = Compensator(**self._options() | {"actuator": actuator, "state": self.initial_state})
             if new._key == self._key:
                 new._loop.take_over(self._loop)
                 keep(self, __dict__=vars(new))
@@ -567,7 +597,8 @@ class Compensator(ReadOnly):
 
     def new_loop(self) -> Loop:
         """Return a loop in C in the state at the construction or the last reset."""
-        loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), warns=self._warns)
+        options = {"warns": self._warns, "assumed": self._assumed}
+        loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), **options)
         loop.per_metre = self._per_metre
         return loop
 

@@ -159,7 +159,24 @@ def outside_identified(
 
 
 class ClampWarning(UserWarning):
-    """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate."""
+    """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate.
+
+    `assumed`: voltage [V] from which the slew rate counted, if it is only that of the actuator's own state because no
+    state was given; else None.
+    """
+
+    def __init__(self, words: str, assumed: float | None = None) -> None:
+        more = "" if assumed is None else f". {assumed_start(assumed)}"
+        super().__init__(f"{words}{more}")
+        self.assumed = assumed
+
+
+def assumed_start(voltage: float) -> str:
+    """Return a sentence on a start at a `voltage` [V] that was not given, and how to give one."""
+    return (
+        f"No state was given, so the model's own is assumed, with {voltage:.6g} V at the actuator: give the one in "
+        "which it is by reset(state), or its voltage to a whole path by present="
+    )
 
 
 class Clamps(NamedTuple):
@@ -175,12 +192,14 @@ def warn_of_sample(
     slewed: bool,
     displacement: float,
     voltage: float,
+    assumed: float | None,
     *,
     axis: str = "",
     target: float | None = None,
 ) -> None:
     """Warn the caller of a step or an offer that the `voltage` [V] for a `displacement` [m] is clamped.
 
+    `assumed`: the voltage before [V], if it was not given.
     With several axes: `axis` is the name, and `target` [m] the displacement of its actuator alone.
     """
     head = f"axis {axis}: " if axis else ""
@@ -188,15 +207,18 @@ def warn_of_sample(
     if stray := stray_sentence(actuator, limits, np.array([displacement if target is None else target])):
         reason += f". {stray}"
     words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
-    warnings.warn(words, ClampWarning, _caller())
+    warnings.warn(ClampWarning(words, assumed if slewed else None), None, _caller())
 
 
-def warn_of_run(actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array) -> None:
-    """Warn the caller of `Compensator.run` that some of the voltages are clamped."""
+def warn_of_run(
+    actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array, assumed: float | None
+) -> None:
+    """Warn the caller of `Compensator.run` that some of the voltages are clamped; `assumed` as in `warn_of_sample`."""
     reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
     if stray := stray_sentence(actuator, limits, displacement):
         reason += f". {stray}"
-    warnings.warn(f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}", ClampWarning, _caller())
+    words = f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}"
+    warnings.warn(ClampWarning(words, assumed if clamps.slewed else None), None, _caller())
 
 
 def stray_sentence(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
@@ -69,12 +68,25 @@ def step_numbers(
 
 
 def make_loop(
-    actuator: Actuator, limits: VoltageLimits, period: float | None, taps: Array, start: CoreState, warns: bool = True
+    actuator: Actuator,
+    limits: VoltageLimits,
+    period: float | None,
+    taps: Array,
+    start: CoreState,
+    *,
+    warns: bool = True,
+    assumed: bool = False,
 ) -> Loop:
-    """Return a loop that starts in a given state; raise `ModelError` as `step_numbers`."""
+    """Return a loop that starts in a state, which may be only `assumed`; raise `ModelError` as `step_numbers`."""
     coefficients, numbers = step_numbers(actuator, limits, period)
-    warn = partial(warn_of_sample, actuator, limits) if warns else lambda *_: None
-    return actuator.model.core.loop(coefficients, taps, np.array(numbers), warn, start)
+
+    def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
+        guess = before if assumed and before == begin else None
+        warn_of_sample(actuator, limits, slewed, displacement, voltage, guess)
+
+    loop = actuator.model.core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
+    begin = loop.sent()
+    return loop
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,8 +43,8 @@ class StageCompensator(ReadOnly):
     slew_rate : sequence of float, optional
         Largest abs(dv/dt) [V/s] of each axis. None, for one axis or (default) for all, means not limited.
     states : sequence of State, optional
-        State of each actuator. Default: its own state, or if this is outside the limits, the state after major loops
-        between the limits.
+        State of each actuator. Default: its own state, usually the top of its records as in `Compensator`, or if this
+        is outside the limits, the state after major loops between the limits.
 
     Attributes
     ----------
@@ -89,6 +89,7 @@ class StageCompensator(ReadOnly):
                     state = state_after_loops(actuator, actuator.state, interval(allowed))
                 # The stage warns, of the displacement that is wanted of the axis.
                 made.append(Compensator(actuator, bounds, slew, period=period, state=state, warns=False))
+                keep(made[-1], _assumed=start is None)
             except ModelError as error:
                 raise ModelError(f"axis {axis}: {error}") from error
         keep(self, stage=stage, compensators=tuple(made), period=made[0].period)
@@ -182,7 +183,8 @@ class StageCompensator(ReadOnly):
             slewed = one.limits[0] < voltage[j] < one.limits[1]
             # Once of each kind.
             if not (one.clamps.slewed if slewed else one.clamps.limited):
-                warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], axis=name, target=alone[j])
+                given: dict[str, Any] = {"axis": name, "target": alone[j]}
+                warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], one.assumed, **given)
         return voltage
 
     def set_temperature(self, temperature: ArrayLike) -> None:
