@@ -82,6 +82,29 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
     assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
 
 
+def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
+    """Voltages are those of the constant; the column, under its name, is in one more warning."""
+    constant = ("--temperature", "30")
+    (both, used), (alone, expected) = (
+        follow(folder, "model.json", path, *constant) for path in ("warm.csv", "path.csv")
+    )
+    np.testing.assert_array_equal(used.column("voltage"), expected.column("voltage"))
+    (more,) = set(both["warnings"]) - set(alone["warnings"])
+    assert "temperature_K" in more and len(both["warnings"]) == len(alone["warnings"]) + 1
+    words = ("simulate", "model.json", "out.csv", "-o", "x.csv", "--force", "--json")
+    given, own = (json.loads(run(*words, *more, cwd=folder)[1])["warnings"] for more in (constant, ()))
+    assert len([one for one in given if "temperature_C" in one]) == 1
+    assert not [one for one in own if "temperature_C" in one]
+
+
+def test_limits_beyond_the_records_are_reported_as_used(folder):
+    inside, _ = follow(folder, "model.json", "warm.csv", "--limits", "0", "200")
+    beyond, _ = follow(folder, "model.json", "warm.csv", "--limits", "-50", "400")
+    assert (inside["limits_V"], beyond["limits_V"]) == ([0, 200], [-50, 400])
+    (more,) = set(beyond["warnings"]) - set(inside["warnings"])
+    assert all(one in more for one in ("-50 to 400 V", "0 to 200 V"))
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -86,6 +86,21 @@ def test_a_table_says_how_it_went_and_the_status_that_it_was_clamped(folder):
     assert "clamped" in out
 
 
+def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given(folder):
+    words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "1", "--json")
+    notes = {}
+    for given in ((), ("--limits", "-50", "400"), ("--slew-rate", "1e9"), ("--limits", "0", "190")):
+        _, out, err = run(*words, *given, cwd=folder)
+        found = json.loads(out)
+        assert found["limits_V"] == ([0, 190] if "190" in given else [0, 200])
+        # By default the whole range in 0.1 s.
+        assert found["slew_V_per_s"] == (1e9 if "1e9" in given else pytest.approx(10 * found["limits_V"][1]))
+        notes[given] = [line for line in err.splitlines() if "limits" in line or "slew rate" in line]
+    assert [len(lines) for lines in notes.values()] == [0, 1, 1, 0]
+    recorded = dehyst.Actuator.load(folder / "model.json").recorded_slew_rate
+    assert f"{1e9 / recorded:.3g} times" in notes["--slew-rate", "1e9"][0]
+
+
 def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):
     words = ("run", "sim://play", "--model", "model.json", "--path", "path.csv")
     assert run(*words, "--options", '{"memory": 3}', cwd=folder)[0] == 2

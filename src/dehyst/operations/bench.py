@@ -25,6 +25,7 @@ from dehyst.model import Actuator
 from dehyst.operations.axes import Limit, Slew, limits_of, rates_of
 from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
+from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_calibration, write_stage_report
 from dehyst.virtual import AgeingActuator, AgeingCourse, ModelledActuator, VirtualActuator, VirtualBench, VirtualStage
@@ -102,7 +103,9 @@ def calibrate(
     bounds = {"limits": allowed, "slew_rate": steepest} if names else {"limits": allowed[0], "slew_rate": steepest[0]}
     with _left(output, again=names is None), run.held or open_rig(rig, names, **bounds) as instrument:
         for one, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
-            _note_narrower(run, one, wanted, rate, f"axis {one.axis} of the device" if names else "the device")
+            device = f"axis {one.axis} of the device" if names else "the device"
+            for remark in bounds_remarks(wanted, rate, one.limits, f"{device} allows no more"):
+                run.note(remark)
         if dry_run:
             return _planned(instrument, plan)
         calibration = _calibrated(run, instrument, output, plan)
@@ -118,17 +121,6 @@ def calibrate(
 
 
 _ANEW = "give another -o to measure anew"
-
-
-def _note_narrower(
-    run: Run, rig: AbstractRig, limits: tuple[float, float] | None, slew: float | None, device: str
-) -> None:
-    """Note where the device allows less than was requested."""
-    allowed = rig.limits
-    if limits is not None and (allowed.low, allowed.high) != limits:
-        run.note(f"{limits[0]:g} to {limits[1]:g} V was given, {device} allows {allowed.words}")
-    if slew is not None and rig.slew_rate < slew:
-        run.note(f"{slew:g} V/s was given, {device} allows {rig.slew_rate:.6g} V/s")
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared
 from dehyst.operations.paths import (
     PathSlew,
     Zero,
+    coverage_remarks,
     reach_remarks,
     temperature_column,
     temperature_of,
@@ -142,7 +143,7 @@ def compensate(
         read = columns.table(trajectory, several=start is not None and start.path is not None)
         (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
-        warmth = temperature_of(known, temperature, columns, read, len(wanted))
+        warmth = temperature_of(known, temperature, columns, read, len(wanted), remarks.append)
         clock = columns.clock(read, len(wanted))
         return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
@@ -184,6 +185,7 @@ def _axes_of(
             volts = VoltageLimits(*(allowed or actuator.voltage_range)).within(present, "present")
             stands, now = begin.standing_at(actuator, volts), None
         axes.append(_AxisRequest(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
+    remarks += known.prefixed(coverage_remarks(one.actuator, one.limits) for one in axes)
     return axes, remarks
 
 
@@ -268,6 +270,7 @@ def _follow(
         "missed_um": known.by_axis(miss * 1e6 for miss in misses),
         "lowest_V": known.by_axis(low for low, _ in spans),
         "highest_V": known.by_axis(high for _, high in spans),
+        "limits_V": known.by_axis(list(one.allowed) for one in axes),
         **known.merged([slew.fields() for slew in slews]),
         **known.merged([starts.path_start_fields(path) for path in paths]),
         "judgement": known.by_axis(one.as_dict() for one in judged),
@@ -379,6 +382,7 @@ def _tabulate(
         "clamped": table.clamped,
         "lowest_V": low,
         "highest_V": high,
+        "limits_V": list(one.allowed),
         **slew.fields(),
         "judgement": judged.as_dict(),
         "warnings": warnings,

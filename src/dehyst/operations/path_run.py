@@ -13,12 +13,13 @@ from dehyst._types import Array
 from dehyst.adaptation import AdaptiveCompensator
 from dehyst.calibration.path_run import PathRun, Repetition
 from dehyst.calibration.plan import even_rate
+from dehyst.control import VoltageLimits
 from dehyst.instruments import open_rig
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
-from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, largest, percent, rms
 from dehyst.records.files import demand_text
@@ -96,7 +97,11 @@ def run_path(
         follower = PathRun(instrument, actuator, wanted, rate, temperature=given, **options)
         if abs(follower.rate / rate - 1) > _RATES:
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
-        for remark in reach_remarks(actuator, wanted, follower.limits, zero):
+        bounds = VoltageLimits(*follower.limits, instrument.slew_rate)
+        remarks = bounds_remarks(limits, slew_rate, bounds, "device and model allow no more")
+        if slew_rate is not None:
+            remarks.append(PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate).words)
+        for remark in [*remarks, *reach_remarks(actuator, wanted, follower.limits, zero)]:
             run.note(remark)
         if given is not None and follower.measures_temperature:
             run.note(f"{instrument.name} measures the temperature: that of the path is not used")
@@ -113,6 +118,8 @@ def run_path(
             raise
     fields = {
         "rig": instrument.identity,
+        "limits_V": list(follower.limits),
+        "slew_V_per_s": bounds.slew_rate,
         "stroke_um": 1e6 * follower.stroke,
         **promises.fields,
         "cycles": [_fields(one) for one in done],

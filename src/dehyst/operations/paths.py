@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -10,12 +11,12 @@ import numpy as np
 import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, HomedPath, PossibleStart
+from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits
 from dehyst.model import Actuator, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
-from dehyst.records.formats.columns import Table
+from dehyst.records.formats.columns import Table, listed
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -49,17 +50,19 @@ class Zero:
 
 
 class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path (None: not limited) and its origin."""
+    """The largest slew rate [V/s] of a path (None: not limited), its origin, and that of the model's records."""
 
     bound: float | None
     origin: str
+    recorded: float | None = None
 
     @classmethod
     def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
         """Return the given slew rate, or the default of a path: the speed of the model's records."""
+        recorded = actuator.recorded_slew_rate
         if given is not None:
-            return cls(given.rate, "none" if given.rate is None else "option")
-        return cls(actuator.recorded_slew_rate, "unknown" if actuator.recorded_slew_rate is None else "records")
+            return cls(given.rate, "none" if given.rate is None else "option", recorded)
+        return cls(recorded, "unknown" if recorded is None else "records", recorded)
 
     def of_path(self, *, timed: bool) -> PathSlew:
         """Return the slew rate of a path; without time there is no default."""
@@ -69,8 +72,10 @@ class PathSlew(NamedTuple):
     def words(self) -> str:
         """The slew rate and its origin as text."""
         bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
+        times = (self.bound or 0.0) / (self.recorded or np.inf)
+        more = f", {times:.3g} times the speed of the model's records" if times > 1 else ""
         words = {
-            "option": bound,
+            "option": f"{bound}{more}",
             "records": f"{bound}, the speed of the model's records and a margin of 5 % (--slew-rate V/S changes it, "
             "--slew-rate none removes it)",
             "none": "not limited",
@@ -90,12 +95,37 @@ class PathSlew(NamedTuple):
         return {"slew_V_per_s": self.bound, "slew_from": self.origin}
 
 
+def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
+    """Return remarks if narrower limits [V] or a lower slew rate [V/s] than given are used, because of `who`."""
+    remarks = []
+    if limits is not None and limits != (used.low, used.high):
+        remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
+    if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
+        remarks.append(f"slew rate: {slew_rate:.6g} V/s was given, {used.slew_rate:.6g} V/s is used, as {who}")
+    return remarks
+
+
+def coverage_remarks(actuator: Actuator, limits: Limits) -> list[str]:
+    """Return a remark if the given limits [V] allow voltages that the records of the model do not cover."""
+    low, high = actuator.limits or (-np.inf, np.inf)
+    if limits is None or (low <= limits[0] and limits[1] <= high):
+        return []
+    allowed = f"limits: {limits[0]:.6g} to {limits[1]:.6g} V is used"
+    return [f"{allowed}, but the model's records cover {low:.6g} to {high:.6g} V: outside, the model is extrapolated"]
+
+
 def temperature_of(
-    known: AxesModel, constant: float | None, columns: Columns, table: Table | None = None, samples: int = 0
+    known: AxesModel,
+    constant: float | None,
+    columns: Columns,
+    table: Table | None = None,
+    samples: int = 0,
+    remark: Callable[[str], object] = lambda _: None,
 ) -> float | Array | None:
     """Return the temperature of a path [degC]: `constant`, or the column (samples,) of its `table`; or None.
 
-    A column that was not asked for is left out if the model does not know of temperatures.
+    A column that was not asked for is left out if the model does not know of temperatures. `remark` is called if a
+    constant is used instead of a column.
     """
     named = columns.temperature is not None
     if constant is not None and named:
@@ -103,6 +133,9 @@ def temperature_of(
     if constant is not None or named:
         demand_thermal(*(one.thermal for one in known.actuators))
     if constant is not None:
+        own = () if table is None else tuple(one.name for one in table.columns if one.role == "temperature")
+        if own:
+            remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
     if table is None or not any(one.thermal or tested_temperatures(one) for one in known.actuators):
         return None
