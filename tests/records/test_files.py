@@ -235,6 +235,19 @@ def test_broken_text(tmp_path, case):
         read(text(tmp_path, content))
 
 
+@pytest.mark.parametrize("head", ["time_s,voltage_V,voltage_V,y_um", "time_s,voltage_V,y_um,y_um,voltage_V"])
+def test_columns_of_one_name_are_refused_without_an_option_that_would_not_help(tmp_path, head):
+    rows = [",".join(map(str, range(row, row + head.count(",") + 1))) for row in range(3)]
+    path = text(tmp_path, "\n".join([head, *rows]) + "\n")
+    with pytest.raises(FileFormatError) as refused:
+        read(path)
+    assert tuple(refused.value.change) == ()
+    assert str(refused.value).count("voltage_V") == 2
+    with pytest.raises(FileFormatError) as named:
+        read(path, voltage="voltage_V")
+    assert tuple(named.value.change) == ()
+
+
 @pytest.mark.parametrize("cell", ["", "nan", "NaN"])
 def test_a_missing_cell_is_refused_by_the_record(tmp_path, cell):
     path = text(tmp_path, HEAD + f"0,1,2\n1,{cell},3\n2,3,4\n", "gone.csv")

@@ -184,6 +184,9 @@ def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[st
 
 def _columns_error(table: Table, choice: Choice, problems: list[ColumnError], taken: set[str]) -> ColumnsError:
     """Return all problems as one error, with options for the columns: those of problems, else the most likely ones."""
+    if unsolvable := [error for error in problems if error.unsolvable]:
+        faults = "; ".join(dict.fromkeys(error.problem for error in unsolvable))
+        return ColumnsError(f"{table.source}: {faults}; {unsolvable[0].hint}", {}, [])
     used = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
     free = [c for c in table.columns if c.name not in taken and not c.fault and c not in used.values()]
     proposal = used | _assigned(free, [error.quantity for error in problems if error.quantity not in used])

@@ -297,6 +297,11 @@ class ColumnError(FileFormatError):
         super().__init__(f"{source}: {problem}", hint=hint, change=change)
         self.quantity, self.problem, self.column = quantity, problem, column
 
+    @property
+    def unsolvable(self) -> bool:
+        """Whether no option helps: several columns have one name."""
+        return self.column is None and not self.change
+
 
 def _option(quantity: str, value: str) -> str:
     return f'{quantity.replace("_", " ")} "{value}"'
@@ -456,9 +461,13 @@ class Table:
     def _not_one(self, quantity: str, wanted: str | None, fits: list[Column]) -> ColumnError:
         request = f"column '{wanted}' for {quantity}" if wanted is not None else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))}" if fits else f"no {request}"
+        if len({c.name for c in fits}) == 1:
+            hint = "columns of one name cannot be told apart: give each a name of its own in the file"
+            return ColumnError(self.source, quantity, f"{count} as {request}", hint)
         example = QUANTITIES[quantity].example
-        hint = f" A name like '{example}' is found by itself." if wanted is None else ""
-        rate = " Without one, give the sample rate in Hz." if quantity == "time" else ""
+        # Where several columns fit, their names are found already.
+        hint = f" A name like '{example}' is found by itself." if wanted is None and not fits else ""
+        rate = " Without one, give the sample rate in Hz." if quantity == "time" and not fits else ""
         return ColumnError(
             self.source,
             quantity,
