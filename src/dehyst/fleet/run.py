@@ -52,9 +52,10 @@ def identify_fleet(
     options : FleetOptions, optional
     prior : path, optional
         The table of an identified fleet: records with few or noisy data may take its shape.
-    jobs, dask : int, str, optional
-        Number of local processes, by default one for each processor; or the address of a Dask scheduler, as
-        "tcp://host:8786", whose workers are used instead.
+    jobs : int, optional
+        Number of local processes, by default one for each processor; not with `dask`.
+    dask : str, optional
+        Address of a Dask scheduler, as "tcp://host:8786", whose workers are used instead of local processes.
     time_limit : float, optional
         Largest time for one record [s]; its worker is then ended and replaced.
     resume : bool
