@@ -169,6 +169,8 @@ def test_every_option_is_documented(name):
     found = find(name)
     assert found.summary.endswith(".") and found.name == name
     assert [one.name for one in found.parameters if not one.help and not one.positional] == []
+    helps = [one.help for one in found.parameters if one.help]
+    assert len(set(helps)) == len(helps)
 
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="=?*\n\r\0", exclude_categories=["C", "Z"]), min_size=1)
