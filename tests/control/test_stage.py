@@ -168,6 +168,20 @@ def test_a_clamped_step_warns_of_its_axis_and_of_what_is_wanted_of_it():
     assert all(np.array_equal(a.state.carts, b.state.carts) for a, b in zip(before, other.snapshot(), strict=True))
 
 
+def test_a_clamped_path_says_by_how_much_its_axis_is_missed_and_not_its_actuator():
+    wanted, model = path(np.random.default_rng(9)), stage()
+    loop = StageCompensator(model, limits=[(-150.0, 22.0), None, None])
+    commands = loop.trajectory(wanted)
+    assert commands[0].clamped.any()
+    for one, column in zip(commands, wanted.T, strict=True):
+        missed = np.abs(column - one.displacement).max()
+        said = [words for words in one.warnings if "missed" in words]
+        assert one.missed == missed
+        assert [f" {1e6 * missed:.4g} um" in words for words in said] == [True] * bool(one.clamped.any())
+    alone = loop.compensators[0].trajectory(wanted @ model.decoupling[0])
+    assert f"{alone.missed:.4g}" != f"{commands[0].missed:.4g}"
+
+
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_an_offer_that_is_not_committed_changes_nothing():
     wanted, model = path(np.random.default_rng(7)), stage()

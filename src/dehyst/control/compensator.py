@@ -25,7 +25,7 @@ from dehyst.control.limits import (
     warn_of_run,
 )
 from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
-from dehyst.control.trajectory import Command, follow
+from dehyst.control.trajectory import Command, follow, of_axis
 from dehyst.model import (
     ANYWAY,
     Actuator,
@@ -334,9 +334,8 @@ class Compensator(ReadOnly):
         if temperature is not None and thermal is not None:
             warm = thermal.warmed(command.displacement, temperature)
             reached = np.where(command.displacement == followed, wanted, warm)
-            missed = float(np.abs(wanted - reached).max(initial=0.0))
             degrees = np.broadcast_to(np.asarray(temperature, dtype=np.float64), wanted.shape)
-            command = replace(command, displacement=reached, missed=missed, temperature=degrees)
+            command = replace(of_axis(command, wanted, reached, self.bounds), temperature=degrees)
         if self._per_metre == 1:
             return command
         hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()

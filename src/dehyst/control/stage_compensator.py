@@ -16,7 +16,7 @@ from dehyst._validation import interval, keep, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
-from dehyst.control.trajectory import Command
+from dehyst.control.trajectory import Command, of_axis
 from dehyst.model import Stage, State, apply, dot, reachable, state_after_loops
 
 # Passes over the path in which clamped axes correct the free ones.
@@ -308,10 +308,10 @@ class StageCompensator(ReadOnly):
         exact = all(one.followed for one in commands)
         moved = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
         reached = wanted if exact else moved
-        missed = np.abs(wanted - reached).max(axis=0, initial=0.0)
-        return tuple(
-            replace(commands[j], displacement=reached[:, j], missed=float(missed[j]), followed=exact) for j in axes
-        )
+        # What an axis misses is that of its own displacement, not that of its actuator.
+        bounds = [one.bounds for one in self.compensators]
+        own = [of_axis(commands[j], wanted[:, j], reached[:, j], bounds[j]) for j in axes]
+        return tuple(replace(one, followed=exact) for one in own)
 
     def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
         """Return targets with which the free axes reach their wanted displacements."""

@@ -121,6 +121,33 @@ class Command:
         return tables.frame(columns)
 
 
+def _shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float) -> str:
+    """Return a sentence on a path that is `missed` [m]: its clamped voltages (n,) [V], or another reason."""
+    if not clamped.any():
+        # Then only a mass or an amplifier can be left behind.
+        return (
+            f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
+            "actuator's state, or moves too fast for its sample rate"
+        )
+    count = int(np.count_nonzero(clamped))
+    at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
+    return (
+        f"CLAMPED: {count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} "
+        f"by the slew rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to "
+        f"{missed * 1e6:.4g} um"
+    )
+
+
+def of_axis(command: Command, wanted: Array, reached: Array, limits: VoltageLimits) -> Command:
+    """Return a command with the displacement `reached` (n,) [m] of its axis, and how far it misses the `wanted`.
+
+    `limits`: those of the voltage.
+    """
+    missed = float(np.abs(wanted - reached).max(initial=0.0))
+    own = () if command.followed else (_shortfall(command.voltage, command.clamped, limits, missed),)
+    return replace(command, displacement=reached, missed=missed, warnings=(*own, *command.warnings[len(own) :]))
+
+
 def follow(
     actuator: Actuator,
     limits: VoltageLimits,
@@ -176,21 +203,7 @@ def follow(
         reached, state = motion.displacement, motion.state
     missed = float(np.abs(wanted - reached).max(initial=0.0))
     followed = not clamped.any() and missed <= _LARGE_MISS * float(np.ptp(actuator.spring.displacement))
-    warnings = []
-    if clamped.any():
-        count = int(np.count_nonzero(clamped))
-        at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
-        warnings.append(
-            f"CLAMPED: {count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} "
-            f"by the slew rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to "
-            f"{missed * 1e6:.4g} um"
-        )
-    elif not followed:
-        # Then only a mass or an amplifier can be left behind.
-        warnings.append(
-            f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
-            "actuator's state, or moves too fast for its sample rate"
-        )
+    warnings = [] if followed else [_shortfall(voltage, clamped, limits, missed)]
     warnings += outside_identified(actuator, voltage, refuse=False).warnings
     return Command(
         voltage,
