@@ -82,6 +82,27 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
     assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
 
 
+def test_the_reach_of_a_path_is_that_at_its_temperature(folder):
+    """The reach at 60 degC ends lower than at the reference; a constant and a column give the same remark."""
+    low, high = (1e6 * float(end) for end in THERMAL.warmed(np.array(COLD.reach), 60.0))
+    assert high + 0.2 < 1e6 * COLD.reach[1]
+    top = high + 0.1
+    columns = {"time_s": TIME, "displacement_um": top - 2 + 2 * np.cos(np.pi * TIME)}
+    write_columns(folder / "high.csv", columns)
+    write_columns(folder / "high_hot.csv", columns | {"temperature_C": np.full(TIME.size, 60.0)})
+    start = ("-o", "out.csv", "--start", "top", "--json", "--force")
+    said = {}
+    for path, *more in (("high.csv",), ("high.csv", "--temperature", "60"), ("high_hot.csv",)):
+        found = json.loads(run("compensate", "model.json", path, *more, *start, cwd=folder)[1])
+        said[path, *more] = [one for one in found["warnings"] if "the path covers" in one]
+        missed = found["missed_um"]
+    cold, constant, column = said.values()
+    assert cold == []
+    assert constant == column and len(column) == 1
+    assert f"{low:.4g} to {high:.4g} um" in column[0] and f"to {top:.6g} um" in column[0]
+    assert missed == pytest.approx(0.1, rel=1e-3)
+
+
 def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
     """Voltages are those of the constant; the column, under its name, is in one more warning."""
     constant = ("--temperature", "30")

@@ -140,7 +140,7 @@ def _path(
     path = path + zero_of_path(actuator, limits, zero)
     warmth = temperature_of(known, None, columns, table, path.size)
     followed = known.targets(path[:, None], warmth)[:, 0]
-    for warning in reach_remarks(actuator, followed, limits, zero, refuse=False):
+    for warning in reach_remarks(actuator, path, limits, zero, warmth, refuse=False):
         run.note(warning)
     allowed = limits or actuator.voltage_range
     if time and path.size > 1:

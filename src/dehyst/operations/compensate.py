@@ -237,9 +237,9 @@ def _follow(
     """Compute and write the voltages of a path (n, axes) [m]."""
     when = time.get("time_s")
     slews = [one.slew.of_path(timed=when is not None) for one in axes]
-    targets = known.targets(wanted, warmth).T
+    targets = known.targets(wanted).T
     pairs = zip(axes, targets, strict=True)
-    remarks += known.prefixed(reach_remarks(one.actuator, target, one.limits, zero) for one, target in pairs)
+    remarks += known.prefixed(reach_remarks(one.actuator, target, one.limits, zero, warmth) for one, target in pairs)
     paths = known.planned(
         plan_path,
         wanted,

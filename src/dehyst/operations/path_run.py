@@ -101,7 +101,8 @@ def run_path(
         remarks = bounds_remarks(limits, slew_rate, bounds, "device and model allow no more")
         if slew_rate is not None:
             remarks.append(PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate).words)
-        for remark in [*remarks, *reach_remarks(actuator, wanted, follower.limits, zero)]:
+        warmth = None if follower.measures_temperature else given
+        for remark in [*remarks, *reach_remarks(actuator, wanted, follower.limits, zero, warmth)]:
             run.note(remark)
         if given is not None and follower.measures_temperature:
             run.note(f"{instrument.name} measures the temperature: that of the path is not used")

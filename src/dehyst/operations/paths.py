@@ -167,27 +167,42 @@ def zero_of_path(
 
 
 def reach_remarks(
-    actuator: Actuator, wanted: Array, limits: Limits, zero: Zero | None, *, refuse: bool = True
+    actuator: Actuator,
+    wanted: Array,
+    limits: Limits,
+    zero: Zero | None,
+    temperature: float | Array | None = None,
+    *,
+    refuse: bool = True,
 ) -> list[str]:
     """Return a remark on a path (n,) [m] outside of the reachable range, with this range and what to try.
 
-    Raise `ModelError` if it is more than a stroke outside, because then its zero, unit or model is wrong.
+    `temperature`: of the path, (n,) or one [degC]; default: not known, the reference counts. Of several temperatures,
+    the range is that which is reached at all of them. Raise `ModelError` if the path is more than a stroke outside,
+    because then its zero, unit or model is wrong.
     """
     if not wanted.size:
         return []
     compensator = Compensator(actuator, limits)
-    low, high = compensator.reach
+    lows, highs = (np.full(wanted.shape, end) for end in compensator.reach)
+    cold, degrees = wanted, ""
+    if actuator.thermal is not None and temperature is not None:
+        cold = actuator.thermal.at_reference(wanted, temperature)
+        lows, highs = (actuator.thermal.warmed(ends, temperature) for ends in (lows, highs))
+        words = dict.fromkeys(f"{end:.4g}" for end in (np.min(temperature), np.max(temperature)))
+        degrees = f" at {' to '.join(words)} degC"
+    low, high = float(lows.max()), float(highs.min())
     least, most = float(wanted.min()), float(wanted.max())
     advice = _zero_advice((least, most), (low, high), zero)
-    if refuse and compensator.strays(wanted):
+    if refuse and compensator.strays(cold):
         raise ModelError(
-            f"got {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to {1e6 * high:.4g} um, "
-            "from the sensor's zero in its records",
+            f"got {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to {1e6 * high:.4g} um"
+            f"{degrees}, from the sensor's zero in its records",
             argument="displacement",
             hint=f"check the numbers and their unit{advice and f', or {advice}'}",
         )
     margin = _ROUNDING * (high - low)
-    if low - margin <= least and most <= high + margin:
+    if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []
     another = (
         "choose another --zero, or none" if zero is not None and most - least <= high - low else "choose a smaller path"
@@ -195,7 +210,7 @@ def reach_remarks(
     volts = "{:.5g} to {:.5g} V".format(*compensator.limits)
     return [
         f"the path covers {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to "
-        f"{1e6 * high:.4g} um with {volts}, from the sensor's zero in its records; {advice or another}"
+        f"{1e6 * high:.4g} um with {volts}{degrees}, from the sensor's zero in its records; {advice or another}"
     ]
 
 
