@@ -60,6 +60,11 @@ def test_insight_gives_the_same_promise_and_a_band_along_the_path():
     assert np.all(band.highest >= band.displacement + band.promise.half)
     assert np.all(band.lowest <= band.displacement - band.promise.half)
     assert found.as_dict()["judgement"] == judged.as_dict()
+    options = {"trajectory": path, "limits": (0.0, VOLTS), "repeats": 20}
+    below = insight(model, record, **options, start=lambda one: PossibleStart.named(one, "bottom"))
+    assert (judged.begins, below.judgement.begins) == ("top", "bottom")
+    assert judged.words(1e-6) != replace(judged, begins="bottom").words(1e-6)
+    assert insight(model, record, repeats=0).judgement.begins == ""
 
 
 def test_an_unknown_start_is_what_it_leaves_open():

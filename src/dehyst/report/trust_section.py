@@ -97,7 +97,7 @@ def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     stroke, warnings = found.evidence.stroke, found.warnings()
     promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
-    expected = f"Expect {path} {promised} of the stroke." if promised else "The error to expect is not known."
+    expected = f"Expect {path} {promised}." if promised else "The error to expect is not known."
     untested = found.judgement.untested
     expected = " ".join([expected, *untested])
     # Of a path that nobody has asked for it is said, and no more.

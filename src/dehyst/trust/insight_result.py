@@ -236,7 +236,8 @@ class Insight:
     @property
     def judgement(self) -> Judgement:
         """The expected error of the trajectory; without a trajectory, of a path like the records."""
-        return judge(self.actuator, self.band, self.opened)
+        begins = "" if self.band is None else "top" if self.start is None else self.start.name
+        return judge(self.actuator, self.band, self.opened, begins=begins)
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
@@ -366,7 +367,7 @@ def _answer(found: Insight) -> Iterator[str]:
     if another is not None:
         yield f"WARNING: {another}"
     elif words := found.judgement.words(stroke):
-        yield f"Expect {'any path' if found.band is None else 'this path'} {words} of the stroke."
+        yield f"Expect {'any path' if found.band is None else 'this path'} {words}."
         yield from found.judgement.untested
     misfit = 100 * found.misfit / stroke
     yield f"The largest error of the model on these records is {misfit:.3g} % of the stroke."

@@ -19,6 +19,14 @@ from dehyst.trust.prediction_band import PredictionBand
 
 # Of the promised error: what a homing may leave open without a word.
 _IN_PROMISE = 0.05
+# The start of a path as text; a known start of another name has its name.
+_BEGINS = {
+    "": "",
+    "homed": ", from a homed start",
+    "unknown": ", from an unknown start",
+    "top": ", from the top, after a rise",
+    "bottom": ", from the bottom, after a fall",
+}
 
 
 @dataclass(frozen=True)
@@ -65,21 +73,19 @@ class Judgement:
         if self.bounds is None:
             return ""
         rms, largest = (100 * error / stroke for error in self.bounds)
-        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most"
-
-    def lines(self, stroke: float) -> list[str]:
-        """Return the promise of a path with its start in a line; no line if it is not known."""
-        if not (words := self.words(stroke)):
-            return []
         # A homing leaves a little open always: what is small beside the promise is not mentioned.
         open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins in ("homed", "seen") else 0.0)
         share = f", {100 * self.start / stroke:.2g} % of it" if open_ else ""
         if self.begins == "seen":
             start = share and f"{share} by what the sensor shows more or less than the model"
         else:
-            begins = {"homed": ", from a homed start", "unknown": ", from an unknown start", "": ""}
-            start = begins.get(self.begins, f", from the start {self.begins}") + (share and f"{share} by that")
-        return [f"expect this path {words} of the stroke{start}"]
+            start = _BEGINS.get(self.begins, f", from the start {self.begins}") + (share and f"{share} by that")
+        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{start}"
+
+    def lines(self, stroke: float) -> list[str]:
+        """Return the promise of a path in a line; no line if it is not known."""
+        words = self.words(stroke)
+        return [f"expect this path {words}"] if words else []
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
