@@ -54,6 +54,17 @@ def test_expansion_is_found_where_the_temperature_changes_within_records():
     assert abs(effect.offset - 4e-8) < 3 * effect.offset_error
 
 
+@pytest.mark.parametrize("seed", [1, 11])
+def test_a_gain_beside_an_offset_is_used_only_if_held_out_temperatures_show_it(seed):
+    turns = (15, 45, seed), (40, 18, seed + 1)
+    alone, _ = temperature_effect([at(*one, gain=0.0, offset=4e-8) for one in turns])
+    both, _ = temperature_effect([at(*one, offset=4e-8) for one in turns])
+    assert (alone.gain, alone.gain_error) == (0, 0)
+    assert alone.offset == pytest.approx(4e-8, rel=0.05)
+    assert both.gain == pytest.approx(GAIN, rel=0.2)
+    assert both.gain_error > 0
+
+
 @pytest.mark.parametrize("degrees", [22, 38])
 def test_temperatures_between_are_predicted_as_at_a_constant_one(warm, degrees):
     constant = dehyst.identify([at(20, 20, seed, known=False) for seed in (1, 2, 3)], **SETTINGS).actuator

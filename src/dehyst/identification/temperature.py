@@ -75,8 +75,9 @@ class TemperatureEffect:
         """Return the effect with its gain fitted again with the identified actuator, where that misses less than plays.
 
         `records`: measured records. `traces`: the same records converted to the reference temperature, and simulated.
+        A gain that held-out temperatures do not show stays 0.
         """
-        if rms(np.concatenate([trace.residual for trace in traces[: len(records)]])) > self.missed:
+        if not self.gain or rms(np.concatenate([trace.residual for trace in traces[: len(records)]])) > self.missed:
             return self
         rows, left = [], []
         for record, trace in zip(records, traces, strict=False):
@@ -107,10 +108,11 @@ class TemperatureEffect:
     def sentence(self) -> str:
         """The effect as a sentence."""
         low, high = self.range
-        expansion = f" and {1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm/K" if self.offset else ""
+        gain = f"{100 * self.gain:+.3g} ± {100 * self.gain_error:.2g} %/K" if self.gain else ""
+        offset = f"{1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm/K" if self.offset else ""
         return (
-            f"From {low:.3g} to {high:.3g} degC the displacement changes by {100 * self.gain:+.3g} ± "
-            f"{100 * self.gain_error:.2g} %/K{expansion}. Held-out temperatures are missed by "
+            f"From {low:.3g} to {high:.3g} degC the displacement changes by "
+            f"{' and '.join(one for one in (gain, offset) if one)}. Held-out temperatures are missed by "
             f"{100 * self.better:.0f} % of the error without that."
         )
 
@@ -120,7 +122,7 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
 
     The effect is None if it is not shown; the reason is empty if there is an effect, or no change of temperature. All
     records need a temperature, with a range of `DecisionRules.temperatures`. Held-out ones must be predicted better, by
-    `DecisionRules.temperature_helps`.
+    `DecisionRules.temperature_helps`: with the effect than without, and with a gain than with an offset alone.
     """
     given = [record.temperature for record in records]
     known = [one for one in given if one is not None]
@@ -144,7 +146,16 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
     if rows.expands and abs(offset) < _SURE * errors[1]:
         rows.expands = False
         gain, offset, errors, datums, missed = rows.jackknifed()
-    better = rms(rows.held_out()) / max(rms(rows.held_out(fixed=True)), 1e-300)
+    within = rms(rows.held_out())
+    if rows.expands:
+        rows.stretches = False
+        alone = rms(rows.held_out())
+        if within > RULES.temperature_helps * alone:
+            gain, offset, errors, datums, missed = rows.jackknifed()
+            within = alone
+        else:
+            rows.stretches = True
+    better = within / max(rms(rows.held_out(fixed=True)), 1e-300)
     if not better <= RULES.temperature_helps or not np.all(1 + 2 * gain * rows.kelvins > 0):
         return None, f"{words}: held-out temperatures do not show its effect"
     found = gain, offset, *errors, rows.reference, (low, high), better, missed, tuple(datums)
@@ -178,7 +189,8 @@ class _TemperatureRows:
         self.datums = (self.own[:, None] == np.arange(len(records))).astype(np.float64)
         edges = np.quantile(self.kelvins, np.arange(1, _FOLDS) / _FOLDS)
         self.folds = np.searchsorted(edges, self.kelvins, side="right")
-        self.expands = True
+        # Whether there is an offset, and a gain.
+        self.expands = self.stretches = True
 
     def jackknifed(self) -> tuple[float, float, tuple[float, float], Array, float]:
         """Return gain, offset, their standard errors, the datum of each record, and the RMS error [m]."""
@@ -195,7 +207,7 @@ class _TemperatureRows:
         m = np.zeros(y.size)
         # Gauss-Newton: with the weights of before the equations are linear in the gain's change too.
         for _ in range(1 if fixed else _STEPS):
-            free = [] if fixed else [m * kelvins, self.expands * kelvins]
+            free = [] if fixed else [self.stretches * m * kelvins, self.expands * kelvins]
             rows = np.column_stack([(1 + gain * kelvins)[:, None] * columns, own, *free])
             scale = np.sqrt(np.mean(rows**2, axis=0))
             scale[scale == 0] = 1.0
@@ -205,7 +217,7 @@ class _TemperatureRows:
             weights, datums = found[:size], found[size : size + own.shape[1]]
             change, offset = (0.0, 0.0) if fixed else found[-2:]
             gain, m = gain + float(change), columns @ weights
-        return gain, float(self.expands * offset), datums, weights
+        return float(self.stretches * gain), float(self.expands * offset), datums, weights
 
     def errors(self, gain: float, offset: float, weights: Array) -> Array:
         """Return the errors (n,) [m], the datums aside."""
