@@ -9,8 +9,11 @@ from command_line import run
 
 import dehyst
 from dehyst import Actuator, Spring
+from dehyst.instruments import open_rig
+from dehyst.operations.registry import find
+from dehyst.operations.run import Run, perform
 from dehyst.records import write_columns
-from dehyst.virtual import PlayActuator
+from dehyst.virtual import AgeingCourse, PlayActuator
 
 RIG = """
 from dehyst.instruments.simulated import SimulatedRig
@@ -186,3 +189,14 @@ def test_an_error_that_the_sensor_shows_before_a_repetition_is_printed_and_expec
     )
     more = next(line for line in found["promise"] if "From now on" in line)
     assert more in run(*words, cwd=folder)[1]
+
+
+def test_an_instrument_that_records_no_temperature_refuses_kelvins():
+    """The way out that the error names has the channel."""
+    ageing = AgeingCourse(-7, kelvins=20)
+    with pytest.raises(dehyst.RigError) as refused:
+        perform(find("rig serve"), {"port": 0, "seconds": 0.0, "ageing": ageing}, Run())
+    assert refused.value.argument == "ageing"
+    (address,) = (word for word in str(refused.value).split() if word.startswith("sim://"))
+    with open_rig(address) as rig:
+        assert rig.others == ("temperature_C",)

@@ -259,7 +259,8 @@ def serve(
         Of the sensor [nm]; default: the actuator's, 2 nm.
     ageing
         Changes of each actuator that grow until a time has passed: of its gain [%], of the width of its loop [%], of
-        the sensor's zero [% of the stroke]; and this time [s of the instrument]; default: none.
+        the sensor's zero [% of the stroke]; and this time [s of the instrument]; default: none. Kelvins are for
+        sim:// only: this instrument records no temperature.
     wave_points
         Largest number of samples of wave generator and recorder.
     fault
@@ -279,6 +280,13 @@ def serve(
     check.between(0.0 if noise is None else noise, "noise", 0, 1e6, "nanometres")
     check.between(wave_points, "wave_points", 2, 10_000_000)
     check.between(seconds or 0.0, "seconds", 0, 1e9, "seconds")
+    if ageing is not None and ageing.kelvins:
+        raise RigError(
+            argument="ageing",
+            got=f"kelvins={ageing.kelvins:g}",
+            need="none, as this instrument records no temperature",
+            hint=f"the rig sim://{actuator.split(',', maxsplit=1)[0]}?{ageing} records it",
+        )
     names = actuator.split(",")
     if len(names) not in (1, axes):
         raise RigError(argument="actuator", got=f"{len(names)} for {axes} axes", need="one, or one for each")
