@@ -11,7 +11,7 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
     const std::vector<double> none;
     const Core::Steps steps{bounds, decay, gain, Grid(none.data(), {decay.shape(0), 0})};
     const size_t count = steps.size(n, j, false);
-    std::unique_ptr<double[]> out(new double[n * j + 1]);
+    Matrix out = room<Matrix>(n, j);
     const double *source = path.data();
     {
         nb::gil_scoped_release release;
@@ -19,10 +19,10 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
             const dehyst_step step = steps.at(r);
             const long first = steps.first(r);
             dehyst_strains(int(j), &step, d.data(), first ? source[first - 1] : before, source + first,
-                           out.get() + first * j, steps.length(r));
+                           out.data() + first * j, steps.length(r));
         }
     }
-    return {own<Matrix>(std::move(out), {n, j}), as_array(d)};
+    return {out, as_array(d)};
 }
 
 // Creep behind the elements of displacements m, or with `inverse` m from displacements that creep.
@@ -34,7 +34,7 @@ std::tuple<Output, Output> output_creep(Input path, Bounds bounds, Grid decay, G
     const Core::Steps steps{bounds, decay, rise, Grid(none.data(), {decay.shape(0), 0})};
     const size_t count = steps.size(n, k, false);
     if (gain.size() != k) demand(DEHYST_ERR_SIZE);
-    std::unique_ptr<double[]> out(new double[n + 1]);
+    Output out = room<Output>(n);
     const double *source = path.data(), *gains = gain.data();
     const auto run = inverse ? dehyst_output_compensate : dehyst_output_simulate;
     {
@@ -44,11 +44,11 @@ std::tuple<Output, Output> output_creep(Input path, Bounds bounds, Grid decay, G
             const long first = steps.first(r), length = steps.length(r);
             dehyst_output output{int(k), gains, step.decay, step.gain, 0, 0};
             demand(dehyst_output_tabulate(&output));
-            run(&output, e.data(), before, source + first, out.get() + first, length);
-            if (length > 0) before = (inverse ? out.get() : source)[first + length - 1];
+            run(&output, e.data(), before, source + first, out.data() + first, length);
+            if (length > 0) before = (inverse ? out.data() : source)[first + length - 1];
         }
     }
-    return {own<Output>(std::move(out), {n}), as_array(e)};
+    return {out, as_array(e)};
 }
 
 std::tuple<Matrix, Output> slip_elongations(Input rho, Input cart, Input y) {
@@ -56,13 +56,13 @@ std::tuple<Matrix, Output> slip_elongations(Input rho, Input cart, Input y) {
     const size_t n = y.size(), size = own_rho.size();
     if (own_cart.size() != size) demand(DEHYST_ERR_SIZE);
     dehyst_slip slip{int(size), own_rho.data(), nullptr, nullptr, nullptr, nullptr, 0};
-    std::unique_ptr<double[]> out(new double[n * size + 1]);
+    Matrix out = room<Matrix>(n, size);
     const double *source = y.data();
     {
         nb::gil_scoped_release release;
-        dehyst_slip_elongations(&slip, own_cart.data(), source, out.get(), long(n));
+        dehyst_slip_elongations(&slip, own_cart.data(), source, out.data(), long(n));
     }
-    return {own<Matrix>(std::move(out), {n, size}), as_array(own_cart)};
+    return {out, as_array(own_cart)};
 }
 
 Matrix smooth_elongations(Input length, Input closing, Input y, Input start) {
@@ -71,13 +71,13 @@ Matrix smooth_elongations(Input length, Input closing, Input y, Input start) {
     if (closing.size() != size || elongation.size() != size) demand(DEHYST_ERR_SIZE);
     demand(dehyst_smooth_tabulate(int(size), length.data(), closing.data(), back.data()));
     dehyst_smooth smooth{int(size), length.data(), back.data(), nullptr};
-    std::unique_ptr<double[]> out(new double[n * size + 1]);
+    Matrix out = room<Matrix>(n, size);
     const double *source = y.data();
     {
         nb::gil_scoped_release release;
-        dehyst_smooth_elongations(&smooth, elongation.data(), n ? source[0] : 0.0, source, out.get(), long(n));
+        dehyst_smooth_elongations(&smooth, elongation.data(), n ? source[0] : 0.0, source, out.data(), long(n));
     }
-    return own<Matrix>(std::move(out), {n, size});
+    return out;
 }
 
 // Runs of equal steps; the first sample has none before it.
@@ -90,11 +90,7 @@ std::tuple<nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>, Output> steps(Input tim
         durations.push_back(first == 0 ? 0.0 : (time.data()[end - 1] - time.data()[first - 1]) / double(end - first));
         bounds.push_back(end);
     }
-    std::unique_ptr<int64_t[]> data(new int64_t[bounds.size()]);
-    std::copy(bounds.begin(), bounds.end(), data.get());
-    int64_t *raw = data.release();
-    nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<int64_t *>(p); });
-    return {nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(raw, {bounds.size()}, owner), as_array(durations)};
+    return {as_array(bounds), as_array(durations)};
 }
 
 } // namespace

@@ -1,6 +1,5 @@
 // Arrays in, arrays out, the interpreter lock released. No algorithm: see core/baselines/fields.h.
 #include <cstdint>
-#include <memory>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
@@ -21,13 +20,13 @@ template <typename Model, typename State> using Run = void(const Model *, State 
 template <typename Model, typename State>
 Output played(Run<Model, State> *run, const Model &model, State &state, const Input &in) {
     const size_t n = in.size();
-    std::unique_ptr<double[]> out(new double[n + 1]);
+    Output out = room<Output>(n);
     const double *source = in.data();
     {
         nb::gil_scoped_release release;
-        run(&model, &state, source, out.get(), long(n));
+        run(&model, &state, source, out.data(), long(n));
     }
-    return own<Output>(std::move(out), {n});
+    return out;
 }
 
 // numbers: low, step, bottom, below, above.
@@ -54,9 +53,9 @@ std::tuple<Output, Output, double, double> preisach(Input numbers, Input everett
     std::vector<preisach_turn> turns = turns_of(pairs, in.size());
     preisach_stairs stairs{int(pairs.size() / 2), v, y, turns.data()};
     Output out = played(inverse ? preisach_compensate : preisach_simulate, plane, stairs, in);
-    std::unique_ptr<double[]> left(new double[2 * size_t(stairs.depth)]);
-    for (int i = 0; i < stairs.depth; i++) left[2 * i] = turns[i].v, left[2 * i + 1] = turns[i].y;
-    return {out, own<Output>(std::move(left), {2 * size_t(stairs.depth)}), stairs.v, stairs.y};
+    Output left = room<Output>(2 * size_t(stairs.depth));
+    for (int i = 0; i < stairs.depth; i++) left(2 * i) = turns[i].v, left(2 * i + 1) = turns[i].y;
+    return {out, left, stairs.v, stairs.y};
 }
 
 // `samples` increase.
@@ -72,13 +71,14 @@ Matrix preisach_weights(double low, double step, int cells, Input in, Indices sa
     std::vector<preisach_turn> turns(in.size() + 2);
     turns[0] = {low, 0};
     preisach_stairs stairs{1, low, 0, turns.data()};
-    std::unique_ptr<double[]> out(new double[n * wide + 1]());
+    Matrix out = room<Matrix>(n, wide);
+    std::fill(out.data(), out.data() + n * wide, 0.0);
     const double *source = in.data();
     {
         nb::gil_scoped_release release;
-        preisach_counts(&plane, &stairs, source, chosen.data(), out.get(), long(n));
+        preisach_counts(&plane, &stairs, source, chosen.data(), out.data(), long(n));
     }
-    return own<Matrix>(std::move(out), {n, wide});
+    return out;
 }
 
 // numbers: alpha, beta, gamma, low, span, c_0, c_1, c_2, c_3.

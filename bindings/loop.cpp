@@ -158,14 +158,14 @@ struct Loop {
     Output run(Input u) {
         demand_free();
         const size_t n = u.size();
-        std::unique_ptr<double[]> out(new double[n + 1]);
+        Output out = room<Output>(n);
         const double *source = u.data();
         {
             const Busy mark(busy);
             nb::gil_scoped_release release;
-            dehyst_loop_run(&model, &loop, memory.data(), source, out.get(), long(n));
+            dehyst_loop_run(&model, &loop, memory.data(), source, out.data(), long(n));
         }
-        return own<Output>(std::move(out), {n});
+        return out;
     }
     // One column of a path of many, (n, M): wanted displacements to voltages, or voltages to displacements.
     using Columns = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -191,14 +191,14 @@ struct Loop {
     std::tuple<Output, Output, Output> trace(Input u) {
         demand_free();
         const size_t n = u.size();
-        std::unique_ptr<double[]> v(new double[n + 1]), w(new double[n + 1]), offers(new double[n + 1]);
+        Output v = room<Output>(n), w = room<Output>(n), offers = room<Output>(n);
         for (size_t t = 0; t < n; t++) {
-            v[t] = dehyst_loop_offer(&model, &loop, memory.data(), u.data()[t]);
-            offers[t] = loop.offer;
-            dehyst_loop_commit(&model, &loop, memory.data(), v[t]);
-            w[t] = displacement();
+            v(t) = dehyst_loop_offer(&model, &loop, memory.data(), u.data()[t]);
+            offers(t) = loop.offer;
+            dehyst_loop_commit(&model, &loop, memory.data(), v(t));
+            w(t) = displacement();
         }
-        return {own<Output>(std::move(v), {n}), own<Output>(std::move(w), {n}), own<Output>(std::move(offers), {n})};
+        return {v, w, offers};
     }
 
     // Every number that a step reads, as the core made it.

@@ -1,5 +1,4 @@
 // Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst.baselines.plays.
-#include <memory>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
@@ -41,15 +40,15 @@ struct Plays {
         const size_t n = in.size();
         demand(own_z.size() == r.size() && own_q.size() == tau.size() && (tau.empty() || dt.size() == n));
         plays_state state{v, own_z.data(), own_q.data(), held.data(), at.data(), 0, kept.data(), gain.data()};
-        std::unique_ptr<double[]> out(new double[n + 1]);
+        Output out = room<Output>(n);
         const double *source = in.data(), *steps = tau.empty() ? nullptr : dt.data();
         long met;
         {
             nb::gil_scoped_release release;
             plays_begin(&model, &state);
-            met = function(&model, &state, source, steps, out.get(), long(n));
+            met = function(&model, &state, source, steps, out.data(), long(n));
         }
-        return {own<Output>(std::move(out), {n}), met, state.v, as_array(own_z), as_array(own_q)};
+        return {out, met, state.v, as_array(own_z), as_array(own_q)};
     }
 
     Result simulate(Input in, Input dt, double v, Input z, Input q) const {
@@ -68,13 +67,13 @@ Matrix outputs(Input r, Input z, Input v) {
     std::vector<double> own_r = copy(r), own_z = copy(z);
     const size_t n = v.size(), size = own_r.size();
     demand(own_z.size() == size);
-    std::unique_ptr<double[]> out(new double[n * size + 1]);
+    Matrix out = room<Matrix>(n, size);
     const double *source = v.data();
     {
         nb::gil_scoped_release release;
-        plays_outputs(int(size), own_r.data(), own_z.data(), source, out.get(), long(n));
+        plays_outputs(int(size), own_r.data(), own_z.data(), source, out.data(), long(n));
     }
-    return own<Matrix>(std::move(out), {n, size});
+    return out;
 }
 
 } // namespace

@@ -146,9 +146,9 @@ struct Core {
 
     using Reached = std::tuple<Output, double, Output, Output, Output>;
 
-    Reached reached(std::unique_ptr<double[]> out, size_t n, const Memory &after) const {
+    Reached reached(Output out, const Memory &after) const {
         const std::vector<double> motion{after.state.y, after.state.rate};
-        return {own<Output>(std::move(out), {n}), after.state.memory.y, as_array(after.cart), as_array(after.strain),
+        return {out, after.state.memory.y, as_array(after.cart), as_array(after.strain),
                 as_array(tables.inertia ? motion : std::vector<double>())};
     }
 
@@ -158,7 +158,7 @@ struct Core {
         const Steps steps{bounds, decay, gain, transition};
         const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
         if (extra.size() != 0 && extra.size() != n) demand(DEHYST_ERR_SIZE);
-        std::unique_ptr<double[]> out(new double[n + 1]);
+        Output out = room<Output>(n);
         const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
         {
             nb::gil_scoped_release release;
@@ -167,10 +167,10 @@ struct Core {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
                 dehyst_compensate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
-                                       added ? added + first : nullptr, out.get() + first, steps.length(r));
+                                       added ? added + first : nullptr, out.data() + first, steps.length(r));
             }
         }
-        return reached(std::move(out), n, *own_memory);
+        return reached(out, *own_memory);
     }
 
     Reached simulate(Input in, Input load, Bounds bounds, Grid decay, Grid gain, Grid transition, double w, Input cart,
@@ -179,7 +179,7 @@ struct Core {
         const Steps steps{bounds, decay, gain, transition};
         const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
         if (load.size() != 0 && load.size() != n) demand(DEHYST_ERR_SIZE);
-        std::unique_ptr<double[]> out(new double[n + 1]);
+        Output out = room<Output>(n);
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
         {
             nb::gil_scoped_release release;
@@ -188,10 +188,10 @@ struct Core {
                 const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
                 dehyst_simulate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
-                                     force ? force + first : nullptr, out.get() + first, steps.length(r));
+                                     force ? force + first : nullptr, out.data() + first, steps.length(r));
             }
         }
-        return reached(std::move(out), n, *own_memory);
+        return reached(out, *own_memory);
     }
 
     double voltage(double w, Input cart, Input strain, Input motion) const {
