@@ -116,41 +116,49 @@ void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, con
     const dehyst_slip *slip = &plain->slip;
     const dehyst_curve *spring = &plain->spring;
     const dehyst_real elastic = slip->stiffness[0], width = slip->edge[0];
-    const dehyst_reversal *from = stack->reversal + stack->depth - 1, *to = joint(stack);
+    dehyst_reversal from = stack->reversal[stack->depth - 1];
     dehyst_real direction = stack->direction, present = stack->y, voltage = stack->v;
-    /* Places times the direction: where the branch began, how far it got, and where it joins the outer one. */
-    dehyst_real began = direction * from->y, far = direction * present;
-    dehyst_real joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
+    /* Places times the direction: where the branch began, and how far it got. */
+    dehyst_real began = direction * from.y, far = direction * present;
     int cell = cell_of(slip, far - began, 0), j = segment(spring, present, 0);
-    long t;
-    for (t = 0; t < n; t++) {
-        const dehyst_real goal = is_finite(y[t]) ? y[t] : present;
-        dehyst_real place = direction * goal, slip_voltage;
+    long t = 0;
+    while (t < n) {
+        dehyst_real goal = is_finite(y[t]) ? y[t] : present, place = direction * goal, ahead, joins;
+        const dehyst_reversal *to;
         if (far - place > width || place < began) {
             turn_at(plain, stack, direction * far, cell, j);
             direction = stack->direction;
-            from = stack->reversal + stack->depth - 1;
-            to = joint(stack);
-            began = far = direction * from->y;
-            joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
+            far = direction * stack->reversal[stack->depth - 1].y;
             place = direction * goal;
         }
-        far = place > far ? place : far;
-        while (far >= joins) {
-            stack->depth -= 2;
-            from = stack->reversal + stack->depth - 1;
-            to = joint(stack);
-            began = direction * from->y;
-            joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
-        }
-        if (far - began >= slip->edge[cell] || (cell > 0 && far - began < slip->edge[cell - 1]))
-            cell = cell_of(slip, far - began, cell);
-        slip_voltage =
-            from->slip_voltage + direction * (masing_branch(slip, cell, far - began) - elastic * (far - place));
+        ahead = place > far ? place : far;
+        while ((to = joint(stack)) != NULL && ahead >= direction * to->y) stack->depth -= 2;
+        joins = to != NULL ? direction * to->y : DEHYST_LARGEST;
+        from = stack->reversal[stack->depth - 1];
+        began = direction * from.y;
+        cell = cell_of(slip, ahead - began, cell);
         j = segment(spring, goal, j);
-        voltage = slip_voltage + on_segment(spring, j, goal);
-        v[t] = voltage;
-        present = goal;
+        {
+            /* In registers, until a sample leaves the branch, the cell or the segment. */
+            const dehyst_real intercept = slip->intercept[cell], stiffness = slip->stiffness[cell];
+            const dehyst_real edge = slip->edge[cell];
+            const dehyst_real knot = spring->knot[j], value = spring->value[j], slope = spring->slope[j];
+            const dehyst_real low = j > 0 ? knot : -DEHYST_LARGEST;
+            const dehyst_real high = j + 2 < spring->size ? spring->knot[j + 1] : DEHYST_LARGEST;
+            do {
+                far = ahead;
+                present = goal;
+                voltage = from.slip_voltage +
+                          direction * (intercept + stiffness * (far - began) - elastic * (far - place)) +
+                          (value + slope * (goal - knot));
+                v[t] = voltage;
+                if (++t == n) break;
+                goal = y[t];
+                place = direction * goal;
+                ahead = place > far ? place : far;
+            } while (ahead - place <= width && place >= began && ahead < joins && ahead - began < edge && goal >= low &&
+                     goal < high);
+        }
     }
     if (direction * present < far) turn_at(plain, stack, direction * far, cell, j);
     stack->y = present;
