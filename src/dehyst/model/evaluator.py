@@ -121,7 +121,8 @@ class Evaluator:
             more = self.dynamics.series * (w - m)
             if m.size:
                 state = state._replace(motion=np.array([m[-1], velocity[-1] / self.dynamics.frequency]))
-        demand_result(w, "displacement of the electrical side")
+        if w is not displacement:
+            demand_result(w, "displacement of the electrical side")
         voltage, reached = self.core.compensate(w, steps, state, more=more, stack=stack)
         if self.lag and m.size > 1:
             rate = np.gradient(voltage, _seconds(path), edge_order=2 if m.size > 2 else 1)
