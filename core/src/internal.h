@@ -18,7 +18,7 @@ static inline int within_reach(dehyst_real a) { return a >= -DEHYST_FARTHEST && 
 static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
 {
     int low = 0, high = n, i = (unsigned)hint < (unsigned)n ? hint : n, tries;
-    for (tries = 0; tries < 3; tries++) {
+    for (tries = 0; tries < 2; tries++) {
         if (i < n && a[i] <= u)
             low = ++i;
         else if (i > 0 && a[i - 1] > u)
@@ -27,11 +27,10 @@ static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hi
             return i;
     }
     while (low < high) {
-        int middle = low + (high - low) / 2;
-        if (a[middle] <= u)
-            low = middle + 1;
-        else
-            high = middle;
+        /* On which side a far u lies cannot be predicted: no branch. */
+        const int middle = low + (high - low) / 2, below = -(a[middle] <= u);
+        low += below & (middle + 1 - low);
+        high += ~below & (middle - high);
     }
     return low;
 }
