@@ -348,7 +348,7 @@ class NormalEquations:
         size = np.abs(matrix).max(axis=1, initial=0.0)
         size[size == 0] = 1.0
         scaled = Problem(
-            self.gram[np.ix_(kept, kept)] / np.outer(scale, scale),
+            self.gram.take(kept, 0).take(kept, 1) / np.outer(scale, scale),
             self.image[kept] / scale / unit,
             int(np.count_nonzero(kept < self.free)),
             matrix / size[:, None],
@@ -424,7 +424,7 @@ def _face_of_sums(program: Problem, moving: Mask, active: Mask) -> tuple[Array, 
     if not columns.size:
         return None if limits.size else (x, multipliers)
     # Of the symmetric G the transpose is the same, and in LAPACK's order without another copy.
-    part = program.rows[np.ix_(columns, columns)].T
+    part = program.rows.take(columns, 0).take(columns, 1).T
     part[np.diag_indices(columns.size)] += _RIDGE
     factor, failure = dpotrf(part, lower=1, overwrite_a=1, clean=0)
     if failure:
