@@ -19,8 +19,9 @@ from dehyst._errors import DehystError, LinkError, library
 from dehyst.fleet.dataset import Task
 from dehyst.fleet.task import TaskRunner
 
-# Seconds to wait for the scheduler and its first worker, to close, and between looks at the scheduler.
-_PATIENCE, _CLOSING, _GLANCE = 30, 3, 0.5
+# Seconds to wait for the scheduler and its first worker, for an answer that is said to be there, to close, and between
+# looks at the scheduler.
+_PATIENCE, _ANSWER, _CLOSING, _GLANCE = 30, 3, 3, 0.5
 # Times that local workers are started, in case that they are killed before their first task.
 _STARTS = 5
 # Tasks that wait beside those that run, for each thread of the workers.
@@ -91,17 +92,26 @@ def _answers(client: Any, head: Mapping[str, Any], tasks: list[Task], name: str)
         if future.status in ("lost", "pending") and client.status == "running":
             # Its worker died before the answer was here: it runs again, and finds the row.
             future.add_done_callback(lambda future: ended.put(future.key))
-        else:
-            del running[key]
-            yield _answer(head, task, future, name)
+            continue
+        try:
+            answer = _answer(head, task, future, name)
+        except TimeoutError:
+            if client.status != "running":
+                raise
+            # Its worker died with the answer, but Dask does not know that yet.
+            ended.put(key)
+            yield None
+            continue
+        del running[key]
+        yield answer
 
 
 def _answer(head: Mapping[str, Any], task: Task, future: Any, name: str) -> dict[str, Any]:
     if future.status == "finished":
-        return dict(future.result(timeout=_PATIENCE))
+        return dict(future.result(timeout=_ANSWER))
     if future.status != "error":
         raise _lost(name)
-    error = future.exception(timeout=_PATIENCE)
+    error = future.exception(timeout=_ANSWER)
     if isinstance(error, _distributed().KilledWorker):
         return TaskRunner(head).lose(task, "worker", f"its workers died, the last one {error.last_worker.address}")
     if isinstance(error, DehystError):
