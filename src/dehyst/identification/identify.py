@@ -393,6 +393,7 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
         found = run.lagging if run.settings.delay is not None else run.lag_of(replace(run.data(0.0), creepless=True))
         still = frame = replace(still, creepless=True, lagging=found)
         structure = _chosen_again(run, frame, replace(structure, creep=0), ("creep",), "creep") or Structure()
+    frame = run.deadline.attempt(partial(_tuned, run, frame, structure), frame, "the tuning of the resonance")
     while dropped := _unsupported(run, frame, still, structure):
         run.remarks.append(messages.of_dropped(dropped.part, dropped.without, dropped.within, run.stroke, run.drive))
         frame = still if dropped.part == "inertia" else frame
@@ -403,6 +404,13 @@ def _chosen(run: IdentificationRun, still: TrainingData) -> tuple[TrainingData, 
         structure = again or simplest(run.trials, creep="creep" not in fixed) or Structure()
     run.searched = structure
     return frame, structure
+
+
+def _tuned(run: IdentificationRun, frame: TrainingData, structure: Structure) -> TrainingData:
+    """Return the records with their resonance tuned behind a structure: a coarse one hides what other parts predict."""
+    if frame.lagging.dynamics is None:
+        return frame
+    return StructuredFit.solve_quickly(frame, structure).tune_dynamics(run.report).frame
 
 
 def _chosen_again(
