@@ -54,6 +54,15 @@ def factors(result):
     return [one for one in result["warnings"] if "times the speed of the model's records" in one]
 
 
+def test_a_path_with_two_columns_of_time_is_refused(folder):
+    """It was taken for a path without times, whose slew rate is not limited."""
+    text = (folder / "fast.csv").read_text()
+    (folder / "twice.csv").write_text("\n".join(f"{line.split(',')[0]},{line}" for line in text.splitlines()))
+    status, _, err = run("compensate", "model.json", "twice.csv", "-o", "twice-voltage.csv", cwd=folder)
+    assert status == 2 and "time_s" in err
+    assert not (folder / "twice-voltage.csv").exists()
+
+
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--start", "bottom"), ("--home",), ("--no-home",)])
 @pytest.mark.parametrize("path", ["slow", "fast"])
 def test_the_speed_of_the_records_is_the_default(folder, path, start):

@@ -252,7 +252,9 @@ class PathRun:
         loop.learn(ahead, voltage, measured, pause)
         along = rows < self._path.size
         path = TrackedPath(record.time[along], wanted[rows[along]], record.displacement[along], self.stroke)
-        self._errors = [*self._errors[-_REMEMBERED:], (rms(path.error), largest(path.error))]
+        # A first error that is more than was promised has grown too.
+        before = self._errors or [one for one in (judgement.bounds,) if one is not None]
+        self._errors = [*before[-_REMEMBERED:], (rms(path.error), largest(path.error))]
         clamped = loop.clamped(voltage)
         followed = ~clamped[rows[along]]
         self._off = float(path.error[followed].mean()) if followed.any() else self._off

@@ -212,7 +212,7 @@ class Columns:
 
     def clock(self, table: Table, samples: int) -> dict[str, Array]:
         """Return the time column of a table, if it has one or a rate was given."""
-        if self.time is None and self.sample_rate is None and table.fitting("time") != 1:
+        if self.time is None and self.sample_rate is None and not table.fitting("time"):
             return {}
         return {"time_s": time_of(table, samples, self.time, self.sample_rate)}
 
