@@ -39,9 +39,6 @@ from dehyst.model import (
 if TYPE_CHECKING:
     from control import NonlinearIOSystem
 
-# Of the largest step: a first step of this size is held back by the slew rate.
-_STEEP = 1 - 1e-9
-
 
 class Compensator(ReadOnly):
     """Inverse control of the hysteresis within voltage limits (Eqs. 11-12).
@@ -242,9 +239,7 @@ class Compensator(ReadOnly):
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                steepest = _STEEP * self.bounds.largest_step(self.period or 0.0)
-                assumed = None if begin is None or abs(voltage[0] - begin) < steepest else begin
-                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted, assumed)
+                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted, begin)
         except (ClampWarning, ModelError):
             self.restore(before)
             raise
@@ -326,10 +321,8 @@ class Compensator(ReadOnly):
             start=state,
             present=now,
         )
-        low, high = self.limits
-        if assumed is not None and any(
-            command.clamped[:1] & (command.voltage[:1] > low) & (command.voltage[:1] < high)
-        ):
+        slewed = command.clamped & (command.voltage > self.bounds.low) & (command.voltage < self.bounds.high)
+        if assumed is not None and slewed.any():
             command = replace(command, warnings=(*command.warnings, assumed_start(assumed)))
         if temperature is not None and thermal is not None:
             warm = thermal.warmed(command.displacement, temperature)

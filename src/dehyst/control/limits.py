@@ -161,8 +161,8 @@ def outside_identified(
 class ClampWarning(UserWarning):
     """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate.
 
-    `assumed`: voltage [V] from which the slew rate counted, if it is only that of the actuator's own state because no
-    state was given; else None.
+    `assumed`: voltage [V] of the actuator's own state, if the slew rate counted from there because no state was given;
+    else None.
     """
 
     def __init__(self, words: str, assumed: float | None = None) -> None:

@@ -22,6 +22,7 @@ _IN_PROMISE = 0.05
 # The start of a path as text; a known start of another name has its name.
 _BEGINS = {
     "": "",
+    "seen": "",
     "homed": ", from a homed start",
     "unknown": ", from an unknown start",
     "top": ", from the top, after a rise",
@@ -75,12 +76,10 @@ class Judgement:
         rms, largest = (100 * error / stroke for error in self.bounds)
         # A homing leaves a little open always: what is small beside the promise is not mentioned.
         open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins in ("homed", "seen") else 0.0)
-        share = f", {100 * self.start / stroke:.2g} % of it" if open_ else ""
-        if self.begins == "seen":
-            start = share and f"{share} by what the sensor shows more or less than the model"
-        else:
-            start = _BEGINS.get(self.begins, f", from the start {self.begins}") + (share and f"{share} by that")
-        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{start}"
+        cause = "the offset that the sensor shows" if self.begins == "seen" else "the start"
+        share = f"; {cause} causes up to {100 * self.start / stroke:.2g} %" if open_ else ""
+        begins = _BEGINS.get(self.begins, f", from the start {self.begins}")
+        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{begins}{share}"
 
     def lines(self, stroke: float) -> list[str]:
         """Return the promise of a path in a line; no line if it is not known."""
