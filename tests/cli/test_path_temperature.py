@@ -118,6 +118,15 @@ def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
     assert not [one for one in own if "temperature_C" in one]
 
 
+def test_a_path_in_another_unit_is_told_by_its_size(folder):
+    """Metres under a name in micrometres."""
+    columns = {"time_s": TIME, "displacement_um": 5e-6 - 4e-6 * np.cos(np.pi * TIME)}
+    write_columns(folder / "metres.csv", columns)
+    found, _ = follow(folder, "model.json", "metres.csv")
+    assert len([one for one in found["warnings"] if "unit" in one and "8e-06 um" in one]) == 1
+    assert not [one for one in follow(folder, "model.json", "path.csv")[0]["warnings"] if "unit" in one]
+
+
 def test_limits_beyond_the_records_are_reported_as_used(folder):
     inside, _ = follow(folder, "model.json", "warm.csv", "--limits", "0", "200")
     beyond, _ = follow(folder, "model.json", "warm.csv", "--limits", "-50", "400")
@@ -146,10 +155,11 @@ def test_impossible_temperatures_are_refused(folder, words, said):
     assert not (folder / "refused.csv").exists()
 
 
-def test_a_model_without_the_part_ignores_the_column(folder):
-    _, warm = follow(folder, "cold.json", "warm.csv")
-    _, plain = follow(folder, "cold.json", "path.csv")
+def test_a_model_without_the_part_ignores_the_column_and_says_so(folder):
+    (warned, warm), (known, plain) = (follow(folder, "cold.json", path) for path in ("warm.csv", "path.csv"))
     np.testing.assert_array_equal(warm.column("voltage"), plain.column("voltage"))
+    (more,) = set(warned["warnings"]) - set(known["warnings"])
+    assert "temperature_K" in more
 
 
 def test_a_column_is_used_by_all_of_several_axes(folder):

@@ -112,6 +112,10 @@ def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):
     status, _, err = run("run", "sim://play", "--model", "model.json", "--path", "untimed.csv", cwd=folder)
     assert status == 2
     assert "rate" in err
+    write_columns(folder / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
+    status, _, err = run("run", "sim://play", "--model", "model.json", "--path", "point.csv", cwd=folder)
+    assert status == 2
+    assert "1 sample" in err
 
 
 @pytest.mark.parametrize("name", ["run.json", "run.h5", "run"])

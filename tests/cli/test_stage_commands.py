@@ -78,6 +78,8 @@ def test_axes_are_taken_by_their_names(folder):
     assert (folder / "named.csv").read_bytes() == (folder / "turned.csv").read_bytes()
     other = ("--columns", "a=vx_V:x_um, b=vy_V:y_um", "-o", folder / "n.csv")
     assert refused(*words, *other)["argument"] == "axes"
+    twice = refused(*words, "--columns", "x=x_um, y=x_um", "-o", folder / "n.csv")
+    assert (twice["argument"], twice["got"]) == ("axes", "x=x_um, y=x_um")
 
 
 def test_bare_columns_are_taken_by_their_names_too(folder):

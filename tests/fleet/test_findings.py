@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import places
@@ -79,6 +80,23 @@ def test_refused_records_have_their_reason_and_duplicates_are_found(table):
     assert [names for _, names in found.refused] == [(fleet.name(fleet.rows[DEAD]),)]
     assert "constant but for noise" in found.refused[0][0]
     assert found.duplicates == ((fleet.name(fleet.rows[COPY[1]]), fleet.name(fleet.rows[COPY[0]])),)
+
+
+def test_reasons_that_differ_in_numbers_only_are_one_and_records_are_counted(table):
+    found = load(table)
+    reasons = [
+        "record 'S000/0': no column 'volts'; the file holds 3 columns",
+        "S000/1: no column 'volts'; the file holds 12 columns",
+        "S000/2: the time goes back at sample 1.5e3",
+    ]
+    rows = [
+        {**row, "outcome": "refused", "detail": "RecordError", "reason": why}
+        for row, why in zip(found.rows, reasons, strict=False)
+    ]
+    groups = findings_of(replace(found, rows=tuple(rows)))
+    assert [names for _, names in groups.refused] == [("S000/0", "S000/1"), ("S000/2",)]
+    assert [why for why, _ in groups.refused] == [reasons[0][17:], reasons[2][8:]]
+    assert "Without a model (3):" in groups.lines()
 
 
 def test_a_serial_that_ages_is_to_be_recalibrated(table):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.calibration.comparison_loop import replay
 from dehyst.calibration.tracking import PathPlanner
@@ -355,9 +356,11 @@ def read_voltage(path: Path, *, max_bytes: float = MOST) -> WantedVoltage:
 
 def even_rate(path: Path, time: Array) -> float:
     """Return the rate [Hz] of the `time` (n,) [s] in a file; raise `FileFormatError` if it does not rise evenly."""
+    if time.size < 2:
+        raise FileFormatError(f"{path}: got {counted(time.size, 'sample')}, need at least two")
     steps = np.diff(time)
     if not (steps > 0).all():
         raise FileFormatError(f"{path}: the times do not rise; write it with dehyst excite, or correct them")
-    if not steps.size or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
+    if float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
         raise FileFormatError(f"{path}: the times are not evenly spaced; write it with dehyst excite, or resample it")
     return 1 / float(np.median(steps))

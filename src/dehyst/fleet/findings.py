@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from dehyst._errors import FileFormatError, IdentifyError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.fleet.table import CAUSE, Fleet
+from dehyst.fleet.table import Fleet
 
 # Deviations in robust standard deviations beyond which a record is listed: a normal distribution of all quantities
 # would have one record in 200 000 there, one with heavy tails (Student's t, 5 degrees) 0.4 % a quantity.
@@ -26,6 +27,7 @@ _FEWEST = 8
 _QUANTILES = (0.01, 0.25, 0.5, 0.75, 0.99)
 # Lines of a list, and characters of a reason.
 _SHOWN, _REASON = 20, 110
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 # Why an inaccurate record is to be looked at.
 MISSED = "the model misses the record"
 
@@ -152,7 +154,11 @@ class Findings:
             *head,
             *table,
             *_some("Look at", [f"{name}: {'; '.join(words.get(name, [MISSED]))}" for name in self.listed]),
-            *_some("Without a model", [f"{len(names)}: {why} ({names[0]}, ...)" for why, names in self.refused]),
+            *_some(
+                "Without a model",
+                [f"{len(names)}: {why} ({names[0]}{', ...' if len(names) > 1 else ''})" for why, names in self.refused],
+                sum(len(names) for _, names in self.refused),
+            ),
             *_some("Same samples", [" = ".join(group) for group in self.duplicates]),
         ]
 
@@ -171,12 +177,12 @@ class Findings:
         }
 
 
-def _some(title: str, texts: list[str]) -> list[str]:
-    """Return a title, the first texts, and the number of texts."""
+def _some(title: str, texts: list[str], records: int | None = None) -> list[str]:
+    """Return a title with the number of records (default: one for each text), the first texts, and how many remain."""
     if not texts:
         return []
     more = [f"  and {len(texts) - _SHOWN} more, see --json"] if len(texts) > _SHOWN else []
-    return [f"{title} ({len(texts)}):", *(f"  {text}" for text in texts[:_SHOWN]), *more]
+    return [f"{title} ({records or len(texts)}):", *(f"  {text}" for text in texts[:_SHOWN]), *more]
 
 
 def findings_of(fleet: Fleet, *, threshold: float = THRESHOLD) -> Findings:
@@ -217,13 +223,14 @@ def modelled(fleet: Fleet) -> list[Mapping[str, Any]]:
 
 
 def _reasons(fleet: Fleet) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return reasons with the names of their records; records with the same cause share the first one's text."""
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
+    """Return reasons with the names of their records; reasons that differ in numbers only share the first one's."""
+    groups: dict[tuple[str, ...], list[tuple[str, str]]] = defaultdict(list)
     for row in fleet.rows:
         if row["outcome"] in ("refused", "lost"):
-            groups[row["outcome"], row["detail"], row.get(CAUSE)].append(row)
-    found = []
-    for group in sorted(groups.values(), key=lambda group: -len(group)):
-        names, reason = tuple(map(fleet.name, group)), str(group[0]["reason"])
-        found.append((reason.removeprefix(f"record '{names[0]}': ").removeprefix(f"{names[0]}: ")[:_REASON], names))
-    return tuple(found)
+            name, reason = fleet.name(row), str(row["reason"])
+            reason = reason.removeprefix(f"record '{name}': ").removeprefix(f"{name}: ")
+            groups[row["outcome"], row["detail"], _NUMBER.sub("0", reason)].append((name, reason))
+    return tuple(
+        (group[0][1][:_REASON], tuple(name for name, _ in group))
+        for group in sorted(groups.values(), key=lambda group: -len(group))
+    )

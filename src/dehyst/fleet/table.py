@@ -21,8 +21,8 @@ from dehyst._version import __version__
 from dehyst.fleet.dataset import Task, arrow, text_of
 from dehyst.model import Actuator
 
-# Where the record lies in the dataset, where its refusal was raised, and the model as JSON.
-PLACE, CAUSE, MODEL = "place", "cause", "model"
+# Where the record lies in the dataset, and the model as JSON.
+PLACE, MODEL = "place", "model"
 # The columns of the table after the keys, in their order, and their kinds.
 COLUMNS = {
     **dict.fromkeys(("outcome", "detail", "reason"), "text"),
@@ -35,10 +35,10 @@ COLUMNS = {
     "coefficients": "numbers",
     **dict.fromkeys(("version", "sha256"), "text"),
     **dict.fromkeys(("cpu_s", "wall_s", "memory_MB"), "number"),
-    **dict.fromkeys((PLACE, CAUSE, MODEL), "text"),
+    **dict.fromkeys((PLACE, MODEL), "text"),
 }
-# Tables of version 0.1 have neither places nor causes.
-_LATER = (PLACE, CAUSE)
+# Tables of version 0.1 have no places.
+_LATER = (PLACE,)
 # Name of the metadata, and rows in memory at a time.
 MARK, _AT_A_TIME = b"dehyst-fleet", 1000
 

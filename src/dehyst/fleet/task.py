@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from traceback import walk_tb
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +22,7 @@ from dehyst._version import __version__
 from dehyst.fleet.dataset import STAMP, Reader, Task, sha256_of, stamp_of
 from dehyst.fleet.drift import widths
 from dehyst.fleet.prior import Shape, identified_with_prior
-from dehyst.fleet.table import CAUSE, MODEL, PLACE, Shards
+from dehyst.fleet.table import MODEL, PLACE, Shards
 from dehyst.identification import Fit, identify
 from dehyst.records import Choice, Record
 
@@ -146,22 +145,18 @@ def run_task(task: Task, options: FleetOptions, reader: Reader) -> dict[str, Any
     except MissingExtraError:
         raise
     except DehystError as error:
-        row |= _refused(type(error).__name__, str(error), error)
+        row |= _refused(type(error).__name__, str(error))
     except MemoryError:
         row |= _refused("MemoryError", "not enough memory for this record")
     except Exception as error:  # nothing in one record stops the others
-        row |= _refused("error", f"unexpected {type(error).__name__}: {error}", error)
+        row |= _refused("error", f"unexpected {type(error).__name__}: {error}")
     seconds = {"cpu_s": time.process_time() - began, "wall_s": time.perf_counter() - wall}
     return row | seconds | {"memory_MB": peak_memory()}
 
 
-def _refused(detail: str, reason: str, error: Exception | None = None) -> dict[str, Any]:
-    """Return the fields of a row for a refusal; records with the same reason have the same cause (module and line)."""
-    row = {"outcome": "refused", "detail": detail, "reason": reason}
-    if error is not None:
-        *_, (frame, line) = walk_tb(error.__traceback__)
-        row[CAUSE] = f"{frame.f_globals.get('__name__')}:{line}"
-    return row
+def _refused(detail: str, reason: str) -> dict[str, Any]:
+    """Return the fields of a row for a refusal."""
+    return {"outcome": "refused", "detail": detail, "reason": reason}
 
 
 def _identified(record: Record, options: FleetOptions, row: dict[str, Any]) -> dict[str, Any]:

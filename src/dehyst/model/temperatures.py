@@ -200,7 +200,7 @@ def demand_thermal(*thermals: Thermal | None) -> Thermal:
     raise ModelError(
         f"{'this actuator does' if len(thermals) == 1 else 'these actuators do'} not depend on temperature",
         argument="temperature",
-        hint="leave it out, or give the actuator a part Thermal",
+        hint="leave it out, or identify the model from records at several temperatures",
     )
 
 

@@ -138,7 +138,7 @@ def _path(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
         )
     path = path + zero_of_path(actuator, limits, zero)
-    warmth = temperature_of(known, None, columns, table, path.size)
+    warmth = temperature_of(known, None, columns, table, path.size, remark=run.note)
     followed = known.targets(path[:, None], warmth)[:, 0]
     for warning in reach_remarks(actuator, path, limits, zero, warmth, refuse=False):
         run.note(warning)

@@ -218,6 +218,13 @@ class AxesModel:
         if given:
             # Of a record both columns, else the one that is read.
             names = {axis: one.split(":")[-1 if quantity == "displacement" else 0] for axis, one in given.items()}
+            own = [name for name in names.values() if name != MIDDLE]
+            if len(set(own)) < len(own):
+                got, need = (
+                    ", ".join(f"{axis}={name}" for axis, name in names.items()),
+                    "a column of its own for each axis",
+                )
+                raise FileFormatError(argument="axes", got=got, need=need)
         else:
             recorded = {axis: getattr(one, quantity) for axis, one in self.recorded(columns).items()}
             names = recorded if recorded and set(recorded.values()) <= set(table.names) else names
@@ -237,7 +244,7 @@ class AxesModel:
         missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
         if not missing:
             return
-        fits = [column.name for column in table.columns if quantity_of(column.parts[1]) == quantity]
+        fits = [*dict.fromkeys(one.name for one in table.columns if quantity_of(one.parts[1]) == quantity)]
         fits += ["NAME"] * len(self.axes)
         proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
         raise FileFormatError(

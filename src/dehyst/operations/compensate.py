@@ -143,7 +143,7 @@ def compensate(
         read = columns.table(trajectory, several=start is not None and start.path is not None)
         (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
-        warmth = temperature_of(known, temperature, columns, read, len(wanted), remarks.append)
+        warmth = temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)
         clock = columns.clock(read, len(wanted))
         return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
@@ -158,7 +158,7 @@ def compensate(
         path = path.repeated(declared["cycles"]) if path.periodic else path
         rates = {"velocity": path.velocity, "acceleration": path.acceleration}
         moved, time = path.displacement[:, None], {"time_s": path.time}
-        warmth = temperature_of(known, temperature, columns)
+        warmth = temperature_of(known, temperature, columns, remark=remarks.append)
         return _follow(run, known, axes, moved, time, rates, warmth, output, zero, home, [*remarks, *made.warnings])
     remarks += reach_remarks(axes[0].actuator, made.path(axis).displacement, axes[0].limits, zero)
     refuse_cycles(made, cycles)

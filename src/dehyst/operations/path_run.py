@@ -88,7 +88,7 @@ def run_path(
         raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
     known = AxesModel.read(run, model)
     (actuator,) = known.actuators
-    wanted, rate, given = _read(path, known, columns)
+    wanted, rate, given = _read(run, path, known, columns)
     done: list[Repetition] = []
     with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
@@ -144,13 +144,14 @@ def run_path(
     )
 
 
-def _read(path: Path, known: AxesModel, columns: Columns) -> tuple[Array, float, float | Array | None]:
+def _read(run: Run, path: Path, known: AxesModel, columns: Columns) -> tuple[Array, float, float | Array | None]:
     """Return the displacement (n,) [m] in a file, its rate [Hz], and its temperature (n,) [degC] if that counts."""
     table = columns.table(path)
     wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
     if not clock:
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
-    return wanted, even_rate(path, clock["time_s"]), temperature_of(known, None, columns, table, len(wanted))
+    warmth = temperature_of(known, None, columns, table, len(wanted), remark=run.note)
+    return wanted, even_rate(path, clock["time_s"]), warmth
 
 
 class _Promises:

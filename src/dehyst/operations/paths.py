@@ -18,8 +18,8 @@ from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
 from dehyst.records.formats.columns import Table, listed
 
-# Part of the reachable range by which a path may lie outside without a remark.
-_ROUNDING = 1e-6
+# Part of the reachable range by which a path may lie outside without a remark, and below which its unit is doubted.
+_ROUNDING, _TINY = 1e-6, 1e-5
 
 
 @dataclass(frozen=True)
@@ -120,24 +120,29 @@ def temperature_of(
     columns: Columns,
     table: Table | None = None,
     samples: int = 0,
-    remark: Callable[[str], object] = lambda _: None,
+    *,
+    remark: Callable[[str], object],
 ) -> float | Array | None:
     """Return the temperature of a path [degC]: `constant`, or the column (samples,) of its `table`; or None.
 
-    A column that was not asked for is left out if the model does not know of temperatures. `remark` is called if a
-    constant is used instead of a column.
+    A column that was not asked for is left out if the model does not know of temperatures. `remark` is called with a
+    sentence if there is a column that is not used.
     """
     named = columns.temperature is not None
     if constant is not None and named:
         raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
     if constant is not None or named:
         demand_thermal(*(one.thermal for one in known.actuators))
+    own = () if table is None else tuple(one.name for one in table.columns if one.role == "temperature")
     if constant is not None:
-        own = () if table is None else tuple(one.name for one in table.columns if one.role == "temperature")
         if own:
             remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
-    if table is None or not any(one.thermal or tested_temperatures(one) for one in known.actuators):
+    if table is None:
+        return None
+    if not any(one.thermal or tested_temperatures(one) for one in known.actuators):
+        if own:
+            remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
         return None
     return columns.warmth(table, samples)
 
@@ -175,7 +180,7 @@ def reach_remarks(
     *,
     refuse: bool = True,
 ) -> list[str]:
-    """Return a remark on a path (n,) [m] outside of the reachable range, with this range and what to try.
+    """Return remarks on a path (n,) [m] outside of the reachable range, or tiny in it, and what to try.
 
     `temperature`: of the path, (n,) or one [degC]; default: not known, the reference counts. Of several temperatures,
     the range is that which is reached at all of them. Raise `ModelError` if the path is more than a stroke outside,
@@ -201,6 +206,11 @@ def reach_remarks(
             argument="displacement",
             hint=f"check the numbers and their unit{advice and f', or {advice}'}",
         )
+    if 0 < most - least < _TINY * (high - low):
+        return [
+            f"the path covers {1e6 * (most - least):.3g} um of the {1e6 * (high - low):.4g} um that the model reaches; "
+            "check its unit"
+        ]
     margin = _ROUNDING * (high - low)
     if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []

@@ -62,7 +62,7 @@ def simulate(
     given = known.values(table, "voltage", columns)
     time = columns.clock(table, len(given))
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    warmth = temperature_of(known, temperature, columns, table, len(given), warnings.append)
+    warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
     options = {"time": time.get("time_s"), "temperature": warmth, "home": home}
     ranges = [one.voltage_range for one in known.actuators]
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
