@@ -252,9 +252,10 @@ class PathRun:
         loop.learn(ahead, voltage, measured, pause)
         along = rows < self._path.size
         path = TrackedPath(record.time[along], wanted[rows[along]], record.displacement[along], self.stroke)
-        # A first error that is more than was promised has grown too.
-        before = self._errors or [one for one in (judgement.bounds,) if one is not None]
-        self._errors = [*before[-_REMEMBERED:], (rms(path.error), largest(path.error))]
+        if not self._errors and judgement.bounds is not None:
+            # A first error that is more than was promised has grown too.
+            self._errors = [judgement.bounds]
+        self._errors = [*self._errors[-_REMEMBERED:], (rms(path.error), largest(path.error))]
         clamped = loop.clamped(voltage)
         followed = ~clamped[rows[along]]
         self._off = float(path.error[followed].mean()) if followed.any() else self._off

@@ -241,7 +241,7 @@ def unit_hint(units: str, reach: tuple[float, float], displacement: Array) -> tu
         return ()
     return (
         f"all displacements lie within {largest:.3g} {units} of 0, less than a millionth of the reach: are they in "
-        f"metres? This compensator takes displacements in {units}",
+        f"metres? They are taken in {units}",
     )
 
 

@@ -12,14 +12,15 @@ import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits
+from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns
 from dehyst.operations.start import Limits
 from dehyst.records.formats.columns import Table, listed
 
-# Part of the reachable range by which a path may lie outside without a remark, and below which its unit is doubted.
-_ROUNDING, _TINY = 1e-6, 1e-5
+# Part of the reachable range by which a path may lie outside without a remark.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ def reach_remarks(
     *,
     refuse: bool = True,
 ) -> list[str]:
-    """Return remarks on a path (n,) [m] outside of the reachable range, or tiny in it, and what to try.
+    """Return remarks on a path (n,) [m] outside of the reachable range, or in another unit, and what to try.
 
     `temperature`: of the path, (n,) or one [degC]; default: not known, the reference counts. Of several temperatures,
     the range is that which is reached at all of them. Raise `ModelError` if the path is more than a stroke outside,
@@ -206,11 +207,9 @@ def reach_remarks(
             argument="displacement",
             hint=f"check the numbers and their unit{advice and f', or {advice}'}",
         )
-    if 0 < most - least < _TINY * (high - low):
-        return [
-            f"the path covers {1e6 * (most - least):.3g} um of the {1e6 * (high - low):.4g} um that the model reaches; "
-            "check its unit"
-        ]
+    from_zero = wanted if zero is None else wanted - least
+    if hint := unit_hint("um", (1e6 * low, 1e6 * high), 1e6 * from_zero):
+        return [*hint]
     margin = _ROUNDING * (high - low)
     if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []
