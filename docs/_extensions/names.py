@@ -22,6 +22,7 @@ ORDER = (
     "check_a_month_later",
     "compare_models",
     "measured_stage",
+    "published_equation",
     "production_line",
     "control_loop",
     "saturating_limits",
