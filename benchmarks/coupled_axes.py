@@ -118,9 +118,9 @@ def measure(kinds, seed, bent):
     for j in range(3):
         exact = [one.axis(j, (one.displacement @ np.linalg.inv(stage.coupling).T)[:, j]) for one in (training, held)]
         by_itself = dehyst.identify(exact[0], validate=exact[1], throw=False)
-        floor.append(100 * by_itself.errors[-1].largest / strokes[j])
+        floor.append(100 * by_itself.errors[-1].settled_largest / strokes[j])
         alone = dehyst.identify(training.axis(j), validate=held.axis(j), throw=False)
-        single.append(100 * alone.errors[-1].largest / strokes[j])
+        single.append(100 * alone.errors[-1].settled_largest / strokes[j])
     held_out = [error for error in fit.errors if error.role == "validation"]
     return {
         "seed": seed,
