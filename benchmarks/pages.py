@@ -6,53 +6,18 @@ A page has a line `<!-- figures: NAME -->` for each entry of `BLOCKS`. With --ch
 is 0 if all pages contain their figures already.
 """
 
-import json
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
-from pathlib import Path
 from statistics import median
 
+from how_to_tables import coupled, creep, firmware, fleet, lives, loop, temperature, updates
+from page_tables import LINEAR, OURS, ROOT, Row, both, data, held_out, table, worst
 from strangers.command import table as strangers_table
 
 from dehyst.identification.rules import DecisionRules
-
-ROOT = Path(__file__).resolve().parents[1]
-LINEAR = "linear ratio"
-OURS = ("dehyst", "dehyst, paper's", "dehyst, told the voltage only")
-Row = Sequence[str]
-
-
-@cache
-def data(name: str) -> dict:
-    """Return the results of a benchmark."""
-    return json.loads((ROOT / "benchmarks" / f"{name}.json").read_text())
-
-
-def table(head: Row, rows: Iterable[Row]) -> list[str]:
-    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
-
-
-def both(error: dict | None) -> str:
-    """Largest and RMS error."""
-    return "-" if error is None else f"{error['largest_percent']:.2f}, {error['rms_percent']:.3f}"
-
-
-def worst(row: dict | None) -> dict | None:
-    """Errors of the seed with the largest error."""
-    tracked = [] if row is None else row["tracking"].values()
-    return max(tracked, key=lambda one: (one["largest_percent"], one["rms_percent"]), default=None)
-
-
-def held_out(row: dict | None) -> dict | None:
-    errors = [] if row is None else [one for one in row["errors"] if one["role"] == "validation"]
-    return errors[0] if errors else None
-
-
-# README
 
 
 def readme() -> list[str]:
@@ -94,9 +59,6 @@ def best(what: str, errors: dict[str, tuple[float, float]]) -> Row:
     first = min(other, "dehyst", key=lambda name: errors[name])
     cells[first] = f"**{cells[first]}**"
     return what, cells[LINEAR], f"{cells[other]}, {other}", cells["dehyst"]
-
-
-# docs/benchmarks.md
 
 
 def accuracy() -> list[str]:
@@ -275,89 +237,6 @@ def calibrations() -> list[str]:
     return table((what, "seconds", "constant ratio, largest %", "compensated, largest %", "RMS %"), rows)
 
 
-# docs/how_to/fleet.md
-
-
-def fleet() -> list[str]:
-    found = data("fleet")
-    plain, auto = found["found"], found["auto_found"]
-    words = {
-        "dead": lambda one: f"{one['dead_refused_with_reason']} refused with a reason",
-        "noisy": lambda one: f"{one['listed'].get('noisy', 0)} listed",
-        "drifting": lambda one: f"{one['listed'].get('drifting', 0)} listed",
-        "duplicate": lambda one: f"{one['duplicates_found']} found",
-        "healthy": lambda one: f"{one['listed'].get('healthy', 0)} listed: {one['false_alarm_percent']:.2g} %",
-    }
-    listed = ([kind, str(plain["kinds"][kind]), of(plain), of(auto)] for kind, of in words.items())
-    aged = (
-        [
-            f"`{name}`",
-            f"{one['ageing_found']} of {one['ageing_serials']}",
-            f"{one['healthy_to_recalibrate']} of {one['healthy_serials']}",
-        ]
-        for name, one in (("plain", found["aged"]), ("auto", found["auto_aged"]))
-    )
-    return [
-        *table(("of", "number", "found by `plain`", "found by `--structure auto`"), listed),
-        "",
-        *table(("to recalibrate", "serials that age", "healthy serials"), aged),
-        "",
-        *table(("killed (`kill -9`)", "the table"), fleet_kills(found)),
-        "",
-        *fleet_costs(found),
-    ]
-
-
-def fleet_kills(found: dict) -> list[Row]:
-    names = {
-        "killed_workers": "four workers, one after another",
-        "killed_client": "the client, then `--resume`",
-        "killed_scheduler": "the scheduler of `dask scheduler`, then another one and `--resume`",
-    }
-    rows = [
-        [words, "each row once, and the same" if found[name]["exactly_once"] else "ROWS DIFFER"]
-        for name, words in names.items()
-        if name in found
-    ]
-    one = found["rehearsal"]
-    words = (
-        f"{one['kills']} times at any moment, `--resume` on records that were added, removed or changed, with names of "
-        f"any bytes; {one['double_starts']} double starts"
-    )
-    return [*rows, [words, f"{len(one['faults'])} tables with a fault"]]
-
-
-def fleet_costs(found: dict) -> list[str]:
-    head = (
-        *("run", "records", "time", "processor time a record", "over the sum of tasks", "in processor time"),
-        "a worker",
-    )
-    rows = []
-    for name, words in (("processes", "processes"), ("auto", "processes, `--structure auto`")):
-        one = found[name]
-        costs = [f"{one['wall_s']:.0f} s", f"{one['task_cpu_s']['mean']:.2f} s"]
-        costs += [f"{one[f'overhead_{kind}_percent']:.1f} %" for kind in ("wall", "cpu")]
-        rows.append([words, str(one["records"]), *costs, f"{one['worker_MB']:.0f} MB"])
-    one = found["paper"]
-    return [
-        *table(head, rows),
-        "",
-        "A million records, calculated from these figures:",
-        "",
-        f"- {one['plain_core_hours']:.0f} core hours (`plain`), {one['cores_for_a_day']:.1f} cores for a day; "
-        f"{one['auto_core_hours']:.0f} core hours (`auto`);",
-        f"- {one['dataset_GB']:.0f} GB of records in Parquet, {one['table_GB']:.1f} GB of table; "
-        f"the index takes {60 * one['index_minutes']:.0f} s;",
-        f"- it breaks first at the footer of a single Parquet file, which every worker holds: "
-        f"{one['footer_memory_bytes_a_row_group'] / 1e3:.1f} kB of memory a row group, so about "
-        f"{round(one['row_groups_a_file_at_most'], -4):,} records a file within 350 MB a worker. Split a larger "
-        "dataset into a folder of Parquet files.",
-    ]
-
-
-# docs/benchmarks.md: a fleet on a cluster
-
-
 def cluster() -> list[str]:
     """Rate, memory and processor time of a large fleet on a scheduler's workers, and what deaths of processes do."""
     found = data("fleet")["scale"]
@@ -398,55 +277,6 @@ def cluster() -> list[str]:
         f"with {held['index']:.1f} kB of index and, at the end, {held['rows']:.1f} kB of row for each record;",
         f"- a table of {million['table_GB']:.1f} GB.",
     ]
-
-
-# docs/how_to/control.md
-
-
-def loop() -> list[str]:
-    """Followed in three ways: errors on lines and sines, bandwidth, disturbances."""
-    found = data("loop")
-    head = (
-        *("", "lines at 5 Hz, largest, RMS error %", "sines of 0.7 to 17 Hz together, largest, RMS error %"),
-        *("bandwidth, sines of 0.5 % of the stroke", "of 20 % of the stroke", "disturbances taken away up to"),
-        "gain of the integral",
-    )
-    names = {"feedback": "integral feedback", "feedforward": "feedforward (dehyst)", "both": "both"}
-    rows = []
-    for kind, name in names.items():
-        cells = [both(found["tracking"][path][kind]) for path in ("triangle", "tones")]
-        cells += [bandwidth(found["bandwidth"][size][kind]) for size in ("small", "large")]
-        away, gain = found["rejecting_to_Hz"][kind], found["integral"].get(kind)
-        cells += [f"{away:.2g} Hz" if away else "none", "-" if gain is None else f"{gain['gain_per_s']:.0f} /s"]
-        rows.append([name, *cells])
-    model, true = found["identified"], found["stage"]
-    alone, together = (pushed(found["larger_gains"][kind]) for kind in ("feedback", "both"))
-    return [
-        *table(head, rows),
-        "",
-        f"Identified: {model['resonance_Hz']:.1f} Hz ({true['resonance_Hz']:g}), damping {model['damping']:.4f} "
-        f"({true['damping']:g}), delay {1e3 * model['delay_s']:.3f} ms ({1e3 * true['delay_s']:g}), steepest branch "
-        f"{model['steepest']:.2f} times the mean slope; the path is known {model['samples_ahead']} samples ahead.",
-        "",
-        f"On the lines the integral alone swings with {alone[0]} that gain (best before: {alone[1]:.2f} %), both with "
-        f"{together[0]} theirs (best before: {together[1]:.2f} %).",
-    ]
-
-
-def pushed(rows: list[dict]) -> tuple[str, float]:
-    """How many times its gain a loop swings with, and the least largest error of smaller ones."""
-    words = f"{rows[-1]['times']} times" if rows[-1]["swings"] else f"more than {rows[-1]['times']} times"
-    return words, min(row["largest_percent"] for row in rows if not row["swings"])
-
-
-def bandwidth(found: dict) -> str:
-    """-3 dB, and where the gain rises above +3 dB before that."""
-    down, up = found["down_3_dB_Hz"], found["up_3_dB_Hz"]
-    words = f"{down:.3g} Hz" if down is not None else f"above {found['swept_to_Hz']:g} Hz"
-    return words if up is None or (down is not None and up > down) else f"{words} (up at {up:.3g} Hz)"
-
-
-# docs/explanation/safety.md
 
 
 def faults() -> list[str]:
@@ -504,30 +334,6 @@ def samples(one: dict) -> str:
     return f"{one['came']} written by then, {one['on_disk']}; in the end {one['again']['on_disk']}"
 
 
-# docs/explanation/trust.md
-
-
-def temperature() -> list[str]:
-    """Errors at temperatures that were held out."""
-    keys = {
-        "constant": "constant",
-        **{f"{t} °C, promised": f"with, {t}" for t in (22, 38)},
-        "55 °C, not tested, promised": "with, 55",
-        "38 °C, not known, promised": "unknown, 38",
-        "no channel: 22 °C": "without, 22",
-        "38 °C": "without, 38",
-        "promised": "promised without",
-    }
-    bounds = {"with, 22": "promised, 22", "with, 38": "promised, 38", "with, 55": "promised, 55"}
-    bounds["unknown, 38"] = "promised unknown"
-
-    def cell(row: dict[str, float], key: str) -> str:
-        return f"{row[key]:.2f}" + (f", {row[bounds[key]]:.2f}" if key in bounds else "")
-
-    rows = [[row["truth"], *(cell(row, key) for key in keys.values())] for row in data("temperature")["rows"]]
-    return table(("", *keys), rows)
-
-
 def promise() -> list[str]:
     """Coverage and sharpness of the promise."""
     found = data("promise")
@@ -556,9 +362,6 @@ def promise() -> list[str]:
     return table(head, rows)
 
 
-# docs/reference/decision_rules.md
-
-
 def rules() -> list[str]:
     """Return the fields of the class of the rules."""
     # The first rule of each table, and its heading.
@@ -578,50 +381,6 @@ def rules() -> list[str]:
         row = f"`{rule.name}`", f"{rule.default:g}", rule.metadata["unit"], rule.metadata["reason"]
         lines.append(f"| {' | '.join(row)} |")
     return lines[1:]
-
-
-# Page, name of its markers, and the function that returns the lines between them.
-# docs/how_to/keep_true.md
-
-
-def lives() -> list[str]:
-    """Errors of truths over 200 cycles, with a model that adapts and with one that stays as it is."""
-    found: dict[str, list[dict]] = {}
-    for part, prefix in (("life", ""), ("unseen", "three others: ")):
-        for row in data("adaptation")[part]:
-            found.setdefault(prefix + row["scenario"], []).append(row)
-
-    def errors(rows: list[dict], key: str) -> str:
-        values = [row[key][0] for row in rows]
-        return f"{median(values):.2f}, {max(values):.2f}"
-
-    def ratios(rows: list[dict], key: str) -> str:
-        values = [row[key] for row in rows]
-        return f"{median(values):.2f}, {max(values):.2f}"
-
-    head = ("", "adapting", "frozen", "their ratio", "over the life", "in the worst cycle")
-    return table(
-        head,
-        (
-            (
-                scenario,
-                *(errors(rows, f"{kind}_end") for kind in ("adaptive", "frozen")),
-                *(ratios(rows, key) for key in ("end_ratio", "life_ratio", "worst_cycle_ratio")),
-            )
-            for scenario, rows in found.items()
-        ),
-    )
-
-
-def updates() -> list[str]:
-    """Errors of aged models on a new path: as they were, updated, and identified from new records."""
-    head = ("truth", "old model", "updated by one loop", "and a minor loop", "identified anew")
-    keys = ("old", "one loop", "loop and minor loop", "anew")
-    rows = data("adaptation")["update"]
-    return table(head, ((row["truth"], *(f"{row[key][0]:.2f}, {row[key][1]:.2f}" for key in keys)) for row in rows))
-
-
-# paper/paper.md
 
 
 def costs() -> list[str]:
@@ -646,6 +405,7 @@ def costs() -> list[str]:
     return textwrap.wrap(text.replace(" %", "\N{NO-BREAK SPACE}%"), 120)
 
 
+# Page, name of its markers, and the function that returns the lines between them.
 BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "README.md": {"benchmarks": readme},
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
@@ -654,6 +414,9 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
         for one in (accuracy, baselines, strangers, paper, speed, steps, banks, saturation, calibrations, cluster)
     },
     "docs/how_to/fleet.md": {"fleet": fleet},
+    "docs/how_to/coupled_axes.md": {"coupled": coupled},
+    "docs/how_to/creep.md": {"creep": creep},
+    "docs/how_to/firmware.md": {"firmware": firmware},
     "docs/how_to/control.md": {"loop": loop},
     "docs/explanation/safety.md": {"faults": faults},
     "docs/explanation/trust.md": {"promise": promise},
