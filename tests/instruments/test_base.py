@@ -7,6 +7,7 @@ import sys
 import textwrap
 import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import places
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.calibration.plan import Plan, steps
-from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, VoltageNote
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, VoltageNote, host_timed
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import SensorWatch
 from dehyst.waveforms import Excitation
@@ -329,6 +330,28 @@ def test_a_leaf_that_fails_from_a_high_voltage_on_is_brought_back(name, error):
         assert isinstance(caught.value.__cause__, DeviceError)
     else:
         assert caught.value.__notes__ == [BROUGHT]
+
+
+@pytest.mark.parametrize("number", [2, 30, 77])
+def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_reading_fails(number):
+    rig, reads = FakeRig((0.0, 100.0), slew_rate=600.0), []
+    read = rig._read
+
+    def reading():
+        if rig.instrument.voltage > 0:
+            reads.append(rig.instrument.voltage)
+            if len(reads) >= number:
+                raise OSError("unplugged")
+        return read()
+
+    rig._read, rig._wave = reading, partial(host_timed, rig)
+    with pytest.raises(DeviceError, match="unplugged") as caught:
+        rig.play(UP)
+    assert caught.value.__notes__ == [BROUGHT]
+    sent = np.array(rig.instrument.sent)
+    assert sent.max() == pytest.approx(0.5 * number)
+    assert np.abs(np.diff(sent)).max() <= 1.0 + 1e-9
+    assert sent[-1] == 0.0
 
 
 def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against():

@@ -557,6 +557,8 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Sample
     period, readings, yielded = 1 / rate, [], time.monotonic()
     for v in voltage:
         rig._put(float(v))
+        # From here a retreat begins if the reading fails: samples come later than voltages.
+        rig._last_voltage = float(v)
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = time.monotonic()
         readings.append(rig._read())
