@@ -99,9 +99,13 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
         # By default the whole range in 0.1 s.
         assert found["slew_V_per_s"] == (1e9 if "1e9" in given else pytest.approx(10 * found["limits_V"][1]))
         notes[given] = [line for line in err.splitlines() if "limits" in line or "slew rate" in line]
-    assert [len(lines) for lines in notes.values()] == [0, 1, 1, 0]
     recorded = dehyst.Actuator.load(folder / "model.json").recorded_slew_rate
-    assert f"{1e9 / recorded:.3g} times" in notes["--slew-rate", "1e9"][0]
+    for given, rate in (((), 2000), (("--slew-rate", "1e9"), 1e9), (("--limits", "0", "190"), 1900)):
+        (note,) = notes[given]
+        assert f"{rate / recorded:.3g} times" in note
+    assert len(notes["--limits", "-50", "400"]) == 2
+    slow = run(*words, "--slew-rate", f"{0.9 * recorded}", cwd=folder)[2]
+    assert " times " not in slow
 
 
 def test_what_has_no_effect_or_cannot_be_followed_is_refused(folder):

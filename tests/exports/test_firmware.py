@@ -565,6 +565,15 @@ def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
     assert readme.startswith("# " + (name if kept is None else "a*/b c") + ": a compensator in C")
 
 
+def test_limits_beyond_the_records_are_named(tmp_path):
+    model = tmp_path / "model.json"
+    replace(compiled_exports.plain().actuator, limits=(0.0, 200.0)).save(model)
+    for high, count in ((200, 0), (250, 1)):
+        words = ("export", model, f"to{high}", "--limits", "0", high, "--no-measure", "--json")
+        warned = [one for one in json.loads(run(*words, cwd=tmp_path)[1])["warnings"] if "0 to 200 V" in one]
+        assert len(warned) == count
+
+
 def test_on_the_command_line(tmp_path):
     made = compiled_exports.plain()
     model = tmp_path / "model.json"

@@ -94,8 +94,8 @@ class VoltageLimits:
         if size and not first:
             raise ModelError(
                 "a slew rate needs the time since the voltage before, which one sample does not give",
-                hint="give two at least, or the period [s] between them",
-                change=("period",),
+                hint="give two at least, or no slew rate",
+                change=("slew_rate",),
             )
         return self.slew_rate * np.concatenate([[min(first, default=0.0)], intervals])[:size]
 

@@ -13,6 +13,7 @@ from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, rates_of
 from dehyst.operations.declaration import Folder, Input, Only, OperationError, Values, operation
 from dehyst.operations.files import AS_FOUND
+from dehyst.operations.paths import coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import Start, start_words, starts_of
 
@@ -114,6 +115,8 @@ def export(
         compensator = Compensator(known.actuators[0], bounds[0], slews[0], **options)
         loops = (compensator,)
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
+    if kind != "actuator":
+        remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
     chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "fmu": fmu, "kind": kind}
     written = target.write(compensator, directory, chosen)
     remarks += [*written.remarks]

@@ -99,8 +99,9 @@ def run_path(
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
         bounds = VoltageLimits(*follower.limits, instrument.slew_rate)
         remarks = bounds_remarks(limits, slew_rate, bounds, "device and model allow no more")
-        if slew_rate is not None:
-            remarks.append(PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate).words)
+        slew = PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate)
+        if slew_rate is not None or slew.times > 1:
+            remarks.append(slew.words)
         warmth = None if follower.measures_temperature else given
         for remark in [*remarks, *reach_remarks(actuator, wanted, follower.limits, zero, warmth)]:
             run.note(remark)

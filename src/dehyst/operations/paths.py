@@ -70,11 +70,15 @@ class PathSlew(NamedTuple):
         return self if timed or self.origin != "records" else PathSlew(None, "no time")
 
     @property
+    def times(self) -> float:
+        """The slew rate in multiples of that of the model's records; 0 if one of them is not known."""
+        return (self.bound or 0.0) / (self.recorded or np.inf)
+
+    @property
     def words(self) -> str:
         """The slew rate and its origin as text."""
         bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
-        times = (self.bound or 0.0) / (self.recorded or np.inf)
-        more = f", {times:.3g} times the speed of the model's records" if times > 1 else ""
+        more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
         words = {
             "option": f"{bound}{more}",
             "records": f"{bound}, the speed of the model's records and a margin of 5 % (--slew-rate V/S changes it, "

@@ -227,7 +227,10 @@ def delay_warnings(actuator: Actuator) -> list[str]:
     """Warn of the delay of the stage, if it has one."""
     if not actuator.delay:
         return []
-    return [f"the measured displacement lagged by {actuator.delay * 1e3:.4g} ms: expect it that much later"]
+    return [
+        f"the displacement lagged by {actuator.delay * 1e3:.4g} ms in the records: expect it that much later, unless "
+        "it was the sensor that lagged"
+    ]
 
 
 def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None) -> list[str]:

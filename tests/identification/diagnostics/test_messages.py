@@ -132,6 +132,8 @@ def test_a_remark_that_asks_for_a_record_has_a_command_that_writes_its_voltage(l
         *messages.of_one_ended_loops([through(0, 100, 0, 70, 0, 40, 0)], drive),
     ]
     assert len(remarks) == 5
+    asked = float(re.search(r"--hold (\S+)", messages.of_creep_not_tried(9.0, 11.0, drive))[1])
+    assert asked >= 11.0
     for remark in remarks:
         words = shlex.split(remark[remark.index("dehyst excite") :])
         done = CliRunner().invoke(main, [*words[1:], "--force"])

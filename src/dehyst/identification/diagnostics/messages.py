@@ -22,6 +22,8 @@ from dehyst.waveforms import Sampling
 
 # Fewer turns are no protocol.
 _FEWEST_TURNS = 4
+# A proposed hold in multiples of the least that shows creep.
+_AMPLE = 1.05
 
 LONGER_ELEMENTS = (
     "The loops grow. Elements that slide once only, as the range gets wider, lower the error of the records simulated "
@@ -61,9 +63,9 @@ def _command(drive: Sampling, kind: str, options: str) -> str:
     return drive.command(f"{kind} {highest} {options}")
 
 
-def _staircase(drive: Sampling) -> str:
-    """Return the command for steps that are held for as long as a cycle lasts, which show creep."""
-    return _command(drive, "staircase", f"--hold {2 * drive.half:.3g}")
+def _staircase(drive: Sampling, least: float = 0.0) -> str:
+    """Return the command for steps that are held for as long as a cycle lasts, or `least` [s], which show creep."""
+    return _command(drive, "staircase", f"--hold {max(2 * drive.half, _AMPLE * least):.3g}")
 
 
 def hold(drive: Sampling) -> str:
@@ -77,7 +79,7 @@ def of_creep_not_tried(longest: float, needed: float, drive: Sampling) -> str:
     short = f" The longest hold, {longest:.3g} s, is {needed - longest:.3g} s too short." if longest else ""
     return (
         "Creep was not looked for: the records neither hold still for as long as their cycles last nor have loops of "
-        f"one height at two speeds.{short} Add slower loops or a staircase: {_staircase(drive)}"
+        f"one height at two speeds.{short} Add slower loops or a staircase: {_staircase(drive, needed)}"
     )
 
 
