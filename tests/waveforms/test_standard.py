@@ -1,6 +1,7 @@
 """Excitations: they turn where they should, keep limits and slew rate, and show what theory says they show."""
 
 import math
+import re
 from functools import partial
 from itertools import pairwise
 
@@ -330,6 +331,10 @@ class TestRamps:
         assert np.flatnonzero(made.voltage == 0)[0] == math.ceil(4 * 200 * math.pi / 2)
 
 
+def numbers(sentence):
+    return [float(one) for one in re.findall(r"\d+(?:\.\d+)?", sentence)]
+
+
 class TestSlewRate:
     def test_a_leg_that_meets_it_exactly_is_left_alone(self):
         triangle = raised_cosine(200.0, drive=Sampling(shape="triangle", slew_rate=4.0))
@@ -340,17 +345,15 @@ class TestSlewRate:
     def test_only_legs_that_are_too_steep_take_longer(self):
         made = raised_cosine([200.0, 50.0], drive=Sampling(shape="triangle", slew_rate=2.0))
         assert made.duration == 300.0
-        assert made.warnings == (
-            "2 of 4 legs take longer to keep 2 V/s, up to 100 s for 50 s; the whole takes 300 s for 200 s",
-        )
+        (warning,) = made.warnings
+        assert numbers(warning) == [2, 4, 2, 100, 50, 300, 200]
         assert np.abs(np.diff(made.voltage[:801])).max() == pytest.approx(0.5)
 
     def test_holds_and_the_ramp_from_the_present_voltage_are_not_counted(self):
         drive = Sampling(present=50.0, slew_rate=1.0, shape="triangle", sample_rate=1.0)
         made = staircase(100.0, steps=2, hold=10.0, ramp=25.0, drive=drive)
-        assert made.warnings == (
-            "4 of 4 legs take longer to keep 1 V/s, up to 50 s for 25 s; the whole takes 290 s for 190 s",
-        )
+        (warning,) = made.warnings
+        assert numbers(warning) == [4, 4, 1, 50, 25, 290, 190]
 
     def test_a_cosine_is_steeper_than_its_mean(self):
         made = raised_cosine(200.0, drive=Sampling(slew_rate=4.0))

@@ -159,7 +159,9 @@ class Recheck:
             f"stroke without the sensor's noise (goal {self.goal:g} %)"
         )
         if self.ratio is not None and self.before is not None:
-            text += f"; with it {self._percent(self.largest)}, then {self._percent(self.before)}"
+            text += (
+                f"; with noise {self._percent(self.largest)}, and {self._percent(self.before)} when it was identified"
+            )
         if self.promise is not None and not self.mismatch:
             promised = f"{self._percent(self.promise.largest)} on this path from its fitted start"
             text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"

@@ -309,8 +309,9 @@ class Sampling:
         moving = sum(leg.requested and leg.start != leg.end for leg in legs)
         intended = total - sum(m - n for n, m in longer)
         warning = (
-            f"{len(longer)} of {moving} legs take longer to keep {self.slew_rate:g} V/s, up to {m / self.rate:.4g} s "
-            f"for {n / self.rate:.4g} s; the whole takes {total / self.rate:.5g} s for {intended / self.rate:.5g} s"
+            f"{len(longer)} of {moving} legs are slower than requested, to keep {self.slew_rate:g} V/s: up to "
+            f"{m / self.rate:.4g} s instead of {n / self.rate:.4g} s, and {total / self.rate:.5g} s instead of "
+            f"{intended / self.rate:.5g} s in all"
         )
         return Excitation(name, voltage, self.rate, (warning,))
 

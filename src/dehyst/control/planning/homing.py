@@ -317,8 +317,8 @@ def _homing_in_time(
         remarks.append(f"shorter holds would leave more: {left}")
     if not keeps_order(actuator):
         remarks.append(
-            f"found by simulating {len(task.states)} extreme and random histories, not proven: the states of an "
-            f"actuator that {reasons} keep no order"
+            f"simulated from {len(task.states)} extreme and random histories to end in a known state, not proven: this "
+            f"actuator {reasons}"
         )
     unknown = np.flatnonzero(bounds.widths > least).tolist()
     turns = task.turns(legs)
