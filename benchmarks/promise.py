@@ -307,7 +307,7 @@ def main():
         rows, results[part] = measured(part, given.seed, given.jobs)
         if given.rows:
             (given.rows / f"{part}.json").write_text(json.dumps(rows))
-    OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
+        OUTPUT.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":
