@@ -125,10 +125,12 @@ function pace({ range_v: [low, high], slew_v_per_s: slew }) {
   return slew ? (0.5 * slew) / (high - low) : Infinity;
 }
 
+// Suggested paths a second, one at most: the first quarter goes through 0.55 of the range.
+const frequency = (axis) => roundDown(Math.min(1, pace(axis) / 2.2));
+
 function firstPoints() {
   const [low, high] = drawnAxis().range_um;
-  // The first quarter goes through 0.55 of the range.
-  const seconds = 1 / roundDown(Math.min(1, pace(drawnAxis()) / 2.2));
+  const seconds = 1 / frequency(drawnAxis());
   return [0.2, 0.75, 0.35, 0.6, 0.2].map((share, k) => [(k / 4) * seconds, low + share * (high - low)]);
 }
 
@@ -141,6 +143,8 @@ function adopt(model) {
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
   form.values.slew = model.slew_v_per_s ? plain(model.slew_v_per_s, 6) : "";
+  // Steps of a slow path are small at a lower rate too, and a plan that follows the hand has ten thousand at most.
+  form.values.rate = plain(Math.min(1000, 10_000 * frequency(drawnAxis())), 6);
   scans.suggest(model.range_um, pace(model));
   replan();
 }
