@@ -220,11 +220,8 @@ class AxesModel:
             names = {axis: one.split(":")[-1 if quantity == "displacement" else 0] for axis, one in given.items()}
             own = [name for name in names.values() if name != MIDDLE]
             if len(set(own)) < len(own):
-                got, need = (
-                    ", ".join(f"{axis}={name}" for axis, name in names.items()),
-                    "a column of its own for each axis",
-                )
-                raise FileFormatError(argument="axes", got=got, need=need)
+                got = ", ".join(f"{axis}={name}" for axis, name in names.items())
+                raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
         else:
             recorded = {axis: getattr(one, quantity) for axis, one in self.recorded(columns).items()}
             names = recorded if recorded and set(recorded.values()) <= set(table.names) else names
