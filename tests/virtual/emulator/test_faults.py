@@ -33,7 +33,7 @@ SAID = {
     "stall": (1, r".*: no new sample for [\d.]+ s, \d+ of 4291 came; check the data recorder", SAFE, GOES_ON),
     "narrow": (1, r".*: error 302: the voltage is out of its limits; .*request narrower limits", SAFE),
     "beyond": (2, r"beyond: 0 to 250 V, but .* may have 0 to 200 V; request less, .*; nothing was sent"),
-    "wide": (0, r"-50 to 300 V was given, 0 to 200 V is used"),
+    "wide": (0, r".*-50 to 300 V was given, 0 to 200 V is used"),
     "astray": (1, r".*: stands at 150 V, but 0 to 100 V is allowed; bring it there by hand, or widen the limits", LOST),
     "servo": (1, r".*: its servo was on and is switched off", r".*(closed|lost)", SAFE, GOES_ON),
     "playing": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
