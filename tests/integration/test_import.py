@@ -29,6 +29,11 @@ def test_import_loads_nothing_heavier_than_numpy():
     assert outside == {"dehyst"}
 
 
+def test_no_room_loads_a_heavy_library_before_it_is_used():
+    rooms = ("calibration", "trust", "report", "fleet", "operations.registry", "workbench.server", "adaptation")
+    assert not loaded_by(f"import {', '.join(f'dehyst.{room}' for room in rooms)}") & HEAVY
+
+
 def test_a_room_is_loaded_when_a_name_of_it_is_used():
     program = """
 import json, sys, dehyst

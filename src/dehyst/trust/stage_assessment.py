@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from dehyst._errors import RecordError
 from dehyst._types import Array
@@ -84,7 +83,9 @@ def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9
     _refuse_other_axes(stage, records)
     columns = PlayColumns.of(records)
     found, own = coupling_by_plays(columns), separate_motion(columns)
-    half = found.uncertainty * float(norm.ppf(0.5 + level / 2))
+    from scipy.special import ndtri
+
+    half = found.uncertainty * float(ndtri(0.5 + level / 2))
     # The models follow the records closer than plays do: the interval is laid around their matrix.
     low, high = stage.coupling - half, stage.coupling + half
     insights = tuple(
