@@ -6,6 +6,8 @@ Chandra and others (2023) found an equation of five terms for a piezoelectric ac
 published the record with it. Their comparison is done again here, with a model of dehyst beside the equation.
 """
 
+from textwrap import fill
+
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -14,12 +16,12 @@ import dehyst
 
 # %%
 # The file is in the repository, in ``examples/measured/sine150``, with its source and licence, and is read as its
-# authors published it. They took two cycles of a sine for training; what is before these, nobody's model has seen.
+# authors published it. They took two cycles of a sine for training; neither model has seen what is before these.
 columns = "-,time:s,displacement:um,voltage:V"
 record = dehyst.read("../measured/sine150/hysteresis_v_150_1hz.csv", columns=columns)
 training, before = record[35_000:45_000].with_name("training"), record[:35_000].with_name("not seen")
 fit = dehyst.identify(training, validate=before)
-print("\n".join(fit.summary().splitlines()[:2]))
+print(fill(" ".join(fit.summary().splitlines()[:2]), 85))
 
 
 # %%
