@@ -106,7 +106,7 @@ class Scene:
         self.holder.play()
 
     def _rise(self, level: float) -> None:
-        """Wait until a wave rises through a level [V]; play it anew if it was stopped, as a busy machine beats late."""
+        """Wait until a wave rises through a level [V]; play it anew if the watchdog of a busy machine stopped it."""
         for again in ("wave-second", "wave-third", ""):
             if self.controller.wait_for(lambda: self.controller.rises_through(level), _TO_THE_TOP):
                 return

@@ -12,6 +12,7 @@ from workbench_client import served
 from workbench_page import CHROMIUM, chromium, emulator, visit
 from workbench_tour import PICTURES, played
 
+from dehyst.model import Actuator
 from dehyst.records import read_table, write_record
 from examples import at_night
 
@@ -116,13 +117,14 @@ def test_an_identification_shows_its_progress_and_can_be_cancelled(person, loops
 
 
 @pytest.mark.nightly
-def test_an_identification_can_be_finished_with_the_best_so_far(person, loops):
+def test_an_identification_can_be_finished_with_the_best_so_far(person, bench, loops):
     person.drop(loops)
     person.sees("3.000 in", within="#records")
     person.click("button", "Identify a model")
     person.sees("a first model exists", within="#running")
     person.click("button", "Finish with the best so far", within="#running")
     person.sees("is the largest error to expect", within="#model")
+    assert Actuator.load(bench.folder / "models" / "loops.json").identification.largest_error > 0
 
 
 def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
@@ -137,7 +139,7 @@ def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
     table = {column.name: column.data for column in read_table(file).columns}
     assert table["voltage_V"].min() >= 0
     assert table["voltage_V"].max() <= 100
-    # Of a slow model too: then every change is planned while it is made.
+    # Of a slow model too: then a path is planned while its points are dragged.
     assert 100 <= np.count_nonzero(table["phase"] == 2) <= 10_001
     assert f"{table['voltage_V'].size:,}".replace(",", " ")[-3:] in card
 

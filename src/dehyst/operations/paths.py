@@ -143,13 +143,11 @@ def temperature_of(
         if own:
             remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
-    if table is None:
-        return None
-    if not any(one.thermal or tested_temperatures(one) for one in known.actuators):
-        if own:
-            remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
-        return None
-    return columns.warmth(table, samples)
+    if table is not None and any(one.thermal or tested_temperatures(one) for one in known.actuators):
+        return columns.warmth(table, samples)
+    if own:
+        remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
+    return None
 
 
 def temperature_column(path: HomedPath) -> dict[str, Array]:

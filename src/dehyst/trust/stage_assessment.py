@@ -80,11 +80,11 @@ def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9
     **options
         Options of `dehyst.insight`, for each actuator.
     """
+    from scipy.special import ndtri
+
     _refuse_other_axes(stage, records)
     columns = PlayColumns.of(records)
     found, own = coupling_by_plays(columns), separate_motion(columns)
-    from scipy.special import ndtri
-
     half = found.uncertainty * float(ndtri(0.5 + level / 2))
     # The models follow the records closer than plays do: the interval is laid around their matrix.
     low, high = stage.coupling - half, stage.coupling + half

@@ -143,7 +143,7 @@ function adopt(model) {
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
   form.values.slew = model.slew_v_per_s ? plain(model.slew_v_per_s, 6) : "";
-  // Steps of a slow path are small at a lower rate too, and a plan that follows the hand has ten thousand at most.
+  // Ten thousand samples at most, so that a path is planned while its points are dragged.
   form.values.rate = plain(Math.min(1000, 10_000 * frequency(drawnAxis())), 6);
   scans.suggest(model.range_um, pace(model));
   replan();
