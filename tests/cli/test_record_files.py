@@ -114,6 +114,16 @@ def test_show_names_what_no_identification_takes(tmp_path, monkeypatch):
     assert "Not usable" in shown.output and "constant" in shown.output
 
 
+def test_show_counts_the_values_of_a_column_that_are_not_finite(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{i},{50 - 50 * np.cos(i)},{i % 7},{'nan' if i < 2 else i},nan\n" for i in range(40))
+    Path("gaps.csv").write_text("time_s,voltage_V,displacement_um,gap_um,none_um\n" + rows)
+    shown = run("show", "gaps.csv").stdout
+    assert "2 to 39, 2 values not finite" in shown and "40 values not finite" in shown and " nan" not in shown
+    ranges = [one["range"] for one in json.loads(run("show", "gaps.csv", "--json").stdout)["file_columns"]]
+    assert ranges[3:] == [[2.0, 39.0], []]
+
+
 def test_show_lists_the_columns_of_a_file_that_is_no_record(monitor):
     (monitor / "other.csv").write_text("time_s,state,load_N\n0,on,1\n1,off,2\n")
     done = run("show", "other.csv")

@@ -56,7 +56,7 @@ def show(
     (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
     table = columns.table(file)
     run.known["file_columns"] = file_columns = [
-        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault or not one.data.size else _span(one.data)}
+        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault else _span(one.data)}
         for one in table.columns
     ]
     for line in _column_lines(table):
@@ -78,7 +78,9 @@ def show(
 
 
 def _span(values: Array) -> list[float]:
-    return [float(values.min()), float(values.max())]
+    """Return the lowest and the highest of the finite values; empty if there is none."""
+    finite = values[np.isfinite(values)]
+    return [float(finite.min()), float(finite.max())] if finite.size else []
 
 
 def _column_lines(table: Table) -> Iterator[str]:
@@ -89,8 +91,9 @@ def _column_lines(table: Table) -> Iterator[str]:
     width = max(6, *(min(len(column.name), 60) for column in shown))
     yield f"  {'column':<{width}}  {'unit':<8}range"
     for column in shown:
-        low, high = column.data.min(initial=np.inf), column.data.max(initial=-np.inf)
-        words = column.fault or f"{low:.6g} to {high:.6g}"
+        span, missing = " to ".join(f"{one:.6g}" for one in _span(column.data)), np.sum(~np.isfinite(column.data))
+        lost = f"{counted(missing, 'value')} not finite" if missing else ""
+        words = column.fault or ", ".join(filter(None, (span, lost)))
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
     if len(table.columns) > _MOST:
         yield f"  and {len(table.columns) - _MOST} more"
