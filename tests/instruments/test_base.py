@@ -8,6 +8,7 @@ import textwrap
 import threading
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import places
@@ -352,6 +353,34 @@ def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_r
     assert sent.max() == pytest.approx(0.5 * number)
     assert np.abs(np.diff(sent)).max() <= 1.0 + 1e-9
     assert sent[-1] == 0.0
+
+
+@pytest.mark.parametrize("silent", [0.0, 0.03, 5.0])
+def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_its_reading_fails(monkeypatch, silent):
+    rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0, sleep=None)
+    clock.monotonic = lambda: clock.now
+    monkeypatch.setattr("dehyst.instruments.base.time", clock)
+
+    def unplugged():
+        raise OSError("unplugged")
+
+    def wave(voltage, rate):
+        begun = clock.now
+        rig._halt = lambda: rig.instrument.put(voltage[min(int((clock.now - begun) * rate), voltage.size - 1)])
+        clock.now += 0.0205
+        yield Samples(np.arange(21) / rate, voltage[:21], rig.instrument.displacement(voltage[:21]))
+        clock.now += silent
+        rig._read = unplugged
+        unplugged()
+
+    rig._wave = wave
+    with pytest.raises(DeviceError, match="unplugged") as caught:
+        rig.play(UP)
+    assert caught.value.__notes__ == [BROUGHT]
+    stopped, *retreat = rig.instrument.sent[1:]
+    assert stopped == pytest.approx(min(10 + 500 * silent, 50))
+    assert np.abs(np.diff([stopped, *retreat])).max() <= 1.0 + 1e-9
+    assert retreat[-1] == 0.0
 
 
 def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against():

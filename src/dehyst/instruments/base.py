@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self, TypeAlias, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
@@ -146,7 +146,9 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        self._last_voltage: float | None = None
+        # The voltage [V] known last and those that the device plays after it, their rate [Hz], and when that was [s].
+        self._known_output: tuple[Array, float, float] | None = None
+        self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
         """Refuse an attribute that would hide a method on which limits and retreat rely."""
@@ -257,7 +259,8 @@ class AbstractRig(ABC):
             starts = np.ravel(excitation.voltage[0]).tolist()
             self._ramp([one._ramping(start) for one, start in zip(self.rigs, starts, strict=True)])
             for piece in _pieces(excitation.voltage, self.longest):
-                after = float(batches[-1].time[-1]) if batches else -math.inf
+                count, after = 0, float(batches[-1].time[-1]) if batches else -math.inf
+                self._host_paced = False
                 wave = partial(self._wave, piece, rate)
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
                 with closing(inspected(self.name, wave, piece, spans=spans, after=after, axes=axes)) as arriving:
@@ -269,8 +272,10 @@ class AbstractRig(ABC):
                                 "check the rig's _wave"
                             )
                         batches.append(samples)
-                        for one, last in zip(self.rigs, np.ravel(samples.voltage[-1]).tolist(), strict=True):
-                            one._last_voltage = last
+                        count += samples.time.size
+                        known = np.concatenate([samples.voltage[-1:], piece[count:]])
+                        for one, column in zip(self.rigs, columns_of(known), strict=True):
+                            one._puts_out(column, 0.0 if self._host_paced else rate)
                         listen(samples)
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
@@ -354,7 +359,7 @@ class AbstractRig(ABC):
                     (errors if foreseen else mistakes).append(error)
                 # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
                 if not foreseen:
-                    ramps.append(one._ramping(one.safe, one._last_voltage))
+                    ramps.append(one._ramping(one.safe, one._supposed()))
             self._ramp(ramps, errors, retreating=True)
             if mistakes:
                 raise DeviceError(f"{mistakes[0]}; the voltage was ramped there, but a wave may go on") from mistakes[0]
@@ -457,12 +462,23 @@ class AbstractRig(ABC):
             yield
             with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
-            self._last_voltage = present
+            self._puts_out([present])
         for _ in range(_SETTLING):
             if abs((read := self._present_voltage(None if fallback is None else end)) - end) <= tolerance:
                 return
             yield
         raise DeviceError(f"{self.name}: {astray(read - end)}")
+
+    def _puts_out(self, voltage: ArrayLike, rate: float = 0.0) -> None:
+        """Remember that the first `voltage` (n,) [V] is put out now, and the device plays the others at `rate` [Hz]."""
+        self._known_output = np.asarray(voltage, dtype=np.float64), rate, time.monotonic()
+
+    def _supposed(self) -> float | None:
+        """Return the present voltage [V] by what was sent, received and the time since; None before anything was."""
+        if self._known_output is None:
+            return None
+        voltage, rate, since = self._known_output
+        return float(voltage[min(int((time.monotonic() - since) * rate), voltage.size - 1)])
 
     def _present_voltage(self, fallback: float | None) -> float:
         """Return the voltage that is read [V], or if it cannot be read, a `fallback` that is not None."""
@@ -554,11 +570,12 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Sample
     For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
     slow, with uneven steps. The samples have the times at which they were read, by the device's clock.
     """
+    rig._host_paced = True
     period, readings, yielded = 1 / rate, [], time.monotonic()
     for v in voltage:
         rig._put(float(v))
         # From here a retreat begins if the reading fails: samples come later than voltages.
-        rig._last_voltage = float(v)
+        rig._puts_out([v])
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = time.monotonic()
         readings.append(rig._read())

@@ -56,8 +56,7 @@ def show(
     (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
     table = columns.table(file)
     run.known["file_columns"] = file_columns = [
-        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault else _span(one.data)}
-        for one in table.columns
+        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault else _span(one.data)} for one in table.columns
     ]
     for line in _column_lines(table):
         run.say(line)
