@@ -164,6 +164,37 @@ def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
     assert refused("calibrate", "sim://play", "--slew-rate", "1=100", "--dry-run")["argument"] == "slew_rate"
 
 
+OWN_RIG = """
+from fake_rig import FakeRig
+from dehyst.instruments import AbstractRig
+from dehyst.instruments.base import bounds_of_axes
+
+
+class Pair(FakeRig):
+    def __init__(self, limits, slew_rate):
+        bounds = bounds_of_axes(limits, slew_rate, 2)
+        rigs = [FakeRig((0, 100), axis=axis, limits=a, slew_rate=b) for axis, (a, b) in zip("xy", bounds)]
+        AbstractRig.__init__(self, "pair", rigs)
+
+    def _close(self):
+        pass
+
+
+def make(limits, slew_rate):
+    return Pair(limits, slew_rate)
+"""
+
+
+def test_several_axes_of_a_rig_of_ones_own_are_named(tmp_path):
+    (tmp_path / "pair.py").write_text(OWN_RIG)
+    words = ["calibrate", tmp_path / "pair.py:make", "--dry-run", "-o", tmp_path / "kept", "--limits", "0", "80"]
+    assert "--axes x,y" in refused(*words)["message"]
+    assert "x, y" in refused(*words, "--axes", "x,z")["message"]
+    planned = result_of(run(*words, "--axes", "x,y", "--limits", "y=10", "50", "--json"))
+    assert planned["limits_V"] == [[0, 80], [10, 50]]
+    assert not (tmp_path / "kept").exists()
+
+
 def test_an_export_begins_where_its_limits_lead(folder):
     words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--no-measure", "--json"]
     result = result_of(run(*words))

@@ -38,7 +38,8 @@ def open_rig(
         `AbstractRig`.
         ``NAME://...``: an instrument that a plug-in adds.
     axes : sequence of str, optional
-        Names of the axes of a controller, unless they are in the address; default: its only axis.
+        Names of the axes of a controller, unless they are in the address; default: its only axis. Those of a rig of
+        your own must be the ones that it has; default: these.
     limits : (float, float) or sequence of (float, float), optional
         Allowed voltages [V], for all axes or for each; they are narrowed to the limits of the device.
     slew_rate : float or sequence of float, optional
@@ -47,7 +48,7 @@ def open_rig(
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     word, separator, rest = address.partition("://")
     scheme = SCHEMES.get(word.lower()) if separator else None
-    if axes is not None and (scheme is None or not scheme.several):
+    if axes is not None and separator and (scheme is None or not scheme.several):
         raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'].form}")
     if scheme is not None:
         given = {**options, "axes": axes} if scheme.several else dict(options)
@@ -58,7 +59,11 @@ def open_rig(
     path, separator, name = address.rpartition(":")
     if not (separator and path.endswith(".py") and name.isidentifier()):
         raise RigError(f"{address!r}: is not the address of a rig; need {forms}")
-    return _checked(_custom(Path(path), name, options), options)
+    rig = _checked(_custom(Path(path), name, options), options)
+    if axes is not None and tuple(axes) != rig.axes:
+        rig.close()
+        raise RigError(f"{address}: has the axes {', '.join(rig.axes)}, but {', '.join(axes)} were requested")
+    return rig
 
 
 def _made(address: str, make: Callable[..., Any], *given: Any, **options: Any) -> AbstractRig:

@@ -70,7 +70,7 @@ def calibrate(
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
     RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own. Several axes
-    of one controller: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
+    of one rig: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
 
     Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk, or with several axes
     begins again.
@@ -102,6 +102,8 @@ def calibrate(
             demand_alike(output / name)
     bounds = {"limits": allowed, "slew_rate": steepest} if names else {"limits": allowed[0], "slew_rate": steepest[0]}
     with _left(output, again=names is None), run.held or open_rig(rig, names, **bounds) as instrument:
+        if len(instrument.axes) != len(every):
+            raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
         for one, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
             device = f"axis {one.axis} of the device" if names else "the device"
             for remark in bounds_remarks(wanted, rate, one.limits, f"{device} allows no more"):
