@@ -9,6 +9,7 @@ import pytest
 from command_line import WRITTEN, rare, refused, result, run
 
 from dehyst import Actuator, Creep
+from dehyst._io import SCAN
 from dehyst.records import read_table
 
 TRIANGLE = ("triangle", "--low", 2, "--high", 12, "--frequency", 10)
@@ -107,6 +108,23 @@ def test_rows_that_are_not_the_scans_are_refused(folder):
     refused("compensate", "model.json", "changed.csv", "-o", "o.csv", cwd=folder)
     (folder / "changed.csv").write_text("\n".join([names, *lines, ""]))
     assert run("compensate", "model.json", "changed.csv", *TOP, "-o", "o.csv", cwd=folder)[0] == 0
+
+
+NODES = None, [], {}, "x", -1, 1e300, float("nan"), True
+
+
+@pytest.mark.parametrize("value", [..., *NODES], ids=str)
+def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
+    head, *lines = (folder / "scan.csv").read_text().splitlines()
+    declared = json.loads(head.removeprefix(SCAN))
+    words = ("compensate", "model.json", "damaged.csv", "-o", "o.csv", *TOP)
+    for name in declared:
+        damaged = {key: one for key, one in declared.items() if key != name} | ({} if value is ... else {name: value})
+        (folder / "damaged.csv").write_text("\n".join([f"{SCAN}{json.dumps(damaged)}", *lines, ""]))
+        assert run(*words, cwd=folder)[0] in (0, 1, 2)
+    for damaged in ({}, {"dehyst": 1}):
+        (folder / "damaged.csv").write_text("\n".join([f"{SCAN}{json.dumps(damaged)}", *lines, ""]))
+        assert "remove that line" in refused(*words, cwd=folder)["hint"]
 
 
 def test_what_is_clamped_ends_with_status_1(folder):

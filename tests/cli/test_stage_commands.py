@@ -119,6 +119,19 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
 
 
+def test_voltages_that_were_written_are_a_start_of_records_with_other_names(folder):
+    renamed = replace(Stage.load(folder / "stage.json"), recorded_columns=("x=CH1:S1", "y=CH2:S2"))
+    renamed.save(folder / "renamed.json")
+    t = np.arange(0, 5, 0.02)
+    write_columns(folder / "u.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
+    run("compensate", folder / "renamed.json", folder / "u.csv", "-o", folder / "first.csv")
+    words = ["compensate", folder / "renamed.json", folder / "u.csv", "--start", folder / "first.csv"]
+    found = result_of(run(*words, "-o", folder / "second.csv", "--json"))
+    assert all(one["name"] == "first.csv" for one in found["start"].values())
+    for one, other in (("v", "CH1:S1"), ("vx_V", "vx_V")):
+        assert refused(*words, "-o", folder / "third.csv", "--columns", f"x={one}:x_um, y=vy_V:{other}")
+
+
 def test_each_axis_starts_as_a_record_began(folder):
     """Coupled axes begin in the states that the record of each actuator alone determines, nearer than any name."""
     stage = Stage.load(folder / "stage.json")

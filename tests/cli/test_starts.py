@@ -114,13 +114,6 @@ def test_a_present_voltage_begins_the_homing(folder):
     assert column(folder, "v.csv", "voltage_V")[0] == 60
 
 
-def test_homing_is_another_name_of_home(folder):
-    old = ("compensate", "model.json", "path.csv", "-o", "a.csv", "--slew-rate", "none", "--home")
-    new = ("compensate", "model.json", "path.csv", "-o", "b.csv", "--slew-rate", "none", "--home")
-    assert run(*old, cwd=folder)[0] == run(*new, cwd=folder)[0] == 0
-    assert (folder / "a.csv").read_bytes() == (folder / "b.csv").read_bytes()
-
-
 def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
     actuator = Actuator.load(folder / "model.json").with_identification(largest_error=1e-3)
     actuator.save(folder / "coarse.json")

@@ -18,7 +18,7 @@ from dehyst.model.stage import apply
 from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
 from dehyst.operations.run import Run
 from dehyst.records.formats.columns import Table, listed
-from dehyst.records.tables import AxisColumns, axis_columns
+from dehyst.records.tables import axis_columns
 
 
 @dataclass(frozen=True)
@@ -199,32 +199,37 @@ class AxesModel:
             )
         return columns.pairs or " ".join(self.stage.recorded_columns)
 
-    def recorded(self, columns: Columns) -> dict[str, AxisColumns]:
-        """Return the columns of voltage and displacement in the records, by axis; empty if they are not known."""
-        known = columns.pairs if all(":" in one for one in columns.axes.values()) else ""
-        if self.stage is not None:
-            known = known or " ".join(self.stage.recorded_columns)
-        return {one.name: one for one in axis_columns(known)} if known else {}
+    def named(self, table: Table, quantity: str, columns: Columns) -> dict[str, str]:
+        """Return the column of each of several axes: given, as in the records if a table has them, or the usual one."""
+        if columns.axes and set(columns.axes) != set(self.axes):
+            raise FileFormatError(
+                argument="axes",
+                got=", ".join(columns.axes),
+                need=f"a column for each of the axes {', '.join(self.axes)}",
+            )
+        given = columns.pairs if all(":" in one for one in columns.axes.values()) else None
+        recorded = "" if self.stage is None else " ".join(self.stage.recorded_columns)
+        names = (
+            {one.name: getattr(one, quantity) for one in axis_columns(given or recorded)} if given or recorded else {}
+        )
+        if given or (names and set(names.values()) <= set(table.names)):
+            return names
+        return {axis: self.name(quantity, axis) for axis in self.axes}
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
         if self.stage is None:
             return columns.values(table, quantity)[:, None]
-        given, names = columns.axes, {axis: self.name(quantity, axis) for axis in self.axes}
-        if given and set(given) != set(self.axes):
-            raise FileFormatError(
-                argument="axes", got=", ".join(given), need=f"a column for each of the axes {', '.join(self.axes)}"
-            )
-        if given:
+        names = self.named(table, quantity, columns)
+        if columns.axes:
             # Of a record both columns, else the one that is read.
-            names = {axis: one.split(":")[-1 if quantity == "displacement" else 0] for axis, one in given.items()}
+            at = -1 if quantity == "displacement" else 0
+            names = {axis: one.split(":")[at] for axis, one in columns.axes.items()}
             own = [name for name in names.values() if name != MIDDLE]
             if len(set(own)) < len(own):
                 got = ", ".join(f"{axis}={name}" for axis, name in names.items())
                 raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
         else:
-            recorded = {axis: getattr(one, quantity) for axis, one in self.recorded(columns).items()}
-            names = recorded if recorded and set(recorded.values()) <= set(table.names) else names
             self._demand_named(table, quantity, names)
         scale = getattr(columns, f"{quantity}_scale")
         middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]

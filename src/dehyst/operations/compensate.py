@@ -192,24 +192,27 @@ def _axes_of(
 def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, zero: float) -> tuple[Scan, str]:
     """Return the scan in the first line of a path file, relative to a zero [m], and the wanted axis.
 
-    Raise `FileFormatError` if the rows of the path are not the scan's.
+    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
     columns.demand(("displacement", *TEXT), "on the path of a scan")
+    hint = "remove that line to follow the rows"
     options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
-    made = scan_of(declared["kind"], options, declared["sample_rate"])
+    try:
+        made, cycles = scan_of(declared["kind"], options, declared["sample_rate"]), declared["cycles"]
+    except (KeyError, TypeError, ValueError) as error:
+        fault = f"nothing known for {error}" if isinstance(error, KeyError) else f"{error}"
+        raise FileFormatError(f"{path}: no scan by its first line: {fault}", hint=hint) from error
     names = {"displacement_um": "x", **{f"{axis}_um": axis for axis in made.axes}}
     wanted = columns.displacement or next(iter(names))
     if wanted not in names:
         raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
     axis = names[wanted]
     table, one = columns.plain_table(path, several=False), made.path(axis)
-    rows = one.repeated(declared["cycles"]) if one.periodic else one
+    rows = one.repeated(cycles) if one.periodic else one
     written = next(column.data for column in table.columns if names.get(column.name) == axis)
     span = float(np.abs(rows.displacement).max())
     if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
-        raise FileFormatError(
-            f"{path}: its rows are not those of the scan in its first line", hint="remove that line to follow the rows"
-        )
+        raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
     if not zero:
         return made, axis
     shift = zero * 1e6

@@ -81,10 +81,9 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     if start.path is None:
         return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
     table, name = columns.plain_table(start.path), start.path.name
-    known = model.recorded(columns)
-    pairs = [known.get(axis) for axis in model.axes]
-    voltages = [table.column("voltage", one and one.voltage) for one in pairs]
-    moved = [one and one.displacement for one in pairs]
+    known = {} if model.stage is None else {q: model.named(table, q, columns) for q in ("voltage", "displacement")}
+    moved = [known["displacement"][axis] if known else None for axis in model.axes]
+    voltages = [table.column("voltage", known["voltage"][axis] if known else None) for axis in model.axes]
     computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
     measured = all(table.fitting("displacement") == 1 if one is None else one in table.names for one in moved)
     own = set(computed) <= set(table.names)
