@@ -82,7 +82,7 @@ typedef struct dehyst_loop {
     dehyst_real gain, offset; /* the displacement is offset + gain times that of the model; 1 and 0 m at the beginning */
     dehyst_real driven;     /* the displacement by which creep behind the elements is driven [m] */
     dehyst_real sent;       /* the last voltage */
-    dehyst_real acting;     /* what the amplifier makes of it */
+    dehyst_real acting;     /* the voltage that acts, behind the amplifier */
     dehyst_real intended[2]; /* the last two voltages that were to act */
     dehyst_real wanted;      /* on offer: the wanted displacement, without creep behind the elements, gain and offset, */
     dehyst_real target;      /* the w that this needs, */

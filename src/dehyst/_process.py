@@ -18,8 +18,7 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, BinaryIO
 
-from dehyst import _errors
-from dehyst._errors import DehystError, LinkError
+from dehyst._errors import LinkError
 from dehyst._io import finite
 
 Message = dict[str, Any]
@@ -32,17 +31,6 @@ _PATIENCE = 5.0
 def line_of(message: Mapping[str, Any]) -> bytes:
     """Return a message as a line; numbers that are not finite become null."""
     return json.dumps(finite(message), allow_nan=False).encode() + b"\n"
-
-
-def error_fields(error: DehystError) -> Message:
-    """Return an error as JSON values, from which `error_from` restores it."""
-    return {"error": type(error).__name__, "fields": vars(error)}
-
-
-def error_from(message: Mapping[str, Any]) -> DehystError:
-    """Return the error from the values of `error_fields`."""
-    error: DehystError = getattr(_errors, message["error"])(**message["fields"])
-    return error
 
 
 # The child's end

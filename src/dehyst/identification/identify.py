@@ -423,7 +423,7 @@ def _chosen_again(
     if again is None:
         return None
     run.trials += again[1]
-    # With a part less, others may no longer be worth their parameters.
+    # Without that part, another part may no longer improve the fit enough for its parameters.
     return simplest(again[1] if part == "inertia" else run.trials, creep="creep" not in fixed) or again[0]
 
 

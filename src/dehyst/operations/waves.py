@@ -110,7 +110,7 @@ def excite(
     if model is not None:
         if volts:
             raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
-        return _home(run, model, output, hold, frequency or _HOMING, sampled)
+        return _home(run, model, output, hold, _HOMING if frequency is None else frequency, sampled)
     needed = {"descending-tops": 1, "reversal-curves": 1, "minor-loop": 2, "staircase": 1, "homing": 1}.get(kind)
     if not volts or needed not in (None, len(volts)):
         words = {None: "one for each peak or axis", 1: "one voltage", 2: "its lowest and its highest voltage"}[needed]

@@ -31,7 +31,7 @@ from dehyst.trust.evidence import Evidence, leg_starts, rows_of
 LEAST_REPEATS = 20
 # Entries of the table of rows by coefficients.
 _ENTRIES = 800_000
-# Sets of records that show what noise alone makes of the legs' mean residuals.
+# Sets of records that show how large the legs' mean residuals are by noise alone.
 _TRIALS = 10
 # Sets of records that are identified by both norms, and their entries, to see how much more one scatters.
 _PAIRS, _FEWER = 20, 400_000

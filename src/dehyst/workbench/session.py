@@ -92,18 +92,18 @@ class WorkbenchSession:
         return state
 
     def record(self, key: str) -> RecordEntry:
-        """Return a record; raises SessionError if there is none."""
+        """Return a record; raise SessionError if its key is unknown."""
         return _found(self.records, key, "record")
 
     def model(self, key: str, *, ready: bool = False) -> ModelEntry:
-        """Return a model, with `ready` only a usable one; raise SessionError if there is none."""
+        """Return a model, with `ready` only a usable one; raise SessionError if its key is unknown."""
         entry = _found(self.models, key, "model")
         if ready and entry.status != "ready":
             raise SessionError(f"{entry.name}: is not ready ({entry.status}); wait until it is, or identify again")
         return entry
 
     def voltage(self, key: str) -> VoltageEntry:
-        """Return a voltage; raises SessionError if there is none."""
+        """Return a voltage; raise SessionError if its key is unknown."""
         return _found(self.voltages, key, "voltage")
 
     def followed(self, key: str) -> dict[str, str]:

@@ -4,7 +4,8 @@
 
 /* numbers */
 
-/* Return where a voltage on offer leads: it is committed on a copy, number by number, which needs no library. */
+/* Return where a voltage on offer leads: it is committed on a copy of the loop, field by field: all of dehyst_loop, as a
+   compiler may call memcpy for a whole struct, and there may be no library. */
 static dehyst_real reached_by(piezo *p, int axis, dehyst_real voltage)
 {
     const dehyst_loop *from = &p->loop[axis];

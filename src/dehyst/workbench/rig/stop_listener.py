@@ -197,7 +197,7 @@ class StopListener:
 
 
 def _headers(lines: list[str]) -> dict[str, str] | None:
-    """Return the headers by lower-case name; None if a line is none, or a name comes twice."""
+    """Return the headers by lower-case name; None if a line has no header, or a name comes twice."""
     headers: dict[str, str] = {}
     for line in lines:
         name, colon, value = line.partition(":")
