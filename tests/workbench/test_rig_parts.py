@@ -11,8 +11,11 @@ import pytest
 
 from dehyst._process import LONGEST, Outlet, lines_of
 from dehyst.instruments import RigError, Samples
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.records import read, write_columns
+from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator
 from dehyst.workbench.rig.messages import number, pair, path, text
-from dehyst.workbench.rig.tasks import MOST, LiveFeed, thinned
+from dehyst.workbench.rig.tasks import MOST, LiveFeed, playing, thinned
 
 
 def received(data, pieces):
@@ -127,6 +130,25 @@ def test_the_feed_stops_after_a_batch_and_before_a_step():
         with pytest.raises(KeyboardInterrupt):
             call()
     assert feed.last.voltage == pytest.approx(0.9)
+
+
+def test_the_record_of_a_stopped_wave_has_the_further_channels_of_the_rig(tmp_path):
+    rig = SimulatedRig(AgeingActuator(PlayActuator(), AgeingCourse(kelvins=20, seconds=60)))
+    time_ = 0.005 * np.arange(200)
+    write_columns(tmp_path / "v.csv", {"time_s": time_, "voltage_V": 50 - 50 * np.cos(2 * np.pi * time_)})
+    request = {"do": "play", "file": str(tmp_path / "v.csv"), "record": str(tmp_path / "v.h5")}
+
+    def stop():
+        if feed.count >= 100:
+            raise KeyboardInterrupt
+
+    feed = LiveFeed(lambda _: None, lambda **_: None, stop)
+    with pytest.raises(KeyboardInterrupt):
+        playing(rig, request, feed, first=False)()
+    record = read(tmp_path / "v.h5")
+    assert record.meta["complete"] is False
+    assert 100 <= len(record) < 200
+    assert record.temperature is not None and record.temperature.size == len(record)
 
 
 @pytest.mark.parametrize("value", [None, "", 5, [], {}])

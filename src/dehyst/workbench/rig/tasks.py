@@ -222,7 +222,7 @@ def _played(rig: AbstractRig, voltage: WantedVoltage, target: Path, feed: LiveFe
     excitation, wanted = voltage
     rows = rig.rows(len(excitation))
     meta = {"identity": rig.identity, "axis": rig.axis, "excitation": excitation.name, "program": __version__}
-    recording = Recording(target, meta=meta)
+    recording = Recording(target, meta=meta, others=rig.others)
     try:
         with recording:
 
