@@ -1,18 +1,24 @@
 """`dehyst run`: a path on a rig that ages, what it writes and says, and its exit status."""
 
+import gc
 import json
+import signal
+import subprocess
+import sys
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import DEHYST, run
 
 import dehyst
 from dehyst import Actuator, Spring
+from dehyst.calibration import PathRun, TrackedPath
 from dehyst.instruments import open_rig
 from dehyst.operations.registry import find
 from dehyst.operations.run import Run, perform
-from dehyst.records import write_columns
+from dehyst.records import read_table, salvage, write_columns
 from dehyst.virtual import AgeingCourse, PlayActuator
 
 RIG = """
@@ -143,6 +149,143 @@ def test_a_model_of_another_actuator_ends_the_run_and_the_record_is_kept(folder)
     assert status == 2
     assert "--model" in err
     assert len(dehyst.read(folder / "one.csv")) == 200
+
+
+# A rig that measures a temperature and ends in the middle of wave number `END`, after 60 samples, as `HOW` says. It
+# notes how many samples it had handed over.
+CUT = """
+import os, signal
+from pathlib import Path
+from dehyst.instruments.simulated import SimulatedRig
+from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator
+
+HERE = Path(__file__).parent
+
+
+class Cut(SimulatedRig):
+    waves = 0
+
+    def _wave(self, voltage, rate):
+        self.waves, count = self.waves + 1, 0
+        for samples in super()._wave(voltage, rate):
+            yield samples
+            # The next samples are requested: these are on the disk.
+            count += samples.time.size
+            if self.waves == END and count >= 60:
+                (HERE / "count").write_text(str(count))
+                HOW
+
+
+def make(**options):
+    return Cut(AgeingActuator(PlayActuator(), AgeingCourse(kelvins=5, seconds=60)), **options)
+"""
+FOLLOW = ("run", "cut.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "4", "-o", "run.csv")
+KILL, FAIL, STOP = "os.kill(os.getpid(), signal.SIGKILL)", "raise OSError('cut')", "raise KeyboardInterrupt"
+
+
+@pytest.fixture
+def cut(folder, tmp_path):
+    """Return a function that runs in a folder of its own, in which the rig ends in the middle of wave `end`."""
+
+    def ended(end, how, *, process=False):
+        for name in ("model.json", "path.csv"):
+            (tmp_path / name).write_bytes((folder / name).read_bytes())
+        (tmp_path / "cut.py").write_text(CUT.replace("END", str(end)).replace("HOW", how))
+        if not process:
+            return tmp_path, run(*FOLLOW, cwd=tmp_path)
+        done = subprocess.run([*DEHYST, *FOLLOW], cwd=tmp_path, capture_output=True, timeout=120, check=False)
+        return tmp_path, (done.returncode, done.stdout.decode(), done.stderr.decode())
+
+    return ended
+
+
+def columns_in(path):
+    return {one.name: one.data for one in read_table(path).columns}
+
+
+@pytest.mark.parametrize(("how", "status"), [(FAIL, 1), (STOP, 130)])
+def test_a_repetition_that_is_cut_short_is_in_the_record(cut, how, status):
+    folder, (found, _, err) = cut(3, how)
+    assert found == status
+    assert "run.csv" in err and "brought to 0 V" in err
+    columns = columns_in(folder / "run.csv")
+    count = int((folder / "count").read_text())
+    assert columns["repetition"].tolist() == [1] * 200 + [2] * count
+    assert count < 200
+    wanted = columns_in(folder / "path.csv")["displacement_um"]
+    assert columns["wanted_um"] == pytest.approx(np.concatenate([wanted, wanted[:count]]), abs=1e-9)
+    assert np.abs(columns["displacement_um"] - columns["wanted_um"]).max() < 0.2
+    record = dehyst.read(folder / "run.csv")
+    assert record.temperature.size == len(record) == 200 + count
+    # Nothing else is left.
+    assert sorted(path.suffix for path in folder.iterdir() if path.stem.startswith("run")) == [".csv"]
+
+
+def test_a_homing_that_is_cut_short_is_in_the_record(cut):
+    folder, (status, _, err) = cut(1, FAIL)
+    assert status == 1 and "run.csv" in err
+    assert set(columns_in(folder / "run.csv")["repetition"]) == {0}
+    assert len(dehyst.read(folder / "run.csv")) == int((folder / "count").read_text())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL of POSIX")
+def test_a_killed_run_loses_no_sample_and_the_next_one_makes_a_record_of_them(cut):
+    folder, (status, _, _) = cut(3, KILL, process=True)
+    assert status == -signal.SIGKILL
+    assert not (folder / "run.csv").exists()
+    count = int((folder / "count").read_text())
+    # The journal is a table that can be read as it is.
+    journal = columns_in(folder / "run.h5.part.csv")
+    assert np.count_nonzero(journal["repetition_1"] == 2) == count
+    folder, (status, _, err) = cut(0, FAIL)
+    assert status == 0 and "run.h5" in err
+    record = dehyst.read(folder / "run.h5")
+    assert record.meta["complete"] is False and record.temperature is not None
+    others = {one.name: one.values for one in record.others}
+    number = others["repetition"]
+    assert [np.count_nonzero(number == k) for k in (1, 2)] == [200, count]
+    wanted = 1e-6 * columns_in(folder / "path.csv")["displacement_um"]
+    assert others["wanted"][number == 2] == pytest.approx(wanted[:count], abs=1e-15)
+    assert len(dehyst.read(folder / "run.csv")) == 4 * 200
+    assert not list(folder.glob("*.part.csv"))
+
+
+def test_a_record_that_cannot_be_written_is_left_beside_it(cut, monkeypatch):
+    def full(path, _):
+        raise dehyst.FileFormatError(f"{path}: full")
+
+    monkeypatch.setattr("dehyst.operations.path_run.write_table", full)
+    for end, status, kept in ((3, 1, 200), (0, 2, 800)):
+        folder, (found, _, err) = cut(end, FAIL)
+        assert found == status
+        (left,) = folder.glob("run*.h5")
+        assert left.name in err and "run.csv" in err
+        record = dehyst.read(left)
+        number = next(one.values for one in record.others if one.name == "repetition")
+        assert np.count_nonzero(number) >= kept and record.meta["complete"] is False
+        left.unlink()
+    assert salvage(folder) == []
+
+
+def test_no_work_on_a_repetition_is_repeated_and_none_is_kept(folder, monkeypatch):
+    made, counted = [], []
+    repeat, fields = PathRun._repeat, TrackedPath.as_dict
+
+    def repeated(*arguments):
+        gc.collect()
+        counted.append(sum(one() is not None for one in made))
+        found = repeat(*arguments)
+        made.append(weakref.ref(found[0]))
+        return found
+
+    calls = []
+    monkeypatch.setattr(PathRun, "_repeat", repeated)
+    monkeypatch.setattr(TrackedPath, "as_dict", lambda self: calls.append(self.time.size) or fields(self))
+    words = ("run", "rig.py:make", "--model", "model.json", "--path", "path.csv", "--cycles", "6", "--adapt", "--json")
+    status, out, _ = run(*words, "-o", "kept.csv", "--updated", "kept.json", cwd=folder)
+    assert status == 0 and len(json.loads(out)["cycles"]) == 6
+    assert len(calls) == 6
+    assert counted == [0, 1, 1, 1, 1, 1]
 
 
 def test_an_offset_that_is_not_corrected_is_mentioned(folder):

@@ -463,3 +463,16 @@ def test_a_lot_takes_little_time(tmp_path):
             recording.add(lot(first, 100))
         assert time.process_time() - start < 100 * 0.1
     assert os.fspath(recording.path) == str(tmp_path / "a.h5")
+
+
+def test_a_discarded_recording_leaves_nothing(tmp_path):
+    with Recording(tmp_path / "a.h5") as recording:
+        recording.add(lot(0, 4))
+        recording.add(lot(4, 3))
+        assert [column.tolist() for column in recording.columns.values()] == [column.tolist() for column in lot(0, 7)]
+        recording.discard()
+        with pytest.raises(RecordError):
+            recording.add(lot(7, 1))
+    recording.close()
+    recording.discard()
+    assert names(tmp_path) == []

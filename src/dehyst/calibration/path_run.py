@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
+from dehyst._io import PathLike
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import number, vector
+from dehyst._version import __version__
 from dehyst.adaptation import FEWEST, AdaptiveCompensator, Drift
 from dehyst.calibration.session import NullProgress, ProgressListener
 from dehyst.calibration.tracking import SeenTemperature, TrackedPath
 from dehyst.control import ClampWarning, Compensator, HomedPath, plan_path
 from dehyst.instruments import AbstractRig, Samples, played_rate
 from dehyst.model import Actuator, State, promised
-from dehyst.records import Column, Record, largest, rms
+from dehyst.records import Column, Record, Recording, demand_disk_space, largest, rms
 from dehyst.trust import Judgement, judge_planned
 from dehyst.waveforms import Excitation, wanted_path
 
@@ -29,6 +31,8 @@ from dehyst.waveforms import Excitation, wanted_path
 _CLOSED = 2.0
 # Repetitions from which a growth of the error is known, and how much of the fastest is promised: it is not steady.
 _REMEMBERED, _GROWTH = 3, 2.0
+# Further columns of a recording: the wanted displacement, in the homing the model's; the repetition, in the homing 0.
+WANTED, REPETITION = "wanted_m", "repetition_1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +129,7 @@ class PathRun:
         self._off: float | None = None
         # RMS and largest error [m] of the last repetitions.
         self._errors: list[tuple[float, float]] = []
+        self._recording: Recording | None = None
         self._options: dict[str, Any] = {"period": period, "warns": False, "memory": memory, "zero_drifts": zero_drifts}
         self._loop = self._begun(actuator.state)
 
@@ -178,25 +183,43 @@ class PathRun:
         """The homing, from 0 V or the nearest limit, and the first repetition as the model expects them."""
         return plan_path(self._planner, self._wanted, home=True)
 
+    def recording(self, path: PathLike, repetitions: int) -> Recording:
+        """Begin the recording of a homing and `repetitions`, for `play`.
+
+        Its columns "wanted_m" and "repetition_1" hold the wanted displacement and the number of the repetition; in the
+        homing, what the model expects and 0. Raise `FileFormatError` as `Recording`, or if the disk has no room for it.
+        """
+        one = self._rig
+        meta = {"identity": one.identity, "axis": one.axis, "program": __version__}
+        recording = Recording(path, meta=meta, others=(*one.others, WANTED, REPETITION))
+        try:
+            demand_disk_space(recording.path.parent, repetitions * self._wanted.size, len(recording.columns))
+        except BaseException:
+            recording.discard()
+            raise
+        return recording
+
     def play(
         self,
         repetitions: int,
         watcher: ProgressListener | None = None,
         judged: Callable[[Judgement], object] | None = None,
+        recording: Recording | None = None,
     ) -> Iterator[Repetition]:
         """Home, and yield each of the `repetitions` as it ends; the voltage ends at the safe one, after any error too.
 
-        `watcher` receives the progress, `judged` the errors to expect on a repetition before it is played. Raise
-        `RigError` if the instrument or its sensor fails.
+        `watcher` receives the progress, `judged` the errors to expect on a repetition before it is played. With a
+        `recording` of this run, each sample is on the disk before the next ones are requested; the caller ends it.
+        Raise `RigError` if the instrument or its sensor fails, `FileFormatError` if a sample cannot be written.
         """
-        listener = watcher or NullProgress()
+        listener, self._recording = watcher or NullProgress(), recording
         with self._rig.safely():
             end, pause = self._home(listener), 0.0
             for number in range(1, repetitions + 1):
                 judgement = self.judged()
                 if judged is not None:
                     judged(judgement)
-                repetition, pause = self._repeat(f"repetition {number}", end, pause, judgement, listener)
+                repetition, pause = self._repeat(number, end, pause, judgement, listener)
                 end = float(repetition.record.time[-1])
                 yield repetition
             self._rig.retreat()
@@ -209,15 +232,15 @@ class PathRun:
         times = way.time if way.time is not None else np.zeros(1)
         count = round((times[-1] - times[0]) * self.rate)
         at = times[-1] - np.arange(max(count, 1), -1, -1) / self.rate
-        record = self._play("homing", np.interp(at, times, way.voltage), None, listener)
+        expected = np.interp(at - self.actuator.delay, times, way.expected)
+        record = self._play(0, np.interp(at, times, way.voltage), expected, listener)
         moved = self._observed(record, self._temperature(0.0)[:1])
         if self._seen:
             self._unsure = abs(self._seen.drift) * self._wanted.size / self.rate
         # Before the way to the path the state of the actuator is not known.
-        when = at[self._rig.rows(at.size)]
-        late = when >= times[np.flatnonzero(way.phase)[0]] if len(times) > 1 else np.ones(1, dtype=bool)
-        expected = np.interp(when - self.actuator.delay, times, way.expected)
-        self._off = float((moved - expected)[late].mean()) if late.any() else None
+        rows = self._rig.rows(at.size)
+        late = at[rows] >= times[np.flatnonzero(way.phase)[0]] if len(times) > 1 else np.ones(1, dtype=bool)
+        self._off = float((moved - expected[rows])[late].mean()) if late.any() else None
         self._loop = self._begun(way.state)
         return float(record.time[-1])
 
@@ -228,7 +251,7 @@ class PathRun:
         return loop
 
     def _repeat(
-        self, name: str, end: float, expected: float, judgement: Judgement, listener: ProgressListener
+        self, number: int, end: float, expected: float, judgement: Judgement, listener: ProgressListener
     ) -> tuple[Repetition, float]:
         """Play a repetition; return it, and the pause [s] since the `end` of the wave before, by the device's time.
 
@@ -244,7 +267,7 @@ class PathRun:
             # They are counted.
             warnings.simplefilter("ignore", ClampWarning)
             voltage = loop.plan(ahead, expected)
-        record = self._play(name, voltage, wanted, listener)
+        record = self._play(number, voltage, wanted, listener)
         rows = self._rig.rows(size)
         measured = np.full(size, np.nan)
         measured[rows] = self._observed(record, warmth[rows])
@@ -286,16 +309,21 @@ class PathRun:
             self._seen, expected = SeenTemperature.of(record), record.temperature
         return self._thermal.at_reference(record.displacement, np.broadcast_to(expected, len(record)))
 
-    def _play(self, name: str, voltage: Array, wanted: Array | None, listener: ProgressListener) -> Record:
-        excitation, count = Excitation(name, voltage, self.rate), 0
+    def _play(self, number: int, voltage: Array, wanted: Array, listener: ProgressListener) -> Record:
+        """Play repetition `number`, or the homing as 0, in which the listener is told of nothing wanted."""
+        name, count = f"repetition {number}" if number else "homing", 0
+        excitation = Excitation(name, voltage, self.rate)
         rows = self._rig.rows(len(excitation))
         listener.step(name, excitation.duration)
 
         def listen(samples: Samples) -> None:
             nonlocal count
-            part = rows[count : count + samples.time.size]
+            part = wanted[rows[count : count + samples.time.size]]
             count += samples.time.size
-            listener.samples(samples, None if wanted is None else wanted[part], self.stroke)
+            if self._recording is not None:
+                added = {WANTED: part, REPETITION: np.full(part.size, float(number))}
+                self._recording.add(samples._replace(others={**samples.others, **added}))
+            listener.samples(samples, part if number else None, self.stroke)
 
         return self._rig.play(excitation, listen)
 

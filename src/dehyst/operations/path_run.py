@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Annotated, Any
 
 import numpy as np
 
 import dehyst._validation as check
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import FileFormatError, ModelError, RecordError
 from dehyst._types import Array
 from dehyst.adaptation import AdaptiveCompensator
-from dehyst.calibration.path_run import PathRun, Repetition
+from dehyst.calibration.path_run import REPETITION, WANTED, PathRun, Repetition
 from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import open_rig
@@ -21,8 +24,9 @@ from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, largest, percent, rms
+from dehyst.records import Column, Recording, largest, percent, rms, salvage, unused_path
 from dehyst.records.files import demand_text
+from dehyst.records.record import Channel
 from dehyst.trust import Judgement
 
 # Repetitions that are printed: the first, the last, and some between them.
@@ -71,6 +75,7 @@ def run_path(
         Adapt the model to the rig's sensor after each repetition.
     output
         Write the record of all repetitions here (CSV): with the wanted displacement, and the number of the repetition.
+        A repetition that is cut short is in it too. While it is played, each sample is in a file beside it at once.
     updated
         Write the adapted model here (JSON).
     limits
@@ -89,7 +94,8 @@ def run_path(
     known = AxesModel.read(run, model)
     (actuator,) = known.actuators
     wanted, rate, given = _read(run, path, known, columns)
-    done: list[Repetition] = []
+    done: list[dict[str, Any]] = []
+    last: Repetition | None = None
     with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
         wanted = wanted + zero_of_path(actuator, allowed, zero)
@@ -108,39 +114,38 @@ def run_path(
         if given is not None and follower.measures_temperature:
             run.note(f"{instrument.name} measures the temperature: that of the path is not used")
         promises = _Promises(run, follower)
-        try:
-            with run.watch(["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]) as watcher:
-                for repetition in follower.play(cycles, watcher, promises.update):
-                    done.append(repetition)
-                    run.known = {**promises.fields, "cycles": [_fields(one) for one in done]}
-                    _demand_same_actuator(done)
-        except BaseException as error:
-            for line in _written(done, follower.actuator, output, updated):
-                error.add_note(f"{line}, until then")
-            raise
+        recording = None if output is None else _recording(run, follower, output, cycles)
+
+        def write() -> Iterator[str]:
+            yield from _record(recording, output)
+            if updated is not None and last is not None:
+                _judged(follower.actuator, last, adapted=_used(done) > 0).save(updated)
+                yield from files(Model=updated)
+
+        with _written(recording, write) as ends:
+            steps = ["homing", *(f"repetition {k}" for k in range(1, cycles + 1))]
+            with instrument.safely(), run.watch(steps) as watcher:
+                for last in follower.play(cycles, watcher, promises.update, recording):
+                    done.append(_fields(last))
+                    run.known = {**promises.fields, "cycles": done}
+                    _demand_same_actuator(last, len(done))
+    assert last is not None
     fields = {
         "rig": instrument.identity,
         "limits_V": list(follower.limits),
         "slew_V_per_s": bounds.slew_rate,
         "stroke_um": 1e6 * follower.stroke,
         **promises.fields,
-        "cycles": [_fields(one) for one in done],
-        "exchanges": sum(one.used for one in done),
+        "cycles": done,
+        "exchanges": _used(done),
     }
     rows = [_line(number, one) for number, one in enumerate(done, 1)]
     picked = np.unique(np.linspace(0, len(rows) - 1, _PRINTED).astype(int)).tolist()
-    last = done[-1]
-    head = f"The last repetition: {_errors(last)} of the stroke of {1e6 * follower.stroke:.4g} um"
-    if last.promised.bounds is not None:
-        head += f", {100 * last.promised.bounds[1] / follower.stroke:.2g} % was to be expected"
-    if last.clamped:
-        head += f"; {last.clamped} samples were clamped at a limit or by the slew rate"
-    offset = _offset(last, follower.stroke) if zero_drifts else []
-    ends = _written(done, follower.actuator, output, updated)
+    head = [_head(done[-1], follower.stroke), *(_offset(last, follower.stroke) if zero_drifts else [])]
     return Result(
         fields,
-        [head, *offset, *(rows[k] for k in picked), *ends],
-        [head, *offset, *(f"{row}  {one.reason}" for row, one in zip(rows, done, strict=True)), *ends],
+        [*head, *(rows[k] for k in picked), *ends],
+        [*head, *(f"{row}  {one.get('reason', '')}" for row, one in zip(rows, done, strict=True)), *ends],
         good=not last.clamped,
     )
 
@@ -181,18 +186,27 @@ class _Promises:
             self._run.say(line)
 
 
-def _demand_same_actuator(done: list[Repetition]) -> None:
+def _demand_same_actuator(last: Repetition, number: int) -> None:
     """Raise `ModelError` if a repetition missed the path by so much that the model cannot be of this actuator."""
-    last = done[-1]
     missed = last.path.largest_percent
     # A clamped voltage explains any error.
     if missed > _FOREIGN and not last.clamped:
         raise ModelError(
             argument="model",
-            got=f"an error of {missed:.3g} % of the stroke in repetition {len(done)}",
+            got=f"an error of {missed:.3g} % of the stroke in repetition {number}",
             need="a model of this actuator, whose zero is that of the sensor",
             hint="check the unit of the path, the zero, and that the model is of this rig",
         )
+
+
+def _head(last: dict[str, Any], stroke: float) -> str:
+    """Return a line on the last repetition."""
+    words = f"The last repetition: {_errors(last)} of the stroke of {1e6 * stroke:.4g} um"
+    if last["promised_percent"] is not None:
+        words += f", {last['promised_percent']:.2g} % was to be expected"
+    if last["clamped"]:
+        words += f"; {last['clamped']} samples were clamped at a limit or by the slew rate"
+    return words
 
 
 def _offset(last: Repetition, stroke: float) -> list[str]:
@@ -205,50 +219,87 @@ def _offset(last: Repetition, stroke: float) -> list[str]:
     ]
 
 
-def _written(done: list[Repetition], actuator: Actuator, output: Path | None, updated: Path | None) -> list[str]:
-    """Write what there is; return a line for each file."""
-    if not done:
-        return []
-    if output is not None:
-        records = [one.record for one in done]
-        columns = {
-            "time_s": np.concatenate([one.time for one in records]),
-            "voltage_V": np.concatenate([one.voltage for one in records]),
-            "displacement_um": 1e6 * np.concatenate([one.displacement for one in records]),
-            "wanted_um": 1e6 * np.concatenate([one.wanted for one in done]),
-            **{name: np.concatenate([_others(one)[name] for one in records]) for name in _others(records[0])},
-            "repetition": np.repeat(np.arange(1, len(done) + 1), [len(one) for one in records]),
+def _recording(run: Run, follower: PathRun, output: Path, cycles: int) -> Recording:
+    """Begin the recording from which the output is written at the end; make files of what killed processes left."""
+    # There is no room beside a device or a pipe.
+    folder = output.parent if output.is_file() or not output.exists() else Path(gettempdir())
+    for left in salvage(folder):
+        run.note(f"{left}: holds the samples of a recording whose process was killed")
+    return follower.recording(unused_path(folder / f"{output.stem}.h5"), cycles)
+
+
+@contextmanager
+def _written(recording: Recording | None, write: Callable[[], Iterator[str]]) -> Iterator[list[str]]:
+    """Write the files at the end, also after an error, to which it adds where they are; yield the lines of `write`.
+
+    If the output cannot be written, the samples stay in the file of the recording, or in its journal.
+    """
+    lines: list[str] = []
+    try:
+        with recording or nullcontext():
+            try:
+                yield lines
+            except BaseException as error:
+                try:
+                    for line in write():
+                        error.add_note(f"{line}, until then")
+                except FileFormatError as failure:
+                    error.add_note(str(failure))
+                raise
+            lines += write()
+    except BaseException as error:
+        if recording is not None and recording.path.exists():
+            error.add_note(f"Record: {recording.path}, until then")
+        raise
+
+
+def _record(recording: Recording | None, output: Path | None) -> Iterator[str]:
+    """Write all repetitions, or the homing if it did not end; yield a line with the file."""
+    if recording is None or output is None:
+        return
+    if recording.samples:
+        columns = recording.columns
+        number = columns[REPETITION]
+        rows = number > 0 if number.any() else np.ones(number.size, dtype=bool)
+        others = [Channel.of(Column(name, columns[name])) for name in recording.others]
+        table = {
+            "time_s": columns["time_s"],
+            "voltage_V": columns["voltage_V"],
+            "displacement_um": 1e6 * columns["displacement_m"],
+            "wanted_um": 1e6 * columns[WANTED],
+            **{one.column: one.values for one in others if one.column not in (WANTED, REPETITION)},
+            "repetition": number,
         }
-        write_table(output, columns)
-    if updated is not None:
-        _judged(actuator, done).save(updated)
-    return files(Record=output, Model=updated)
+        write_table(output, {name: values[rows] for name, values in table.items()})
+        yield from files(Record=output)
+    recording.discard()
 
 
-def _others(record: Record) -> dict[str, Array]:
-    return {one.column: one.values for one in record.others}
-
-
-def _judged(actuator: Actuator, done: list[Repetition]) -> Actuator:
+def _judged(actuator: Actuator, last: Repetition, *, adapted: bool) -> Actuator:
     """Return an adapted model with the errors of the last repetition in its promise."""
-    known, last = actuator.identification, done[-1]
-    if known is None or known.validity is None or not any(one.used for one in done):
+    known = actuator.identification
+    if known is None or known.validity is None or not adapted:
         return actuator
     errors = {"rms": rms(last.path.error), "largest": largest(last.path.error)}
     validity = known.validity.with_record(last.record, **errors)
     return actuator.with_validity(validity, errors["largest"])
 
 
-def _errors(one: Repetition) -> str:
-    return f"largest {one.path.largest_percent:6.3f} %, RMS {one.path.rms_percent:6.3f} %"
+def _used(done: list[dict[str, Any]]) -> int:
+    """Return after how many repetitions new weights were used."""
+    return sum(one.get("used", False) for one in done)
 
 
-def _line(number: int, one: Repetition) -> str:
+def _errors(one: dict[str, Any]) -> str:
+    return f"largest {one['largest_percent']:6.3f} %, RMS {one['rms_percent']:6.3f} %"
+
+
+def _line(number: int, one: dict[str, Any]) -> str:
     words = f"  {number:4d}  {_errors(one)}"
-    if one.drift is not None:
+    if "gain_percent" in one:
         words += (
-            f"; gain {100 * one.drift.gain:+.2f} %, width {100 * one.drift.width:+.2f} %, "
-            f"offset {1e6 * one.drift.offset:+.4f} um"
+            f"; gain {one['gain_percent']:+.2f} %, width {one['width_percent']:+.2f} %, "
+            f"offset {one['offset_um']:+.4f} um"
         )
     return words
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import PathLike, lock, path_of, settle_file, settle_folder, to_json, unwritten, write_atomically
+from dehyst._types import Array
 from dehyst.records import hdf5
 from dehyst.records.formats.columns import Column
 from dehyst.records.record import Channel, Record
@@ -341,6 +342,11 @@ class Recording:
         self._journal = Journal.create(self.path, to_json(head, f"{self.path}: meta"), list(self._blocks[0]))
         self.journal = self._journal.path
 
+    @property
+    def columns(self) -> dict[str, Array]:
+        """The samples so far: arrays (n,) by column name, time, voltage and displacement [m] first."""
+        return {name: np.concatenate([block[name] for block in self._blocks]) for name in self._blocks[0]}
+
     def __enter__(self) -> Self:
         return self
 
@@ -389,6 +395,12 @@ class Recording:
         self._refuse_ended()
         return self._end(None, record)
 
+    def discard(self) -> None:
+        """End a recording whose samples are in another file, or needed no more: delete the journal, write no file."""
+        if not self._ended:
+            self._ended = True
+            self._journal.remove()
+
     def close(self) -> None:
         """End a recording that was not finished: write its samples, marked incomplete; may be called twice."""
         if not self._ended:
@@ -404,9 +416,7 @@ class Recording:
             return self.path
         # A second Ctrl-C during writing leaves the journal.
         self._ended = True
-        columns = {name: np.concatenate([block[name] for block in self._blocks]) for name in self._blocks[0]}
-        if record is not None:
-            columns = record.one_axis().columns("m")
+        columns = self.columns if record is None else record.one_axis().columns("m")
         meta = {**self._meta, **(record.meta if record is not None else {})}
         try:
             _write(self.path, columns, self.name, meta, why, self._started)
