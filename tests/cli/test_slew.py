@@ -145,6 +145,59 @@ def test_what_no_record_has_shown_is_remarked(folder, change):
     assert "edited.json: its " in run("compensate", "edited.json", "slow.csv", "-o", "out.csv", cwd=folder)[2]
 
 
+@pytest.mark.parametrize(("model", "suffix"), [("model", ""), ("stage", "_axes"), ("old", "")])
+def test_the_homing_of_a_simulation_has_the_speed_of_the_records_and_its_voltages_stay(folder, model, suffix):
+    time = 0.01 * np.arange(300)
+    given = 60 + 40 * np.sin(20 * time)
+    names = {"stage": ("x", "y")}.get(model, ("",))
+    voltages = {f"v{axis}_V" if axis else "voltage_V": given for axis in names}
+    write_columns(folder / f"given{suffix}.csv", {"time_s": time, **voltages})
+    columns = ("--columns", "x=vx_V, y=vy_V") if suffix else ()
+    words = (
+        "simulate",
+        f"{model}.json",
+        f"given{suffix}.csv",
+        "-o",
+        "homed.csv",
+        "--home",
+        *columns,
+        "--force",
+        "--json",
+    )
+    status, out, err = run(*words, cwd=folder)
+    assert status in (0, 1), err
+    result, table = json.loads(out), {one.name: one.data for one in read_table(folder / "homed.csv").columns}
+    for name, speed in zip(voltages, (SPEED, 2 * SPEED), strict=False):
+        axis = name[1:-2] if suffix else None
+        found = [result[key] if axis is None else result[key][axis] for key in ("slew_V_per_s", "slew_from")]
+        assert found == ([None, "unknown"] if model == "old" else [speed, "records"])
+        before = table["phase"] < 2
+        begin = int(np.count_nonzero(before)) + 1
+        fastest = np.abs(np.diff(table[name][:begin]) / np.diff(table["time_s"][:begin])).max()
+        assert (fastest <= speed * (1 + 1e-6)) == (model != "old")
+        assert table[name][~before] == pytest.approx(given, abs=1e-9)
+    # The voltages are not held back, whatever their speed.
+    assert not [one for one in result["warnings"] if "held back" in one]
+    plain = json.loads(run(*(one for one in words if one != "--home"), cwd=folder)[1])
+    assert "slew_V_per_s" not in plain
+
+
+@pytest.mark.parametrize("model", ["model", "stage"])
+def test_an_export_says_which_slew_rate_it_has(folder, model):
+    words = ("export", f"{model}.json", f"c-{model}", "--no-measure", "--force")
+    given = {
+        (): (None, "default"),
+        ("--slew-rate", 4000.0): (4000.0, "option"),
+        ("--slew-rate", "none"): (None, "none"),
+    }
+    for options, expected in given.items():
+        status, out, err = run(*words, "--period", 1e-3, *options, "--json", cwd=folder)
+        assert status == 0, err
+        found = [json.loads(out)[key] for key in ("slew_V_per_s", "slew_from")]
+        assert found == ([dict.fromkeys("xy", one) for one in expected] if model == "stage" else [*expected])
+    assert "not limited" in run(*words, cwd=folder)[1]
+
+
 @pytest.mark.parametrize(("model", "path", "origin"), [("old", "fast", "unknown"), ("model", "timeless", "no time")])
 def test_without_a_speed_or_a_time_nothing_bounds_and_that_is_said(folder, model, path, origin):
     status, result, _ = compensated(folder, f"{path}.csv", model=f"{model}.json")

@@ -10,10 +10,10 @@ from dehyst.control.planning.start import model_error
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import TARGETS
 from dehyst.model import Actuator
-from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, rates_of
+from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
 from dehyst.operations.declaration import Folder, Input, Only, OperationError, Values, operation
 from dehyst.operations.files import AS_FOUND
-from dehyst.operations.paths import coverage_remarks
+from dehyst.operations.paths import PathSlew, coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import Start, start_words, starts_of
 
@@ -73,7 +73,7 @@ def export(
     limits
         Voltages allowed [V], of all axes or of one; default: the voltages of the records.
     slew_rate
-        Largest slew rate [V/s]; needs --period.
+        Largest slew rate [V/s], with --period; default: not limited.
     period
         Time between steps [s]; a model that depends on time needs it.
     preview
@@ -103,16 +103,20 @@ def export(
     remarks += known.prefixed(map(_open_start, known.actuators, states))
     if kind == "actuator":
         bounds = [_UNLIMITED]
-    slews = rates_of(known.axes, slew_rate)
+    slews = [
+        PathSlew.chosen(one, given) if given else PathSlew(None, "default")
+        for one, given in zip(known.actuators, slews_of(known.axes, slew_rate), strict=True)
+    ]
+    rates = [slew.bound for slew in slews]
     options: dict[str, Any] = {"period": period}
     compensator: Compensator | StageCompensator
     if known.stage is not None:
-        options |= {"limits": bounds, "slew_rate": slews, "states": [one.state for one in states]}
+        options |= {"limits": bounds, "slew_rate": rates, "states": [one.state for one in states]}
         compensator = StageCompensator(known.stage, **options)
         loops = compensator.compensators
     else:
         options |= {"state": states[0].state, "preview": preview}
-        compensator = Compensator(known.actuators[0], bounds[0], slews[0], **options)
+        compensator = Compensator(known.actuators[0], bounds[0], rates[0], **options)
         loops = (compensator,)
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     if kind != "actuator":
@@ -128,8 +132,12 @@ def export(
     for one, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
         way = "" if kind == "actuator" else f"; to bring the actuator there, {one.way}"
         words.append([f"memory begins at {one.words} {start_words(actuator, state, loop.state)}{way}"])
+    fields = {**written.values, **known.merged(begun)}
+    if kind != "actuator":
+        fields |= known.merged([slew.fields() for slew in slews])
+        words = [[*own, slew.words] for own, slew in zip(words, slews, strict=True)]
     lines = [written.line, *known.prefixed(words), *written.table]
-    return Result({**written.values, **known.merged(begun), "warnings": remarks}, lines, warnings=remarks)
+    return Result({**fields, "warnings": remarks}, lines, warnings=remarks)
 
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:

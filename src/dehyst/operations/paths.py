@@ -76,18 +76,26 @@ class PathSlew(NamedTuple):
 
     @property
     def words(self) -> str:
+        """The slew rate, its origin, and the option that changes it, as text."""
+        options = {
+            "records": " (--slew-rate V/S changes it, --slew-rate none removes it)",
+            "unknown": "; give --slew-rate",
+            "default": "; --slew-rate V/S with --period limits it",
+        }
+        return f"slew rate: {self.plain}{options.get(self.origin, '')}"
+
+    @property
+    def plain(self) -> str:
         """The slew rate and its origin as text."""
         bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
         more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
         words = {
             "option": f"{bound}{more}",
-            "records": f"{bound}, the speed of the model's records and a margin of 5 % (--slew-rate V/S changes it, "
-            "--slew-rate none removes it)",
-            "none": "not limited",
-            "unknown": "not limited: this model does not know the speed of its records; give --slew-rate",
+            "records": f"{bound}, the speed of the model's records and a margin of 5 %",
+            "unknown": "not limited: this model does not know the speed of its records",
             "no time": "not limited: the path has no time",
         }
-        return f"slew rate: {words[self.origin]}"
+        return words.get(self.origin, "not limited")
 
     def missed_words(self, limits: tuple[float, float], voltage: Array, missed: float) -> str:
         """Return as text why, and by how much [m], a path is missed with its clamped voltages (n,) [V]."""

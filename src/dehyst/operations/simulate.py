@@ -16,7 +16,7 @@ from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, write_table
-from dehyst.operations.paths import temperature_column, temperature_of
+from dehyst.operations.paths import PathSlew, temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
 
@@ -49,7 +49,7 @@ def simulate(
     start
         State before the first sample, as in compensate; default: unknown.
     home
-        Put the shortest homing before the voltages, from 0 V.
+        Put the shortest homing before the voltages, from 0 V, at most as fast as the model's records.
     temperature
         Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
@@ -65,7 +65,10 @@ def simulate(
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
     options = {"time": time.get("time_s"), "temperature": warmth, "home": home}
     ranges = [one.voltage_range for one in known.actuators]
-    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
+    # The given voltages stay as they are.
+    slews = [PathSlew.chosen(one, None).of_path(timed="time_s" in time) for one in known.actuators]
+    bounds = [slew.bound if home else None for slew in slews]
+    paths = known.planned(plan_voltage, given, ranges, bounds, options, start=begins)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
@@ -84,6 +87,7 @@ def simulate(
         "samples": len(volts),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
+        **(known.merged([slew.fields() for slew in slews]) if home else {}),
         **known.merged([starts.path_start_fields(path) for path in paths]),
         "temperature_cost_um": known.by_axis(1e6 * cost for cost in costs),
         "warnings": warnings,
@@ -96,7 +100,11 @@ def simulate(
     )
     words = ", ".join(known.prefixed([one] for one in begin_words))
     errors = (starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths)
-    lines = [f"{counted(len(volts), 'sample')} {words}: {output}", *known.prefixed(errors)]
+    lines = [
+        f"{counted(len(volts), 'sample')} {words}: {output}",
+        *known.prefixed([f"slew rate of the homing: {slew.plain}"] if home else [] for slew in slews),
+        *known.prefixed(errors),
+    ]
     return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
 
 

@@ -632,7 +632,8 @@ class _Plan:
         if self.time is None or self.time.size < 2:
             return ()
         if not command.clamped.any():
-            return speed_remark(one.actuator, float(np.abs(np.diff(voltage) / np.diff(self.time)).max()), one.slew_rate)
+            # Nothing was held back.
+            return speed_remark(one.actuator, float(np.abs(np.diff(voltage) / np.diff(self.time)).max()))
         options: dict[str, Any] = {"temperature": self.warmth[j], **self.rates}
         needed = needed_slew_rate(one.actuator, self.targets[j], self.time, one.limits, **options)
         return speed_remark(one.actuator, needed, one.slew_rate)
