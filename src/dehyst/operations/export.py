@@ -79,7 +79,8 @@ def export(
     preview
         Compensate delay and inertia too; displacements must then be given in advance.
     name
-        Prefix of files, type and functions, so that several models fit into one firmware; default: piezo.
+        Prefix of files, type and functions, so that several models fit into one firmware; default: piezo,
+        or stage for several axes.
     measure
         Compile the export and report its size and the error due to floats; takes seconds.
     fmu
