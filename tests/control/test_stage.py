@@ -282,6 +282,24 @@ def test_a_refused_displacement_withdraws_the_voltage_on_offer():
     assert [one.clamps for one in loop.compensators] == before
 
 
+def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
+    rng = np.random.default_rng(8)
+    wanted, model = path(rng), stage()
+    loop = StageCompensator(model)
+    for one, gain, offset in zip(loop.compensators, (1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7), strict=True):
+        one.scale(gain, offset)
+    starts = [PossibleStart("known", (state,)) for state in loop.states]
+    commands = loop.trajectory(wanted)
+    planned = plan_path(loop, wanted, start=starts)
+    stepped = loop.run(wanted)
+    for j, (command, one) in enumerate(zip(commands, planned, strict=True)):
+        np.testing.assert_allclose(command.voltage, stepped[:, j], atol=1e-9)
+        np.testing.assert_allclose(one.voltage[one.first :], stepped[:, j], atol=1e-9)
+        np.testing.assert_allclose(command.displacement, wanted[:, j], atol=1e-15)
+    seen = plan_voltage(loop, stepped, start=starts)
+    np.testing.assert_allclose(np.column_stack([one.expected for one in seen]), wanted, atol=1e-13)
+
+
 THERMALS = dehyst.Thermal(-2.5e-3, 4e-9, 30.0), None, dehyst.Thermal(1.5e-3, 0.0, 20.0)
 
 

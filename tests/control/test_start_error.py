@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
-from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip
+from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip, Thermal
 from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage, wave_table
 from dehyst.control.planning.start import model_error
 from dehyst.waveforms import Triangle
@@ -234,3 +234,40 @@ def test_wrong_requests_are_refused_in_sentences():
         plan_path(compensator, [1e-6, 2e-6], time=[0.0, 0.0], home=True)
     with pytest.raises(ModelError, match="start: got 'middle'"):
         PossibleStart.named(PLAIN, "middle")
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, known):
+    """From its start the path is that of the steps, and what is expected is what the plant does with that scaling."""
+    actuator, gain, offset = ACTUATORS[name], 1.07, 3e-7
+    time = 0.01 * np.arange(300)
+    wanted = STROKE * (0.5 + 0.2 * np.sin(3 * time))
+    start = PossibleStart.named(actuator, "bottom") if known else None
+    plain, loop = (Compensator(actuator, period=0.01) for _ in range(2))
+    loop.scale(gain, offset)
+    expected = plan_path(plain, wanted, time=time, start=start)
+    planned = plan_path(loop, offset + gain * wanted, time=time, start=start)
+    np.testing.assert_allclose(planned.voltage, expected.voltage, atol=1e-6)
+    for one in ("displacement", "expected"):
+        np.testing.assert_allclose(getattr(planned, one), offset + gain * getattr(expected, one), atol=1e-12)
+    np.testing.assert_allclose(planned.error.lowest, offset + gain * expected.error.lowest, atol=1e-12)
+    np.testing.assert_allclose(planned.error.difference, gain * expected.error.difference, atol=1e-12)
+    # No time passes before the first sample of a path ahead, and a mass moves with it.
+    if known and not actuator.needs_time:
+        stepped = Compensator(actuator, period=0.01, state=start.state)
+        stepped.scale(gain, offset)
+        np.testing.assert_allclose(planned.voltage[planned.first :], stepped.run(offset + gain * wanted), atol=1e-9)
+    seen = plan_voltage(loop, planned.voltage, time=planned.time, start=planned.start)
+    if known and actuator.dynamics is None:
+        np.testing.assert_allclose(seen.expected, planned.expected, atol=1e-12)
+
+
+def test_a_path_planned_by_a_warm_compensator_is_that_at_the_temperature():
+    warm = replace(PLAIN, thermal=Thermal(4e-3, 1e-8, 20.0))
+    loop, wanted = Compensator(warm, period=0.01), STROKE * (0.5 + 0.2 * np.sin(0.03 * np.arange(300)))
+    expected = plan_path(loop, wanted, temperature=35.0)
+    loop.set_temperature(35.0)
+    np.testing.assert_array_equal(plan_path(loop, wanted).voltage, expected.voltage)
+    loop.set_temperature(-5.0)
+    np.testing.assert_array_equal(plan_path(loop, wanted, temperature=35.0).voltage, expected.voltage)

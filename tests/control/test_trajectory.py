@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, State
+from dehyst import Actuator, Compensator, Dynamics, ModelError, State, Thermal
 from dehyst.control import trajectory
 from examples import examples
 
@@ -261,3 +261,69 @@ def test_what_a_plain_or_a_timeless_task_lacks():
         Compensator(PLANT, (0, 1)).trajectory([0.0, 1e-6], load=[0.0, 1.0])
     with pytest.raises(ModelError, match="load: got 1 values for 2 samples"):
         Compensator(wider("graded", load_stiffness=1e6), (0, 1)).trajectory([0.0, 1e-6], load=[0.0])
+
+
+SCALES = st.floats(0.5, 2.0), st.floats(-0.5, 0.5).map(lambda share: share * plain_records.STROKE)
+
+
+@given(st.sampled_from([None, *WIDE]), st.integers(0, 10**6), *SCALES, st.sampled_from([("m", 1.0), ("um", 1e6)]))
+def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kind, seed, gain, offset, units):
+    plant, (unit, counts) = PLANT if kind is None else wider(kind), units
+    loop = Compensator(plant, (-1e4, 1e4), period=1e-3, units=unit, state=plant.turned(0.0))
+    plain = loop.clone("m")
+    loop.scale(gain, counts * offset)
+    inside = plain_records.path(np.random.default_rng(seed).uniform(0, 1, 6), 40)
+    path = counts * (offset + gain * inside)
+    for at in (slice(90), slice(90, None)):
+        part = path[at]
+        command, expected = loop.trajectory(part), plain.trajectory(inside[at])
+        np.testing.assert_allclose(command.voltage, expected.voltage, rtol=0, atol=1e-9)
+        stepped = loop.run(part)
+        np.testing.assert_allclose(stepped, plain.run(inside[at]), rtol=0, atol=1e-9)
+        # No time passes before the first sample of a path ahead.
+        if not plant.creep:
+            np.testing.assert_allclose(command.voltage, stepped, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(command.state.carts, loop.state.carts, atol=1e-12 * plain_records.STROKE)
+        np.testing.assert_array_equal(command.displacement, part)
+        assert (command.missed, command.clamped.any(), sum(loop.clamps)) == (0.0, False, 0)
+    assert loop.reach == pytest.approx([counts * (offset + gain * end) for end in plain.reach], rel=1e-12)
+    far = inside + 2 * np.ptp(plain.reach)
+    assert loop.strays(counts * (offset + gain * far))
+    assert not loop.strays(path)
+
+
+@given(st.integers(0, 10**6), *SCALES)
+def test_a_clamped_path_ahead_tells_where_gain_and_offset_lead(seed, gain, offset):
+    path = offset + gain * wanted(seed)
+    loop = Compensator(PLANT, (LOW, HIGH))
+    loop.scale(gain, offset)
+    command = loop.trajectory(path)
+    moved = offset + gain * PLANT.simulate(command.voltage, state=loop.initial_state).displacement
+    np.testing.assert_allclose(command.displacement, moved, atol=1e-9 * plain_records.STROKE)
+    assert command.missed == np.abs(path - command.displacement).max()
+
+
+def test_a_given_velocity_is_that_of_the_displacement_with_its_gain():
+    plant, time = replace(PLANT, dynamics=Dynamics(2e3, 0.05)), 1e-3 * np.arange(400)
+    inside, velocity = (
+        plain_records.STROKE * (a + 0.3 * one) for a, one in ((0.5, np.sin(9 * time)), (0, np.cos(9 * time)))
+    )
+    plain, loop = (Compensator(plant, (-1e4, 1e4), period=1e-3) for _ in range(2))
+    loop.scale(1.5, 1e-6)
+    given_rates = {"velocity": 9 * velocity, "acceleration": -81 * (inside - 0.5 * plain_records.STROKE)}
+    expected = plain.trajectory(inside, **given_rates)
+    command = loop.trajectory(1e-6 + 1.5 * inside, **{name: 1.5 * rate for name, rate in given_rates.items()})
+    np.testing.assert_allclose(command.voltage, expected.voltage, atol=1e-8)
+    np.testing.assert_allclose(command.displacement, 1e-6 + 1.5 * expected.displacement, atol=1e-13)
+
+
+def test_a_given_temperature_takes_the_place_of_gain_and_offset():
+    warm = replace(PLANT, thermal=Thermal(4e-3, 1e-8, 20.0))
+    path = plain_records.path((0.3, 0.7, 0.4))
+    loop, other = (Compensator(warm, (-1e3, 1e3)) for _ in range(2))
+    expected = other.trajectory(path, temperature=35.0)
+    loop.scale(1.3, 1e-6)
+    np.testing.assert_array_equal(loop.trajectory(path, temperature=35.0).voltage, expected.voltage)
+    loop.set_temperature(35.0)
+    np.testing.assert_array_equal(loop.trajectory(path).voltage, expected.voltage)
+    assert np.abs(expected.voltage - other.trajectory(path).voltage).max() > 1.0

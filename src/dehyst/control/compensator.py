@@ -239,7 +239,8 @@ class Compensator(ReadOnly):
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), wanted, begin)
+                inner = self.in_model(wanted)
+                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), inner, begin)
         except (ClampWarning, ModelError):
             self.restore(before)
             raise
@@ -274,7 +275,7 @@ class Compensator(ReadOnly):
         load, velocity, acceleration : (n,) array_like, optional
             As in `Actuator.compensate`; velocity in `units` / s, acceleration in `units` / s^2.
         temperature : float or (n,) array_like, optional
-            [degC], with the part `thermal`; default: its reference.
+            [degC], with the part `thermal`. It replaces the gain and offset of `scaling`, which hold by default.
         state : State, optional
             State of the actuator before the path; default: `self.state`.
         present : float, optional
@@ -295,12 +296,12 @@ class Compensator(ReadOnly):
             "velocity": None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
             "acceleration": None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
         }
-        followed, thermal = wanted, self.actuator.thermal
-        if temperature is not None:
-            thermal = demand_thermal(thermal)
-            followed, gain = thermal.at_reference(wanted, temperature), thermal.scale(temperature, wanted.size)[0]
+        followed, scaled = wanted, temperature is not None or self.scaling != (1.0, 0.0)
+        gain, offset = self.scaling_at(temperature, wanted.size)
+        if scaled:
+            followed = (wanted - offset) / gain
             rates = {name: None if values is None else values / gain for name, values in rates.items()}
-        sentence = "" if extrapolate else self._straying(followed, load)
+        sentence = "" if extrapolate else self.straying(followed, load)
         if sentence:
             raise ModelError(f"{sentence}; {ANYWAY}")
         if present is not None:
@@ -324,11 +325,12 @@ class Compensator(ReadOnly):
         slewed = command.clamped & (command.voltage > self.bounds.low) & (command.voltage < self.bounds.high)
         if assumed is not None and slewed.any():
             command = replace(command, warnings=(*command.warnings, assumed_start(assumed)))
-        if temperature is not None and thermal is not None:
-            warm = thermal.warmed(command.displacement, temperature)
-            reached = np.where(command.displacement == followed, wanted, warm)
+        if scaled:
+            reached = np.where(command.displacement == followed, wanted, offset + gain * command.displacement)
+            command = of_axis(command, wanted, reached, self.bounds)
+        if temperature is not None:
             degrees = np.broadcast_to(np.asarray(temperature, dtype=np.float64), wanted.shape)
-            command = replace(of_axis(command, wanted, reached, self.bounds), temperature=degrees)
+            command = replace(command, temperature=degrees)
         if self._per_metre == 1:
             return command
         hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
@@ -336,9 +338,10 @@ class Compensator(ReadOnly):
 
     def strays(self, displacement: ArrayLike, load: ArrayLike | None = None) -> str:
         """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
-        return self._straying(self.in_metres(displacement), load)
+        return self.straying(self.in_model(self.in_metres(displacement)), load)
 
-    def _straying(self, displacement: Array, load: ArrayLike | None) -> str:
+    def straying(self, displacement: Array, load: ArrayLike | None = None) -> str:
+        """Return what `strays` does of a `displacement` (n,) [m] of the model, without gain and offset; `load` too."""
         sentence = stray_sentence(self.actuator, self.bounds, displacement, load)
         if not sentence or self._per_metre == 1:
             return sentence
@@ -383,9 +386,16 @@ class Compensator(ReadOnly):
         """Number of samples by which `step` needs displacements in advance; 0 without `preview`."""
         return self._preview[1]
 
-    @cached_property
+    @property
     def reach(self) -> tuple[float, float]:
-        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest."""
+        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest and the `scaling`."""
+        gain, offset = self.scaling
+        low, high = self._reach
+        return offset + gain * low, offset + gain * high
+
+    @cached_property
+    def _reach(self) -> tuple[float, float]:
+        """The `reach` of the model, without gain and offset."""
         low, high = self.actuator.major_loop(self.limits)
         return low * self._per_metre, high * self._per_metre
 
@@ -449,8 +459,9 @@ class Compensator(ReadOnly):
         """Set a `gain` and an `offset` [m, or `units`] of the displacement between two steps.
 
         The wanted displacement is then offset + gain times the model's displacement, for instance for another
-        temperature or an aged sensor. A construction or a reset sets gain 1 and offset 0. The next voltages follow as
-        fast as the slew rate allows; a pending offer is withdrawn.
+        temperature or an aged sensor. This holds for steps, offers, `trajectory`, `strays` and `reach`. A construction
+        or a reset sets gain 1 and offset 0. The next voltages follow as fast as the slew rate allows; a pending offer
+        is withdrawn.
 
         Raise `ModelError` if the gain is not positive, or a number is not finite: gain and offset are unchanged.
         """
@@ -501,7 +512,7 @@ class Compensator(ReadOnly):
             ) from error
 
     def set_temperature(self, temperature: float) -> None:
-        """Set gain and offset for a `temperature` [degC], for all further steps and offers.
+        """Set gain and offset for a `temperature` [degC], as `scale` does.
 
         Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
         """
@@ -513,6 +524,21 @@ class Compensator(ReadOnly):
         """Gain and offset [m, or `units`] of the displacement, see `scale`."""
         gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
         return gain, offset * self._per_metre
+
+    def scaling_at(self, temperature: ArrayLike | None, samples: int) -> tuple[Any, Any]:
+        """Return gains and offsets [m] of `samples` at a `temperature`, one or (n,) [degC]; None: those of `scaling`.
+
+        Raise `ModelError` as `set_temperature`.
+        """
+        if temperature is not None:
+            return demand_thermal(self.actuator.thermal).scale(temperature, samples)
+        gain, offset = self.scaling
+        return gain, offset / self._per_metre
+
+    def in_model(self, displacement: Array) -> Array:
+        """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m], by the `scaling`."""
+        gain, offset = self.scaling_at(None, displacement.size)
+        return np.asarray((displacement - offset) / gain)
 
     def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
         """Return a python-control block: wanted displacement [m] in, voltage [V] out, starting from the present memory.

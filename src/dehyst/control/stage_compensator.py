@@ -183,7 +183,7 @@ class StageCompensator(ReadOnly):
             slewed = one.limits[0] < voltage[j] < one.limits[1]
             # Once of each kind.
             if not (one.clamps.slewed if slewed else one.clamps.limited):
-                given: dict[str, Any] = {"axis": name, "target": alone[j]}
+                given: dict[str, Any] = {"axis": name, "target": float(one.in_model(np.array(alone[j])))}
                 warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], one.assumed, **given)
         return voltage
 
@@ -261,7 +261,8 @@ class StageCompensator(ReadOnly):
         time : (n,) array_like, optional
             [s], as in `Compensator.trajectory`.
         temperature : float, (n,) or (n, axes) array_like, optional
-            As in `Stage.simulate`.
+            As in `Stage.simulate`. It replaces the gains and offsets of `scaling` of the actuators with the part
+            `thermal`, which hold by default.
         present : (axes,) array_like, optional
             Voltages [V] before the first sample, as in `Compensator.trajectory`.
         extrapolate : bool, optional

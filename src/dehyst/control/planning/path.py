@@ -195,14 +195,14 @@ def plan_path(
     Parameters
     ----------
     compensator : Compensator or StageCompensator
-        Source of actuators, limits, slew rates and units; its state has no effect.
+        Source of actuators, limits, slew rates, units and `scaling`; its state has no effect.
     displacement : (n,) or (n, axes) array_like
         The path, as in `Compensator.trajectory`.
     time, velocity, acceleration
         As in `Compensator.trajectory`; velocity and acceleration only for one axis.
     temperature : float, (n,) or (n, axes) array_like, optional
-        [degC] of the path, as in `Stage.simulate`; default: not known, and computed at the reference of the part
-        `thermal`. Without that part it is only compared with that of the model's records.
+        [degC] of the path, as in `Stage.simulate`; default: not known, and computed with the compensator's `scaling`.
+        Without the part `thermal` it is only compared with that of the model's records.
     start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
@@ -275,7 +275,7 @@ def plan_voltage(
     Parameters
     ----------
     compensator : Compensator or StageCompensator
-        Source of actuators, and of limits and slew rates for the homing.
+        Source of actuators and `scaling`, and of limits and slew rates for the homing.
     voltage : (n,) or (n, axes) array_like
         Voltages [V], which are not changed.
     time, temperature, present
@@ -339,8 +339,8 @@ class _Way(NamedTuple):
 class _Plan:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `targets` (axes, n): displacement [m] or voltage [V] of each actuator. `firsts`: the first of these, displacements
-    at the reference temperature. `temperature` (n, axes) [degC]: of the actuators; `warmth`: those that have an effect.
+    `targets` (axes, n): voltage [V] or displacement [m] of each actuator's model, without gain and offset. `firsts`:
+    the first of these. `temperature` (n, axes) [degC]: of the actuators; `warmth`: those that have an effect.
     """
 
     def __init__(
@@ -373,16 +373,13 @@ class _Plan:
                 self.warmth = self.stage.temperatures(self.temperature, size)
         self.targets = self.rows.T
         if not self.voltage:
-            self.targets = apply(self.stage.decoupling, self.rows).T
-            columns = actuators, self.targets, self.warmth
-            reference = [
-                one.thermal.at_reference(values, degrees) if one.thermal and degrees is not None else values
-                for one, values, degrees in zip(*columns, strict=True)
-            ]
-            strays = "" if self.single is None else self.single.strays(reference[0] * per_metre(self.single.units))
+            moved = apply(self.stage.decoupling, self.rows).T
+            scales = [one.scaling_at(degrees, size) for one, degrees in zip(self.loops, self.warmth, strict=True)]
+            self.targets = np.array([(y - offset) / gain for y, (gain, offset) in zip(moved, scales, strict=True)])
+            strays = "" if self.single is None else self.single.straying(self.targets[0])
             if strays:
                 raise ModelError(f"{strays}; {ANYWAY}")
-        self.firsts = [float(values[0]) for values in (self.targets if self.voltage else reference)]
+        self.firsts = [float(values[0]) for values in self.targets]
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
         if time is not None:
             self.time = vector(time, "time")
@@ -458,13 +455,21 @@ class _Plan:
         """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
         if self.single is not None:
             one = Compensator(self.single.actuator, self.single.limits, self.single.slew_rate, period=period)
+            self.scale((one,))
             options: dict[str, Any] = {"time": self.time, "temperature": self.warmth[0], **self.rates}
             begin = None if present is None else present[0]
             return [one.trajectory(self.rows[:, 0], state=states[0], present=begin, **options)]
         limits, slews = [one.limits for one in self.loops], [one.slew_rate for one in self.loops]
         several = StageCompensator(self.stage, period=period, limits=limits, slew_rate=slews, states=states)
+        self.scale(several.compensators)
         warm = self.temperature if any(degrees is not None for degrees in self.warmth) else None
         return several.trajectory(self.rows, time=self.time, temperature=warm, present=present)
+
+    def scale(self, others: Sequence[Compensator]) -> None:
+        """Set in compensators in metres the gain and offset that those of the axes have."""
+        for one, other in zip(self.loops, others, strict=True):
+            if one.scaling != (1.0, 0.0):
+                other.scale(*one.scaling_at(None, 1))
 
     def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
         """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits."""
@@ -570,14 +575,14 @@ class _Plan:
         """Return the displacement (k, axes) [m] along ways and then voltages (n, axes) [V], and the last states."""
         after = np.zeros((0, len(ways))) if rows is None else rows
         time = self.time_of(ways[0], len(after))
-        motions = []
+        moved, states = [], []
         for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
-            degrees = self.degrees(warmth, way.voltage.size, volts.size)
-            options: dict[str, Any] = {"time": time if one.actuator.needs_time else None, "temperature": degrees}
-            voltage = np.concatenate([way.voltage, volts])
-            motions.append(one.actuator.simulate(voltage, **options, state=way.start.state, extrapolate=True))
-        moved = np.column_stack([motion.displacement for motion in motions])
-        return apply(self.stage.coupling, moved), [motion.state for motion in motions]
+            voltage, clock = np.concatenate([way.voltage, volts]), time if one.actuator.needs_time else None
+            motion = one.actuator.simulate(voltage, time=clock, state=way.start.state, extrapolate=True)
+            gain, offset = one.scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
+            moved.append(offset + gain * motion.displacement)
+            states.append(motion.state)
+        return apply(self.stage.coupling, np.column_stack(moved)), states
 
     def lead(self, ways: Sequence[_Way]) -> Array:
         """Return the displacement (k, axes) [m] along ways, from a state within the limits if the start is unknown."""
@@ -601,9 +606,8 @@ class _Plan:
         for j, (one, way, command, led, path, warmth, temperature) in enumerate(zip(*columns, strict=True)):
             voltage = np.concatenate([way.voltage, command.voltage])
             error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first)
-            if one.actuator.thermal and warmth is not None:
-                low, high = (one.actuator.thermal.warmed(values, warmth) for values in (error.lowest, error.highest))
-                error = replace(error, lowest=low, highest=high)
+            gain, offset = one.scaling_at(warmth, size)
+            error = replace(error, lowest=offset + gain * error.lowest, highest=offset + gain * error.highest)
             promise, untested = promised(one.actuator, command.voltage, self.time, temperature)
             speeds = () if self.voltage else self.speeds(j, command)
             paths.append(
@@ -634,8 +638,9 @@ class _Plan:
         if not command.clamped.any():
             # Nothing was held back.
             return speed_remark(one.actuator, float(np.abs(np.diff(voltage) / np.diff(self.time)).max()))
-        options: dict[str, Any] = {"temperature": self.warmth[j], **self.rates}
-        needed = needed_slew_rate(one.actuator, self.targets[j], self.time, one.limits, **options)
+        gain = one.scaling_at(self.warmth[j], len(self.rows))[0]
+        rates = {name: values / gain for name, values in self.rates.items()}
+        needed = needed_slew_rate(one.actuator, self.targets[j], self.time, one.limits, **rates)
         return speed_remark(one.actuator, needed, one.slew_rate)
 
 
