@@ -279,6 +279,19 @@ def test_integral_action_removes_an_offset_and_stands_still_without_a_sensor():
     assert shifted._correction == before
 
 
+@pytest.mark.parametrize("warmth", [5.0, 35.0])
+def test_integral_action_settles_at_the_wanted_displacement_whatever_the_temperature(warmth):
+    """A sensor with an offset and a gain of 0.94 or 1.06: what is measured, not what the model says, is what is wanted."""
+    plant, wanted = replace(PLANT, thermal=Thermal(-4e-3, 1e-9, 20.0)), 0.5 * STROKE
+    loop, measured = loop_of(actuator=plant, integral_time=20 * PERIOD), None
+    state = loop.state
+    for _ in range(1000):
+        voltage = loop.step(wanted, measured, warmth)
+        motion = plant.simulate([voltage], temperature=warmth, state=state)
+        state, measured = motion.state, float(motion.displacement[0]) + 0.02 * STROKE
+    assert measured == pytest.approx(wanted, abs=1e-9 * STROKE)
+
+
 def test_snapshots_continue_bit_for_bit(tmp_path):
     loop = loop_of()
     lived(loop, 10, age=lambda part: part)

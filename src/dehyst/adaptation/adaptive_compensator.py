@@ -255,8 +255,9 @@ class AdaptiveCompensator:
         wanted, voltage = last
         low, high = self._compensator.limits
         if not isnan(measured) and low < voltage < high and not self._contradicted:
-            # The path that was wanted is that without the correction before.
-            error = wanted - self._correction - measured
+            gain = 1.0 if self._scaling is None else self._scaling[0]
+            # The path that was wanted is that without the correction before; both displacements lack the gain.
+            error = gain * (wanted - self._correction / gain - measured)
             limit = self._most_correction
             self._correction = min(max(self._correction + self._rate * error, -limit), limit)
         return self._correction
