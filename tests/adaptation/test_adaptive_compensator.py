@@ -3,6 +3,7 @@
 import json
 import math
 import pickle
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +16,16 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import (
     AdaptiveCompensator,
+    ClampWarning,
     Compensator,
     DisplacementCreep,
     ModelError,
+    Stage,
+    StageCompensator,
     State,
     Thermal,
 )
-from dehyst.adaptation import AdaptiveSnapshot
+from dehyst.adaptation import AdaptiveSnapshot, AdaptiveStageCompensator
 from dehyst.adaptation.adaptive_compensator import _slow_loop
 
 
@@ -281,7 +285,7 @@ def test_integral_action_removes_an_offset_and_stands_still_without_a_sensor():
 
 @pytest.mark.parametrize("warmth", [5.0, 35.0])
 def test_integral_action_settles_at_the_wanted_displacement_whatever_the_temperature(warmth):
-    """A sensor with an offset and a gain of 0.94 or 1.06: what is measured, not what the model says, is what is wanted."""
+    """With a gain of 0.94 or 1.06, and a sensor with an offset."""
     plant, wanted = replace(PLANT, thermal=Thermal(-4e-3, 1e-9, 20.0)), 0.5 * STROKE
     loop, measured = loop_of(actuator=plant, integral_time=20 * PERIOD), None
     state = loop.state
@@ -290,6 +294,45 @@ def test_integral_action_settles_at_the_wanted_displacement_whatever_the_tempera
         motion = plant.simulate([voltage], temperature=warmth, state=state)
         state, measured = motion.state, float(motion.displacement[0]) + 0.02 * STROKE
     assert measured == pytest.approx(wanted, abs=1e-9 * STROKE)
+
+
+@pytest.mark.parametrize("kind", [Compensator, AdaptiveCompensator, StageCompensator, AdaptiveStageCompensator])
+@pytest.mark.parametrize("warned", [False, True])
+def test_a_refused_step_at_a_new_temperature_changes_nothing(kind, warned):
+    """Refused because a number is impossible, or by a warning that is an error."""
+    warm = replace(PLANT, thermal=Thermal(-4e-3, 1e-9, 20.0))
+    state, learns = PLANT.turned(0.5 * STROKE), kind in (AdaptiveCompensator, AdaptiveStageCompensator)
+    if kind in (StageCompensator, AdaptiveStageCompensator):
+        many, loop = 2, kind(Stage((warm, warm)), period=PERIOD, limits=[LIMITS] * 2, states=[state] * 2)
+    else:
+        integral = {"integral_time": 20 * PERIOD} if learns else {}
+        many, loop = 1, kind(warm, LIMITS, period=PERIOD, state=state, **integral)
+
+    def values(number):
+        return number if many == 1 else [number] * many
+
+    def numbers():
+        found = [one.as_dict() for one in np.atleast_1d(np.array(loop.snapshot(), dtype=object)).tolist()]
+        for one in found:
+            # Refusals are counted.
+            one.get("loop", one)["counts"].pop()
+        return found
+
+    def step(wanted, warmth):
+        seen = (values(0.48 * STROKE),) if learns else ()
+        return loop.step(values(wanted), *seen, temperature=warmth)
+
+    for _ in range(3):
+        step(0.5 * STROKE, 30.0)
+    before = numbers()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ClampWarning)
+        for wanted, warmth in [(3 * STROKE, 40.0)] if warned else [(math.nan, 40.0), (0.4 * STROKE, 1e4)]:
+            with pytest.raises(ClampWarning if warned else ModelError):
+                step(wanted, warmth)
+            assert numbers() == before
+    step(0.5 * STROKE, 40.0)
+    assert numbers() != before
 
 
 def test_snapshots_continue_bit_for_bit(tmp_path):

@@ -208,11 +208,15 @@ class AdaptiveCompensator:
             measured = nan
         elif not isinstance(measured, float):
             measured = float(check.number(measured, "measured"))
+        scaling, correction = self._scaling, self._correction
         if temperature is not None:
-            self.set_temperature(temperature)
+            gain, offset = self._compensator.scaling_at(temperature, 1)
+            scaling = float(gain[0]), float(offset[0]) * self._per_metre
         if self._rate and self._sent:
-            wanted = wanted + self._corrected(self._sent[-1], self._at_reference(measured))
-        voltage = self._compensator.step(wanted)
+            correction = self._corrected(self._sent[-1], measured, scaling or (1.0, 0.0))
+            wanted = check.number(wanted, "wanted", self._compensator.units) + correction
+        voltage = self._compensator.step(wanted, temperature)
+        self._scaling, self._correction = scaling, correction
         self.took(wanted, voltage, measured)
         return voltage
 
@@ -250,16 +254,15 @@ class AdaptiveCompensator:
         gain, offset = self._scaling
         return (displacement - offset) / gain
 
-    def _corrected(self, last: tuple[float, float], measured: float) -> float:
-        """Return the integral action's addition to the path; it pauses while a voltage is clamped."""
-        wanted, voltage = last
+    def _corrected(self, last: tuple[float, float], measured: float, scaling: tuple[float, float]) -> float:
+        """Return the integral action's next addition to the path; it pauses while a voltage is clamped."""
+        (wanted, voltage), (gain, offset) = last, scaling
         low, high = self._compensator.limits
         if not isnan(measured) and low < voltage < high and not self._contradicted:
-            gain = 1.0 if self._scaling is None else self._scaling[0]
-            # The path that was wanted is that without the correction before; both displacements lack the gain.
-            error = gain * (wanted - self._correction / gain - measured)
+            # The path that was wanted is that without the correction before; it lacks gain and offset.
+            error = gain * (wanted - self._correction / gain - (measured - offset) / gain)
             limit = self._most_correction
-            self._correction = min(max(self._correction + self._rate * error, -limit), limit)
+            return min(max(self._correction + self._rate * error, -limit), limit)
         return self._correction
 
     @property

@@ -93,9 +93,9 @@ class AdaptiveStageCompensator:
             raise ModelError(argument="measured", got=repr(measured), need="a number for each axis") from error
         if len(reached) != count:
             raise ModelError(argument="measured", got=f"{len(reached)} values", need=f"{count}, one an axis")
+        voltage = self._compensator.step(wanted, temperature)
         if temperature is not None:
-            self.set_temperature(temperature)
-        voltage = self._compensator.step(wanted)
+            self._rescale()
         aims = vector(wanted, "wanted").tolist()
         for axis, row, value in zip(self.axes, self._table, voltage.tolist(), strict=True):
             axis.took(dot(row, aims), value, dot(row, reached))
@@ -104,6 +104,9 @@ class AdaptiveStageCompensator:
     def set_temperature(self, temperature: ArrayLike) -> None:
         """Set the `temperature` for all further steps and cycles; as `StageCompensator.set_temperature`."""
         self._compensator.set_temperature(temperature)
+        self._rescale()
+
+    def _rescale(self) -> None:
         for axis in self.axes:
             axis.rescale()
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -159,7 +160,8 @@ class Compensator(ReadOnly):
         Raises
         ------
         ModelError
-            If the displacement is not finite: the memory is unchanged, and no time has passed.
+            If the displacement is not finite, or the temperature is refused: the memory is unchanged, and no time has
+            passed.
 
         Warns
         -----
@@ -167,7 +169,9 @@ class Compensator(ReadOnly):
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
         if temperature is not None:
-            self.set_temperature(temperature)
+            with same_scaling_after_errors((self,)):
+                self.set_temperature(temperature)
+                return self.step(displacement)
         try:
             return self._loop.step(displacement)
         except TypeError:
@@ -522,7 +526,7 @@ class Compensator(ReadOnly):
     @property
     def scaling(self) -> tuple[float, float]:
         """Gain and offset [m, or `units`] of the displacement, see `scale`."""
-        gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
+        gain, offset = self.scaling_at(None, 1)
         return gain, offset * self._per_metre
 
     def scaling_at(self, temperature: ArrayLike | None, samples: int) -> tuple[Any, Any]:
@@ -532,8 +536,8 @@ class Compensator(ReadOnly):
         """
         if temperature is not None:
             return demand_thermal(self.actuator.thermal).scale(temperature, samples)
-        gain, offset = self.scaling
-        return gain, offset / self._per_metre
+        gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
+        return gain, offset
 
     def in_model(self, displacement: Array) -> Array:
         """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m], by the `scaling`."""
@@ -631,6 +635,18 @@ def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[
             change=("limits",),
         )
     return interval(chosen)
+
+
+@contextmanager
+def same_scaling_after_errors(loops: Sequence[Compensator]) -> Iterator[None]:
+    """Restore gain and offset of all `loops` if an error occurs in the block."""
+    before = [one.scaling_at(None, 1) for one in loops]
+    try:
+        yield
+    except BaseException:
+        for one, scaling in zip(loops, before, strict=True):
+            one._loop.scale(*scaling)
+        raise
 
 
 def _rebuilt(options: dict[str, Any], memory: Snapshot | None) -> Compensator:

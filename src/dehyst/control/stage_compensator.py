@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, keep, vector
-from dehyst.control.compensator import Compensator
+from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
 from dehyst.control.trajectory import Command, of_axis
@@ -133,11 +133,13 @@ class StageCompensator(ReadOnly):
 
         `temperature`: as in `set_temperature`; it holds from this step on.
 
-        Raise `ModelError` if it is not finite or has another size: the memory is unchanged. Warn `ClampWarning` as
+        Raise `ModelError` if a value is not finite or a size is wrong: the memory is unchanged. Warn `ClampWarning` as
         `Compensator.step`, with the axis and its wanted displacement.
         """
         if temperature is not None:
-            self.set_temperature(temperature)
+            with same_scaling_after_errors(self.compensators):
+                self.set_temperature(temperature)
+                return self.step(displacement)
         voltage = self._offered(displacement)
         for one, value in zip(self.compensators, voltage, strict=True):
             one.commit(value)
