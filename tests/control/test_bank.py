@@ -211,6 +211,24 @@ def test_a_state_of_other_actuators_is_refused():
         bank.restore(None)
 
 
+def test_a_state_belongs_to_all_numbers_of_the_models_and_to_the_period():
+    one = make_actuator(1, 8, 10, uniform=True)
+    low, high = one.voltage_range
+    rise = 0.1 * (high - low) / float(np.ptp(one.spring.displacement))
+    one = replace(one, limits=(low, high), creep=Creep([1.0, 10.0], [rise, rise]))
+    curve = Transformer(np.array([low, high]), np.array([low, 1.01 * high]))
+    bank = Bank([one], period=PERIOD)
+    for other, period in (
+        (replace(one, creep=Creep([2.0, 10.0], [rise, rise])), PERIOD),
+        (replace(one, creep=Creep([1.0, 10.0], [rise, 2 * rise])), PERIOD),
+        (replace(one, transformer=curve), PERIOD),
+        (one, 2 * PERIOD),
+    ):
+        with pytest.raises(ModelError, match="bank of other"):
+            bank.restore(Bank([other], period=period).state)
+    bank.restore(Bank([replace(one, name="again")], (low, 0.9 * high), period=PERIOD).state)
+
+
 def test_one_state_is_that_of_all():
     (one,) = mixed(4, 1, kinds=("plain",))
     start = one.simulate([0.0, 50.0, 20.0]).state

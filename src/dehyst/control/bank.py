@@ -53,7 +53,7 @@ class BankState:
     alone : mapping of int to array
         Complete memory of each actuator that is computed one by one, see `Bank.alone`.
     actuators : str
-        Digest of the actuators; a bank of other actuators refuses the state. Empty: not checked.
+        Digest of the models and the period; a bank with others refuses the state. Empty: not checked.
     """
 
     displacement: Array
@@ -258,7 +258,7 @@ class Bank:
         return BankState(one.w, one.carts, one.strains, one.sent, {}, self._digest)
 
     def restore(self, state: BankState) -> None:
-        """Set the memory to a `state` of this bank, or of another bank of the same actuators.
+        """Set the memory to a `state` of this bank, or of another bank of the same actuators with the same period.
 
         Raise `ModelError` if the state does not fit: the memory is unchanged.
         """
@@ -347,12 +347,13 @@ class Bank:
 
     @cached_property
     def _digest(self) -> str:
-        """Return a key that distinguishes the actuators of this bank from others."""
-        digest = hashlib.sha256()
-        for one in self.actuators:
-            for numbers in (one.slip.breakaway, one.slip.stiffness, one.spring.displacement, one.spring.voltage):
-                digest.update(np.ascontiguousarray(numbers).tobytes())
-        return digest.hexdigest()
+        """Return a key of the models and the period of this bank; limits and starts do not count."""
+        ids = []
+        for one in self._each:
+            ids.append(one.model_ids()[0])
+            # Its loop is of no more use.
+            one.reset()
+        return hashlib.sha256(np.array(ids, dtype="<u4").tobytes()).hexdigest()
 
     def _scattered(self) -> BankState:
         """Return a copy of the state that includes the columns of actuators that are computed alone."""
