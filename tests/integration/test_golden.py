@@ -147,6 +147,48 @@ def test_a_newer_model_or_memory_is_refused(kind, name):
         kind.from_dict({**golden(name), "version": 99})
 
 
+def places_of(data, place=()):
+    """Where the values of JSON data are; of a list the first two."""
+    yield place
+    entries = data.items() if isinstance(data, dict) else list(enumerate(data))[:2] if isinstance(data, list) else ()
+    for key, value in entries:
+        yield from places_of(value, (*place, key))
+
+
+DAMAGE = (None, [], [1.0], [[]], {}, {"x": 1}, 3, -1.5, "x", np.nan, np.inf, True, 10**400)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *((Actuator, f"actuator-{version}.json") for version in DISPLACEMENT),
+        *((Stage, f"stage-{version}.json") for version in (1, 2)),
+        (Snapshot, "loop-2.json"),
+        *((AdaptiveSnapshot, f"adaptive-loop-{version}.json") for version in (1, 2)),
+    ],
+)
+def test_a_damaged_value_anywhere_is_refused_or_can_be_used(kind, name):
+    """Whatever takes the place of one value, nothing but `ModelError` is raised: at reading, and in a loop after it."""
+    actuator, refused = Actuator.load(GOLDEN / "actuator-1.json"), 0
+    for place in places_of(golden(name)):
+        for bad in DAMAGE:
+            data = {"all": golden(name)}
+            *parents, last = ("all", *place)
+            part = data
+            for key in parents:
+                part = part[key]
+            part[last] = bad
+            try:
+                read = kind.from_dict(data["all"])
+                if kind is Snapshot:
+                    Compensator(actuator, slew_rate=2e4, period=1e-3).restore(read)
+                elif kind is AdaptiveSnapshot:
+                    AdaptiveCompensator(actuator, (0, 90), slew_rate=2e4, period=1e-3, zero_drifts=False).restore(read)
+            except ModelError:
+                refused += 1
+    assert refused > len(DAMAGE)
+
+
 def newer(path, old, new):
     """Write a copy of a text with a newer version."""
     text = (GOLDEN / path.name).read_text()

@@ -51,6 +51,8 @@ class AdaptiveSnapshot(files.JsonFile):
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
         files.demand_format(data, FORMAT, VERSIONS)
         files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
+        if not isinstance(data["learnt"], Mapping):
+            raise ModelError(argument="snapshot: learnt", got=type(data["learnt"]).__name__, need="an object")
         learnt = {name: files.numbers(values, f"learnt.{name}") for name, values in data["learnt"].items()}
         return cls(Snapshot.from_dict(data["loop"]), learnt)
 

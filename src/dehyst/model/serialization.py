@@ -218,7 +218,9 @@ def state(data: Mapping[str, Any], version: int = VERSION) -> State:
 
 
 def demand_format(data: Mapping[str, Any], name: str, versions: Sequence[int]) -> int:
-    """Return the version of a file; raise `ModelError` if it has another format or another version."""
+    """Return the version of a file; raise `ModelError` if it has another format or version, or is no object."""
+    if not isinstance(data, Mapping):
+        raise ModelError(f"got {type(data).__name__}, need an object of the format {name!r}")
     found = data.get("version")
     if data.get("format") != name or type(found) is not int or found not in versions:
         *others, last = map(str, versions)
