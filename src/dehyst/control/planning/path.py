@@ -207,8 +207,9 @@ def plan_path(
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
         Whether a way to the first sample comes before the path: from a known start directly, otherwise with the
-        shortest homing. Default for a known start: if one step within the slew rate does not lead to the path. Default
-        for an unknown start: if its error along the path exceeds the model's error.
+        shortest homing. Default for an unknown start: if its error along the path exceeds the model's error. False
+        means no homing only: from given starts there is a way, as by default, if one step within the slew rate does not
+        lead to the path.
     present : float, or one an axis, optional
         Present voltage [V] before a homing; default 0 V or the nearest limit.
 
