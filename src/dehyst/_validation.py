@@ -13,7 +13,7 @@ the records. The rule limits magnitudes, in SI units, and is far wider than any 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from math import inf, nan
 from numbers import Integral, Real
@@ -118,6 +118,20 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
         raise error(argument="limits", got=limits, need="two finite voltages, the lower one first, such as (0, 200)")
     demand_magnitudes(ends, "limits [V]", MOST_ADDED, error=error)
     return ends[0], ends[1]
+
+
+def for_each(values: Any, count: int, what: str, *, error: type[DehystError] = ModelError) -> list[Any]:
+    """Return one entry for each of `count` axes or actuators, from one for all or a list of one for each.
+
+    Two numbers are one entry of limits. Raise `error` that names `what` if the list has another length.
+    """
+    alone = isinstance(values, str) or not isinstance(values, Iterable) or getattr(values, "ndim", 1) == 0
+    given = [values] if alone else list(values)
+    if what == "limits" and len(given) == 2 and all(one is not None and np.ndim(one) == 0 for one in given):
+        given = [values]
+    if len(given) not in (1, count):
+        raise error(argument=what, got=f"{len(given)} for {count}", need="one, or one for each")
+    return (given * count)[:count]
 
 
 def demand(holds: bool, name: str, got: object, needed: str, *, error: type[DehystError] = IdentifyError) -> None:

@@ -268,15 +268,15 @@ def test_clamping_is_said_once_of_a_kind_and_counted(actuators, share):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"limits": [(0, 1)] * 2}, "limits: got 2 for 3 actuators"),
+        ({"limits": [(0, 1)] * 2}, "limits: got 2 for 3"),
         ({"limits": (5, 1)}, "actuator 0: "),
-        ({"slew_rate": [1.0, 2.0]}, "slew_rate: got 2 for 3 actuators"),
+        ({"slew_rate": [1.0, 2.0]}, "slew_rate: got 2 for 3"),
         ({"slew_rate": 10.0}, "give the period"),
         ({"threads": 0}, "threads: got 0, need a whole number from 1 on"),
         ({"threads": 1.5}, "threads: got 1.5"),
-        ({"states": [None]}, "states: got 1 for 3 actuators"),
-        ({"states": 5}, "states: got int, need a list"),
-        ({"limits": 5}, "limits: got int, need a list"),
+        ({"states": [None] * 2}, "states: got 2 for 3"),
+        ({"states": 5}, "actuator 0: state: got int"),
+        ({"limits": 5}, "actuator 0: limits: got 5"),
     ],
 )
 def test_what_does_not_fit_is_refused(options, message):

@@ -282,6 +282,32 @@ def test_a_refused_displacement_withdraws_the_voltage_on_offer():
     assert [one.clamps for one in loop.compensators] == before
 
 
+@pytest.mark.parametrize("kind", ["stage", "bank"])
+def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
+    model = Stage((actuator(), actuator()))
+
+    def made(**options):
+        if kind == "stage":
+            return StageCompensator(model, period=1e-3, **options).compensators
+        return dehyst.Bank(model.actuators, period=1e-3, **options)._each
+
+    pair, state = (0.0, 100.0), model.actuators[0].turned(3e-6)
+    for limits in (pair, list(pair), np.array(pair), [pair], [pair, pair], np.array([pair, pair])):
+        assert [one.limits for one in made(limits=limits)] == [pair] * 2
+    assert [one.limits for one in made(limits=[pair, None])] == [pair, (-150.0, 200.0)]
+    for rate, expected in ((5.0, [5.0, 5.0]), ([5.0], [5.0, 5.0]), ([5.0, None], [5.0, None]), (None, [None] * 2)):
+        assert [one.slew_rate for one in made(slew_rate=rate)] == expected
+    for states in (state, [state, state]):
+        assert [one.state.displacement for one in made(states=states)] == [3e-6] * 2
+    for name, wrong in {"limits": [pair] * 3, "slew_rate": [1.0] * 3, "states": [state] * 3}.items():
+        with pytest.raises(dehyst.ModelError) as caught:
+            made(**{name: wrong})
+        assert caught.value.argument == name
+    for wrong in (5.0, "0,100", [0.0, 50.0, 100.0]):
+        with pytest.raises(dehyst.ModelError, match="limits"):
+            made(limits=wrong)
+
+
 def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
     rng = np.random.default_rng(8)
     wanted, model = path(rng), stage()

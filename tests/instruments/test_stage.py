@@ -308,7 +308,7 @@ class TestAddresses:
         with served() as (server, _), rig_of(server, **own) as rig:
             assert [one.limits.high for one in rig.rigs] == [50.0, LIMITS[1][1], 40.0]
             assert [rig.rigs[j].slew_rate for j in (0, 2)] == [200.0, 100.0]
-        with served() as (server, _), pytest.raises(RigError, match="got 2 numbers for 3 axes"):
+        with served() as (server, _), pytest.raises(RigError, match="slew_rate: got 2 for 3"):
             open_rig(f"pi://127.0.0.1:{server.port}/1,2,3", slew_rate=[1.0, 2.0])
-        with served() as (server, _), pytest.raises(RigError, match="got 2 pairs for 3 axes"):
+        with served() as (server, _), pytest.raises(RigError, match="limits: got 2 for 3"):
             open_rig(f"pi://127.0.0.1:{server.port}/1,2,3", limits=LIMITS[:2])

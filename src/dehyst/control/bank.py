@@ -17,7 +17,7 @@ from dehyst._errors import ModelError
 from dehyst._native import BankCore, BankMemory, CoreState, checked, has_avx2
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import number
+from dehyst._validation import for_each, number
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import ClampWarning, stray_sentence
 from dehyst.control.loop import step_numbers
@@ -128,14 +128,8 @@ class Bank:
         if many < 1 or many != int(many):
             raise ModelError(f"threads: got {threads}, need a whole number from 1 on")
         self.period, self.threads, size = period, int(many), len(self.actuators)
-        one_limit = limits is None or np.ndim(limits) == 1
-        columns = zip(
-            self.actuators,
-            _for_each(limits, size, "limits", single=one_limit),
-            _for_each(slew_rate, size, "slew_rate", single=slew_rate is None or np.ndim(slew_rate) == 0),
-            _for_each(states, size, "states", single=states is None or isinstance(states, State)),
-            strict=True,
-        )
+        given = {"limits": limits, "slew_rate": slew_rate, "states": states}
+        columns = zip(self.actuators, *(for_each(one, size, what) for what, one in given.items()), strict=True)
         # They check what was given. Their own warnings would not say which actuator it is.
         self._each: list[Compensator] = []
         for i, (actuator, bounds, slew, state) in enumerate(columns):
@@ -425,13 +419,6 @@ def _listed(values: Any, what: str) -> list[Any]:
     if not isinstance(values, Iterable):
         raise ModelError(argument=what, got=type(values).__name__, need="a list with one for each actuator")
     return list(values)
-
-
-def _for_each(values: Any, m: int, what: str, *, single: bool) -> list[Any]:
-    each = [values] * m if single else _listed(values, what)
-    if len(each) != m:
-        raise ModelError(argument=what, got=f"{len(each)} for {m} actuators", need="one for each, or one for all")
-    return each
 
 
 def _table(values: ArrayLike, what: str, count: int) -> Array:

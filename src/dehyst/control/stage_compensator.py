@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
-from dehyst._validation import interval, keep, vector
+from dehyst._validation import for_each, interval, keep, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
@@ -38,11 +38,11 @@ class StageCompensator(ReadOnly):
     stage : Stage
     period : float, optional
         Seconds between steps; needed with a slew rate, and by actuators with creep, dynamics or a lag.
-    limits : sequence of (float, float), optional
-        Lowest and highest voltage [V] of each axis. None, for one axis or (default) for all, means the actuator's own.
-    slew_rate : sequence of float, optional
-        Largest abs(dv/dt) [V/s] of each axis. None, for one axis or (default) for all, means not limited.
-    states : sequence of State, optional
+    limits : (float, float), or one an axis, optional
+        Lowest and highest voltage [V]. None, for one axis or (default) for all, means the actuator's own.
+    slew_rate : float, or one an axis, optional
+        Largest abs(dv/dt) [V/s]. None, for one axis or (default) for all, means not limited.
+    states : State, or one an axis, optional
         State of each actuator. Default: its own state, usually the top of its records as in `Compensator`, or if this
         is outside the limits, the state after major loops between the limits.
 
@@ -73,9 +73,9 @@ class StageCompensator(ReadOnly):
         stage: Stage,
         *,
         period: float | None = None,
-        limits: Sequence[tuple[float, float] | None] | None = None,
-        slew_rate: Sequence[float | None] | None = None,
-        states: Sequence[State | None] | None = None,
+        limits: Sequence[tuple[float, float] | None] | tuple[float, float] | None = None,
+        slew_rate: Sequence[float | None] | float | None = None,
+        states: Sequence[State | None] | State | None = None,
     ) -> None:
         if not isinstance(stage, Stage):
             raise ModelError(f"stage: got {type(stage).__name__}, need a Stage")
@@ -222,7 +222,7 @@ class StageCompensator(ReadOnly):
         options: dict[str, Any] = {name: getattr(self, name) for name in ("period", "limits", "slew_rate")}
         return StageCompensator(self.stage, **options, states=[one.initial_state for one in self.compensators])
 
-    def reset(self, states: Sequence[State | None] | None = None) -> None:
+    def reset(self, states: Sequence[State | None] | State | None = None) -> None:
         """Start again in `states`, by default the states at construction; counts restart at 0.
 
         Raise `ModelError` if a state does not fit: the memory is unchanged.
@@ -358,12 +358,3 @@ def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:
     """Return the compensator of each axis."""
     return (compensator,) if isinstance(compensator, Compensator) else compensator.compensators
-
-
-def for_each(values: Sequence[Any] | None, count: int, what: str) -> Sequence[Any]:
-    """Return one entry for each axis, by default None; raise `ModelError` if the number of entries is wrong."""
-    if values is None:
-        return [None] * count
-    if isinstance(values, int | float | str) or len(values) != count:
-        raise ModelError(argument=what, got=repr(values), need=f"{count} entries, one for each axis")
-    return values

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
-from dehyst._validation import number
+from dehyst._validation import for_each, interval, number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import (
@@ -593,19 +593,17 @@ def bounds_of_axes(
 ) -> list[tuple[tuple[float, float] | None, float | None]]:
     """Return limits [V] and slew rate [V/s] that the user allows of each of `count` axes, given once or for each.
 
-    Raise `RigError` if there is another number of them.
+    Raise `RigError` if there is another number of them, or one is no interval or no number.
     """
-    several = Sequence, np.ndarray
-    pairs: list[Any] = [None] if limits is None else list(limits)
-    if len(pairs) == 2 and not any(one is None or isinstance(one, several) for one in pairs):
-        pairs = [pairs]
-    rates: list[Any] = list(slew_rate) if isinstance(slew_rate, several) else [slew_rate]
-    for name, given, what in (("limits", pairs, "pairs"), ("slew_rate", rates, "numbers")):
-        if len(given) not in (1, count):
-            raise RigError(argument=name, got=f"{len(given)} {what} for {count} axes", need="one, or one for each")
+    pairs, rates = (
+        for_each(given, count, what, error=RigError) for what, given in (("limits", limits), ("slew_rate", slew_rate))
+    )
     return [
-        (None if pair is None else (float(pair[0]), float(pair[1])), None if rate is None else float(rate))
-        for pair, rate in zip(*((given * count)[:count] for given in (pairs, rates)), strict=True)
+        (
+            None if pair is None else interval(pair, error=RigError),
+            None if rate is None else number(rate, "slew_rate", error=RigError),
+        )
+        for pair, rate in zip(pairs, rates, strict=True)
     ]
 
 

@@ -13,7 +13,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
-from dehyst._validation import untimely, vector
+from dehyst._validation import for_each, untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import unit_hint
 from dehyst.control.planning.homing import (
@@ -26,7 +26,7 @@ from dehyst.control.planning.homing import (
 )
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
-from dehyst.control.stage_compensator import StageCompensator, axes_of, for_each
+from dehyst.control.stage_compensator import StageCompensator, axes_of
 from dehyst.control.trajectory import Command
 from dehyst.model import (
     ANYWAY,
@@ -395,7 +395,7 @@ class _Plan:
 
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""
-        return [values] if self.single else list(for_each(values, len(self.loops), what))
+        return for_each(values, len(self.loops), what)
 
     def result(self, paths: list[HomedPath]) -> Any:
         """Return the paths of several axes, or the path of the only axis, in the units of its compensator."""
