@@ -55,7 +55,7 @@ def test_graded_elements_and_creep_come_back():
     fades = np.exp(-np.arange(path.size) / 40.0)[:, None]
     force = held + 0.4 * fades[:, 0] - 1.0
     start = fit_start(slip, path, force, fades, np.array([2.0]))
-    assert start.creep[0] == pytest.approx(0.4, abs=0.1)
+    assert start.held[0] == pytest.approx(0.4, abs=0.1)
     assert start.constant == pytest.approx(-1.0, abs=0.2)
 
 

@@ -54,6 +54,21 @@ def test_strains_of_creep_at_the_start_are_found():
     assert np.abs(record.voltage - v).max() > 0.01 * plain_records.VOLTS
 
 
+@pytest.mark.parametrize("closing", [1.0, 0.7])
+@pytest.mark.parametrize("part", [-1.0, -0.6, 0.8])
+def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part):
+    plant = wide.plant(wide.STRUCTURES["smooth"])
+    smooth = replace(plant.actuator.smooth, closing=np.full(len(plant.actuator.smooth), closing))
+    actuator, begun = replace(plant.actuator, smooth=smooth), replace(plant.state, smooth=part * smooth.length)
+    voltage = plant.record().voltage
+    moved, unstrained = (
+        actuator.simulate(voltage, state=replace(begun, smooth=elongation), extrapolate=True).displacement
+        for elongation in (begun.smooth, 0 * smooth.length)
+    )
+    matters = 100 * np.ptp(moved - unstrained) / plain_records.STROKE
+    assert missed(actuator, Record(plant.time, voltage, moved, "strained")) < 0.1 * matters
+
+
 def test_a_branch_of_no_stiffness_changes_nothing():
     plant = wide.plant(wide.STRUCTURES["creep"])
     creep = plant.actuator.creep
@@ -230,7 +245,7 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     assert np.abs(again - rest.displacement).max() < 1e-4 * plain_records.STROKE
 
 
-@pytest.mark.parametrize("name", ["plain", "graded", "creep"])
+@pytest.mark.parametrize("name", ["plain", "graded", "creep", "smooth", "all"])
 def test_a_record_follows_from_the_state_in_which_it_began(name):
     """The second half of a record, whose first half brought the actuator into a state that no name describes."""
     plant = wide.plant(wide.STRUCTURES[name])

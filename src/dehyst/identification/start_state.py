@@ -3,7 +3,7 @@
 While element i has not slid since the record's first sample, its cart stands at b_i; afterwards the displacement alone
 determines it. So the voltages before the widest range is reached bear on the carts, through
 
-    tau(v) - eta(y) - creep = sum_i force_i(y, b_i) + constant,
+    tau(v) - eta(y) - creep - smooth = sum_i force_i(y, b_i) + constant,
 
 which is solved by bounded least squares from several starts (theory: the whole record, judged whole). Carts that one
 another leave reachable differ by no more than their thresholds do: b_1 = y_0 + rho_1 u_1,
@@ -12,15 +12,16 @@ b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._native import slip_elongations
+from dehyst._native import slip_elongations, smooth_elongations
 from dehyst._types import Array, Mask
 from dehyst.identification.rules import RULES
-from dehyst.model import GradedSlip, MaxwellSlip, segment_of
+from dehyst.model import GradedSlip, MaxwellSlip, SmoothSlip, segment_of
 
 # All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
 _STARTS = (0.0, 1.0, -1.0)
@@ -30,18 +31,22 @@ _STEPS, _WORTH = 12, 1e-4
 # Neighbours are held alike by this part of the rows' weight: some carts bear on no sample. The same where each cart is
 # free.
 _ALIKE, _HARDLY = 1e-2, 1e-9
+# Part of a smooth element's length by which its elongation is changed for a slope, and at which the search ends.
+_NEAR = 1e-3
 
 
 class StartState(NamedTuple):
-    """Carts at the first sample of a piece.
+    """Carts, creep and smooth elements at the first sample of a piece.
 
     `carts` (N,): positions [m], on the axis of the displacement. `constant`: offset of the voltages from the model's
-    [V]. `creep` (J,): voltages that creep branches hold in addition to those due to the path since then [V].
+    [V]. `held` (J,): voltages that creep branches and smooth elements hold in addition to those due to the path
+    since then [V]. `cost`: mean square of the voltages that are not explained [V^2].
     """
 
     carts: Array
     constant: float
-    creep: Array
+    held: Array
+    cost: float
 
 
 def fit_start(
@@ -53,11 +58,11 @@ def fit_start(
     constant: float | None = None,
     counted: Mask | None = None,
 ) -> StartState:
-    """Fit the carts, and the voltages that creep branches hold, at the first sample.
+    """Fit the carts, and the voltages that creep branches and smooth elements hold, at the first sample.
 
     `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): voltage
-    that the elements hold there [V], up to a constant and the creep before the first sample. `fades` (n, J): the
-    remainder of one volt that each creep branch held at the first sample. `most` (J,): the largest such voltages [V].
+    that the elements hold there [V], up to a constant and what was held at the first sample. `fades` (n, J): the
+    remainder of one volt that each branch or smooth element held there. `most` (J,): the largest such voltages [V].
     `constant`: the constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the
     elements only.
     """
@@ -74,13 +79,44 @@ def fit_start(
     start = np.clip((problem.carts(u) - displacement[0]) / slip.breakaway, -1.0, 1.0)
     polished = free.solved(np.append(start, u[count:]))
     if polished[0] < RULES.carts_alone_gain * cost:
-        problem, (_, u, rest) = free, polished
-    return StartState(problem.carts(u), (constant or 0.0) + rest, u[count:] * most)
+        problem, (cost, u, rest) = free, polished
+    return StartState(problem.carts(u), (constant or 0.0) + rest, u[count:] * most, cost)
+
+
+def fit_strained(
+    smooth: SmoothSlip,
+    displacement: Array,
+    force: Array,
+    fades: Array,
+    most: Array,
+    fit: Callable[[Array, Array, Array], StartState],
+) -> tuple[StartState, Array]:
+    """Fit smooth elements too; return their elongations (L,) [m] at the first sample beside what `fit_start` returns.
+
+    `force` includes what they hold; `fit` is `fit_start` of the others, by force, fades and most. Gauss and Newton's
+    steps: what an element holds is a curve of its first elongation, which is a line with closing 1.
+    """
+    length, stiffness = smooth.length, smooth.stiffness
+
+    def along(start: Array) -> Array:
+        return smooth_elongations(length, smooth.closing, displacement, start)
+
+    begun = np.zeros(len(smooth))
+    for _ in range(_STEPS):
+        low, high = np.maximum(begun - _NEAR * length, -length), np.minimum(begun + _NEAR * length, length)
+        slopes = (along(high) - along(low)) / (high - low)
+        line = force - (along(begun) - slopes * begun) @ stiffness
+        found = fit(line, np.hstack([fades, slopes]), np.append(most, length * stiffness))
+        before, held = begun, found.held[most.size :]
+        begun = np.clip(np.divide(held, stiffness, out=np.zeros_like(held), where=stiffness > 0), -length, length)
+        if np.all(np.abs(begun - before) <= _NEAR * length):
+            break
+    return fit(force - along(begun) @ stiffness, fades, most), begun
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Least squares over u (N + J,) in [-1, 1], of carts and of creep, and a constant."""
+    """Least squares over u (N + J,) in [-1, 1], of carts and of what fades, and a constant."""
 
     slip: MaxwellSlip | GradedSlip
     displacement: Array
@@ -125,7 +161,7 @@ class _Problem:
 
         residual, slopes = self._residual(u)
         cost, count, branches = self._cost(residual), len(self.slip), self.fades.shape[1]
-        # Rows that hold neighbouring carts alike, and creep at rest.
+        # Rows that hold neighbouring carts alike, and what fades at rest.
         alike = np.zeros((count - 1 + branches, count + branches))
         alike[: count - 1, :count] = np.diff(np.eye(count), axis=0)
         alike[count - 1 :, count:] = np.eye(branches)

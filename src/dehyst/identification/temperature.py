@@ -47,6 +47,8 @@ class TemperatureEffect:
         RMS error of the sum of plays [m].
     datums : tuple of float
         Displacement of each record at the lowest voltage and the reference [m].
+    shown_within : bool
+        Whether a record's temperature changes by so much that it shows an offset, whatever the sensor's zero.
     """
 
     gain: float
@@ -58,6 +60,7 @@ class TemperatureEffect:
     better: float
     missed: float
     datums: tuple[float, ...]
+    shown_within: bool
 
     def at_reference(self, record: Record, datum: float | None = None) -> Record:
         """Return a record converted to the reference temperature; a record without temperature is unchanged.
@@ -108,12 +111,21 @@ class TemperatureEffect:
     def sentence(self) -> str:
         """The effect as a sentence."""
         low, high = self.range
-        gain = f"{100 * self.gain:+.3g} ± {100 * self.gain_error:.2g} %/K" if self.gain else ""
-        offset = f"{1e9 * self.offset:+.3g} ± {1e9 * self.offset_error:.2g} nm/K" if self.offset else ""
+        gain = f"the stroke changes by {100 * self.gain:+.3g} ± {100 * self.gain_error:.2g} %/K" if self.gain else ""
+        offset = (
+            f"the displacement at the lowest voltage changes by {1e9 * self.offset:+.3g} ± "
+            f"{1e9 * self.offset_error:.2g} nm/K"
+            if self.offset
+            else ""
+        )
+        zeroed = (
+            ""
+            if self.shown_within
+            else f" Whether it also shifts as a whole is not known: no record changes by {RULES.temperatures:g} K."
+        )
         return (
-            f"From {low:.3g} to {high:.3g} degC the displacement changes by "
-            f"{' and '.join(one for one in (gain, offset) if one)}. Held-out temperatures are missed by "
-            f"{100 * self.better:.0f} % of the error without that."
+            f"From {low:.3g} to {high:.3g} degC {' and '.join(one for one in (gain, offset) if one)}. Held-out "
+            f"temperatures are missed by {100 * self.better:.0f} % of the error without that.{zeroed}"
         )
 
 
@@ -141,7 +153,7 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
     rows = _TemperatureRows(records, every)
     within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
     # A sensor that is zeroed again hides the offset, but for what the temperature changes within a record.
-    rows.expands = within >= RULES.temperatures
+    shown = rows.expands = within >= RULES.temperatures
     gain, offset, errors, datums, missed = rows.jackknifed()
     if rows.expands and abs(offset) < _SURE * errors[1]:
         rows.expands = False
@@ -158,7 +170,7 @@ def temperature_effect(records: Sequence[Record]) -> tuple[TemperatureEffect | N
     better = within / max(rms(rows.held_out(fixed=True)), 1e-300)
     if not better <= RULES.temperature_helps or not np.all(1 + 2 * gain * rows.kelvins > 0):
         return None, f"{words}: held-out temperatures do not show its effect"
-    found = gain, offset, *errors, rows.reference, (low, high), better, missed, tuple(datums)
+    found = gain, offset, *errors, rows.reference, (low, high), better, missed, tuple(datums), shown
     return TemperatureEffect(*found), ""
 
 

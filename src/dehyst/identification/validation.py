@@ -19,7 +19,8 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import find_datum
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import RecordErrors, Trace
-from dehyst.identification.start_state import fit_start
+from dehyst.identification.rules import RULES
+from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, DisplacementCreep, Identification, State
 from dehyst.records import Record, largest, rms, turning_points
@@ -193,14 +194,25 @@ class RecordComparison:
         if actuator.creep is not None:
             held = held - creep @ actuator.creep.stiffness
             most = float(np.ptp(self.regression.grid.knots)) * actuator.creep.stiffness
-        if actuator.smooth is not None:
-            held = held - smooth @ actuator.smooth.stiffness
         held = held - actuator.spring(y) - self.drift * curve[places]
         known = None if standing or not own else self.last_offsets()[number]
         counted = None if piece.counted is None else piece.counted[places]
-        start = fit_start(actuator.slip, y, held, fades, most, known, counted)
-        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.creep)
-        return replace(state, carts=start.carts - self.datum), start.constant
+
+        def fit(force: Array, fading: Array, largest: Array) -> StartState:
+            return fit_start(actuator.slip, y, force, fading, largest, known, counted)
+
+        start, begun = (
+            fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, fades, most),
+            None,
+        )
+        if actuator.smooth is not None:
+            # At rest, unless the voltages before the elements forget say otherwise.
+            strained, elongations = fit_strained(actuator.smooth, y, held, fades, most, fit)
+            if strained.cost < RULES.carts_alone_gain * start.cost:
+                start, begun = strained, elongations
+        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.held)
+        state = replace(state, carts=start.carts - self.datum)
+        return (state if begun is None else replace(state, smooth=begun)), start.constant
 
     def state_before(self, actuator: Actuator, number: int, epoch: Epoch, begun: Array | None = None) -> State:
         """Return the state at an epoch's first sample on the record's axis: the displacement before determines it.
@@ -382,8 +394,8 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
 def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
     """Return the state at a record's beginning, on the model's axis, and the offset of the record's voltages [V].
 
-    It is the start from which the simulation is nearest to the record, as in `RecordErrors.starts`: its carts and creep
-    strains explain the first voltages best (`fit_start`). Smooth elements are assumed to be not elongated.
+    It is the start from which the simulation is nearest to the record, as in `RecordErrors.starts`: its carts, creep
+    strains and smooth elongations explain the first voltages best (`fit_start`).
 
     `actuator`: the model. `record`: the record that began in the state. `stroke` [m]: range of the widest training
     loop; default that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.

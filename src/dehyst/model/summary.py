@@ -48,7 +48,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     if actuator.displacement_creep is not None:
         parts.append(_displacement_creep(actuator.displacement_creep))
     if actuator.thermal is not None:
-        parts.append(_thermal(actuator.thermal))
+        parts.append(_thermal(actuator.thermal, actuator.reach[0]))
     if actuator.smooth is not None:
         parts.append(_smooth(actuator.smooth))
     if actuator.dynamics is not None:
@@ -174,11 +174,11 @@ def _displacement_creep(creep: DisplacementCreep) -> Part:
     return Part("Creep in displacement", sentence, None)
 
 
-def _thermal(thermal: Thermal) -> Part:
-    sentence = (
-        f"the displacement grows by {100 * thermal.gain:.3g} %/K and {1e9 * thermal.offset:.3g} nm/K, from "
-        f"{thermal.reference:g} degC on."
-    )
+def _thermal(thermal: Thermal, lowest: float) -> Part:
+    # Rounded, as it may be 0.
+    at_lowest = round(thermal.offset + thermal.gain * lowest, 15)
+    shift = f", and the displacement at the lowest voltage by {1e9 * at_lowest:+.3g} nm/K" if at_lowest else ""
+    sentence = f"from {thermal.reference:.4g} degC on, the stroke changes by {100 * thermal.gain:+.3g} %/K{shift}."
     return Part("Temperature", sentence, None)
 
 

@@ -99,6 +99,8 @@ def run_path(
     with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         allowed = instrument.limits.low, instrument.limits.high
         wanted = wanted + zero_of_path(actuator, allowed, zero)
+        # Refused in micrometres here; the library's refusal would be in metres.
+        reach_remarks(actuator, wanted, actuator.voltage_range, zero, given)
         options: dict[str, Any] = {"adapt": adapt, "memory": memory, "zero_drifts": zero_drifts}
         follower = PathRun(instrument, actuator, wanted, rate, temperature=given, **options)
         if abs(follower.rate / rate - 1) > _RATES:

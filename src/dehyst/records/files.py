@@ -218,7 +218,7 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
     """Read a file once; return its columns and, if `with_meta` and dehyst wrote the file, name and meta."""
     demand(decimal in (None, *SIGNS), "decimal", decimal, "one of '.' and ','", error=FileFormatError)
     with reading_errors(path, path.suffix):
-        if path.suffix.lower() not in LOADERS and not path.is_fifo() and not path.is_dir():
+        if path.suffix.lower() not in LOADERS and path.exists() and not path.is_fifo() and not path.is_dir():
             raise FileFormatError(
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
