@@ -233,7 +233,7 @@ def test_temperature_is_a_gain_and_an_offset_behind_all_other_parts(tmp_path):
     )
     THERMAL.save(tmp_path / "model.json")
     assert Actuator.load(tmp_path / "model.json").thermal == THERMAL.thermal
-    assert "0.4 %/K and 2" in THERMAL.summary()
+    assert "+0.4 %/K" in THERMAL.summary() and "+2 nm/K" in THERMAL.summary()
 
 
 def test_a_loop_follows_a_temperature():

@@ -77,7 +77,7 @@ class DecisionRules:
     carts_alone_gain: float = _rule(
         0.5,
         "ratio of squares",
-        "Slider positions that no history leads to, and strained smooth elements, are allowed at a record's start at this gain.",
+        "A record may begin with sliders where no history leads to, or strained smooth elements, at this gain.",
     )
     speed_ratio: float = _rule(
         3.0, "ratio of speeds", "Legs alike in height at speeds this far apart distinguish creep from hysteresis."
