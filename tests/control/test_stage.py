@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
 from dehyst.control import PossibleStart, plan_path, plan_voltage
+from dehyst.control.stage_compensator import targets_and_clamped
 
 
 def actuator(scale=1.0, **options):
@@ -123,6 +124,94 @@ def test_a_clamped_whole_path_equals_its_steps(options):
     assert np.allclose(np.column_stack([one.displacement for one in commands]), reached, rtol=0, atol=1e-13)
     assert max(one.missed for one in commands if not one.clamped.any()) < 1e-13
     assert any(one.warnings for one in commands)
+
+
+def random_loop(rng, most=0.15):
+    """Limits and slew rates so narrow that every axis is clamped now and then, and couplings of up to `most`."""
+    size = int(rng.integers(2, 5))
+    coupling = rng.uniform(-most, most, (size, size))
+    np.fill_diagonal(coupling, 1)
+    model = Stage(tuple(actuator(scale) for scale in rng.uniform(0.7, 1.4, size)), coupling, tuple("abcd"[:size]))
+    limits = [(-150.0, high) for high in rng.uniform(15, 60, size)]
+    return StageCompensator(model, period=1e-3, limits=limits, slew_rate=rng.uniform(100, 2000, size).tolist())
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31))
+def test_each_axis_is_clamped_only_by_its_own_limits(seed):
+    """With the others at what they reach, each axis is as near to what is wanted of it as its own voltages allow."""
+    rng = np.random.default_rng(seed)
+    loop = random_loop(rng)
+    model, size = loop.stage, len(loop.stage.axes)
+    wanted = path(rng, 40, size)
+    # Far from what can be reached, as by a set-point in another unit.
+    wanted[rng.random(wanted.shape) < 0.1] *= 30
+    for row in wanted:
+        ends = np.array([[one.offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for one in loop.compensators])
+        loop.step(row)
+        moved = model.decoupling @ loop.displacement
+        own = row - (model.coupling - np.eye(size)) @ moved
+        assert np.abs(moved - np.clip(own, *ends.T)).max() < 1e-15
+        outside = np.maximum(ends[:, 0] - own, own - ends[:, 1])
+        sure = np.abs(outside) > 1e-13
+        assert np.array_equal(np.array(loop.clamped)[sure], outside[sure] > 0)
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+@pytest.mark.parametrize("seed", range(5))
+def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
+    rng = np.random.default_rng(seed)
+    loop = random_loop(rng)
+    wanted = path(rng, 200, len(loop.stage.axes))
+    commands, voltage, clamped = loop.trajectory(wanted), [], []
+    for row in wanted:
+        voltage.append(loop.step(row))
+        clamped.append(loop.clamped)
+    for j, one in enumerate(commands):
+        held = np.array(clamped)[:, j]
+        assert held.any()
+        assert np.array_equal(one.clamped, held)
+        assert np.allclose(one.voltage, np.array(voltage)[:, j], rtol=0, atol=1e-10)
+        assert np.abs(one.displacement - wanted[:, j])[~held].max(initial=0) < 1e-15
+
+
+def test_a_path_that_begins_where_one_axis_cannot_go_leads_the_others_to_what_is_wanted():
+    model = Stage((actuator(), actuator(1.3)), [[1.0, 0.04], [-0.03, 1.0]])
+    loop = StageCompensator(model, period=1e-2, limits=(-60.0, 120.0), slew_rate=40.0)
+    wanted = np.column_stack([np.full(100, 4e-6), np.linspace(40e-6, 5e-6, 100)])
+    known = [PossibleStart("known", (one.state,)) for one in loop.compensators]
+    for homed in (plan_path(loop, wanted, home=True), plan_path(loop, wanted, start=known)):
+        assert homed[1].clamped.any()
+        assert not homed[0].clamped.any()
+        assert np.abs(homed[0].expected[homed[0].first :] - 4e-6).max() < 1e-14
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**31), st.sampled_from([0.1, 0.3, 2.0]))
+def test_the_search_for_clamped_axes_ends(seed, most):
+    """By any coupling; if it is dominated by its diagonal, with each axis as near as its interval allows."""
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(1, 5))
+    coupling = rng.uniform(-most, most, (size, size))
+    np.fill_diagonal(coupling, 1)
+    middle, width = rng.uniform(-1, 1, size), 10 ** rng.uniform(-3, 0, size)
+    low, high = middle - width, middle + width
+    wanted = coupling @ middle + rng.standard_normal(size) * 10 ** rng.uniform(-3, 2, size)
+
+    def offer(j, target):
+        return None if low[j] <= target <= high[j] else float(np.clip(target, low[j], high[j]))
+
+    targets, known = targets_and_clamped(np.linalg.inv(coupling).tolist(), wanted.tolist(), offer)
+    moved = np.array([known.get(j, target) for j, target in enumerate(targets)])
+    free = np.array([j not in known for j in range(size)])
+    room = 1e-9 * (1 + np.abs(wanted).max()) * np.linalg.cond(coupling)
+    assert np.abs(coupling @ moved - wanted)[free].max(initial=0) < room
+    assert all(low <= moved)
+    assert all(moved <= high)
+    if most * (size - 1) < 1:
+        own = wanted - (coupling - np.eye(size)) @ moved
+        assert np.abs(moved - np.clip(own, low, high)).max() < room
 
 
 def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst._validation import for_each, interval, keep, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
@@ -19,8 +20,8 @@ from dehyst.control.loop import ReadOnly, Snapshot
 from dehyst.control.trajectory import Command, of_axis
 from dehyst.model import Stage, State, apply, dot, reachable, state_after_loops
 
-# Passes over the path in which clamped axes correct the free ones.
-_PASSES = 12
+# Most passes over the path in which clamped axes correct the free ones.
+_PASSES = 100
 # Of the stroke: changes that are rounding.
 _SETTLED = 1e-12
 
@@ -31,7 +32,8 @@ class StageCompensator(ReadOnly):
     A clamped axis does not disturb the others. If the voltage of axis k is clamped, the displacement w_k of its
     actuator is known, and axis k misses its wanted displacement. All other axes still reach theirs: ``w = coupling^-1
     y`` is solved for y_k and for the targets w of the free axes. If a corrected target is clamped too, that axis joins
-    the clamped ones, and the others are corrected again.
+    the clamped ones; an axis that was clamped only because of what another one cannot reach leaves them. The others
+    are corrected again.
 
     Parameters
     ----------
@@ -166,19 +168,13 @@ class StageCompensator(ReadOnly):
         for one in self.compensators:
             one.withdraw()
         wanted = self._values(displacement, "displacement")
-        voltage, known = [0.0] * len(wanted), dict[int, float]()
-        alone = targets = [dot(row, wanted) for row in self._table]
-        open_axes = [*range(len(wanted))]
-        while open_axes:
-            for j in open_axes:
-                voltage[j], reached = self.compensators[j].offer_and_reach(targets[j])
-                if reached is not None:
-                    known[j] = reached
-            before, open_axes = open_axes, [j for j in open_axes if j not in known]
-            if open_axes == before:
-                break
-            corrected = reachable(self._table, wanted, known)
-            targets = [dot(row, corrected) for row in self._table]
+        voltage, alone = [0.0] * len(wanted), [dot(row, wanted) for row in self._table]
+
+        def offer(j: int, target: float) -> float | None:
+            voltage[j], reached = self.compensators[j].offer_and_reach(target)
+            return reached
+
+        known = targets_and_clamped(self._table, wanted, offer)[1]
         keep(self, clamped=tuple(j in known for j in range(len(wanted))))
         for j in known:
             one, name = self.compensators[j], self.stage.axes[j]
@@ -295,19 +291,16 @@ class StageCompensator(ReadOnly):
             except ModelError as error:
                 raise ModelError(f"axis {self.stage.axes[j]}: {error}") from error
 
-        targets = apply(self.stage.decoupling, wanted)
+        alone = targets = apply(self.stage.decoupling, wanted)
         commands = [command(j, targets[:, j], extrapolate) for j in axes]
-        clamped = np.column_stack([one.clamped for one in commands])
         settled = _SETTLED * max(float(np.ptp(wanted)), np.finfo(np.float64).tiny)
-        for _ in range(_PASSES if clamped.any() and len(axes) > 1 else 0):
-            reached = np.column_stack([one.displacement for one in commands])
-            corrected = self._corrected(targets, wanted, reached, clamped)
+        for _ in range(_PASSES if len(axes) > 1 and any(one.clamped.any() for one in commands) else 0):
+            corrected = self._corrected(alone, targets, wanted, commands)
             if np.abs(corrected - targets).max() <= settled:
                 break
             changed, targets = (corrected != targets).any(axis=0), corrected
             # These targets are in the neighbourhood of those that were checked.
             commands = [command(j, targets[:, j], True) if changed[j] else commands[j] for j in axes]
-            clamped |= np.column_stack([one.clamped for one in commands])
         exact = all(one.followed for one in commands)
         moved = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
         reached = wanted if exact else moved
@@ -316,15 +309,21 @@ class StageCompensator(ReadOnly):
         own = [of_axis(commands[j], wanted[:, j], reached[:, j], bounds[j]) for j in axes]
         return tuple(replace(one, followed=exact) for one in own)
 
-    def _corrected(self, targets: Array, wanted: Array, reached: Array, clamped: Mask) -> Array:
-        """Return targets with which the free axes reach their wanted displacements."""
-        corrected = targets.copy()
+    def _corrected(self, alone: Array, targets: Array, wanted: Array, commands: Sequence[Command]) -> Array:
+        """Return targets with which the free axes reach their wanted displacements; `alone`: those if none is clamped.
+
+        Clamped axes keep theirs.
+        """
+        reached = np.column_stack([one.displacement for one in commands])
+        clamped = np.column_stack([one.clamped for one in commands])
+        corrected, beyond = alone.copy(), targets - reached
         for i in np.flatnonzero(clamped.any(axis=1)).tolist():
+            aims = wanted[i].tolist()
             known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
-            moved = reachable(self._table, wanted[i].tolist(), known)
-            for j, row in enumerate(self._table):
-                if j not in known:
-                    corrected[i, j] = dot(row, moved)
+            for j in _released(known, beyond[i], aims, reachable(self._table, aims, known)):
+                del known[j]
+            moved = reachable(self._table, aims, known)
+            corrected[i] = [targets[i, j] if j in known else dot(row, moved) for j, row in enumerate(self._table)]
         return corrected
 
     def _values(self, values: ArrayLike, what: str) -> list[float]:
@@ -332,6 +331,48 @@ class StageCompensator(ReadOnly):
         if numbers.size != count:
             raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one an axis")
         return list(numbers.tolist())
+
+
+def targets_and_clamped(
+    table: Sequence[Sequence[float]], wanted: Sequence[float], offer: Callable[[int, float], float | None]
+) -> tuple[list[float], dict[int, float]]:
+    """Return the targets (axes,) [m] of the actuators, and the displacements [m] of those that are clamped, by axis.
+
+    The free axes reach what is `wanted` (axes,) [m] of them, and no clamped axis moves past it. With a coupling whose
+    principal minors are positive there is one such result. The search fixes and releases axes all at once; as this
+    may repeat for a coupling of about 1, it releases none after twice as many passes as there are axes.
+
+    `table`: (axes, axes), the inverse coupling. `offer` takes an axis and its target; it returns None, or if the axis
+    is clamped, the displacement [m] that its actuator reaches.
+    """
+    count, moved, known = len(wanted), wanted, dict[int, float]()
+    targets, beyond = [0.0] * count, [0.0] * count
+    for passed in itertools.count():
+        released = _released(known, beyond, wanted, moved) if passed < 2 * count else []
+        fresh = dict[int, float]()
+        for j in range(count):
+            if j in known:
+                continue
+            targets[j] = dot(table[j], moved)
+            reached = offer(j, targets[j])
+            if reached is not None:
+                fresh[j], beyond[j] = reached, targets[j] - reached
+        if not fresh and not released:
+            break
+        known = {j: w for j, w in known.items() if j not in released} | fresh
+        moved = reachable(table, wanted, known)
+    return targets, known
+
+
+def _released(
+    known: Iterable[int], beyond: Sequence[float] | Array, wanted: Sequence[float], moved: Sequence[float]
+) -> list[int]:
+    """Return which of the clamped axes in `known` move past what is wanted of them: they need not be clamped.
+
+    `beyond` (axes,): by how much the target of a clamped actuator lay beyond what it reaches [m]. `wanted`, `moved`
+    (axes,): displacements [m].
+    """
+    return [j for j in known if beyond[j] * (wanted[j] - moved[j]) < 0]
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from dehyst.control.planning.homing import (
 )
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import time_dependence
-from dehyst.control.stage_compensator import StageCompensator, axes_of
+from dehyst.control.stage_compensator import StageCompensator, axes_of, targets_and_clamped
 from dehyst.control.trajectory import Command
 from dehyst.model import (
     ANYWAY,
@@ -372,7 +372,7 @@ class _Plan:
             self.temperature = temperature_columns(temperature, size, len(actuators))
             if any(one.thermal for one in actuators) or not any(map(tested_temperatures, actuators)):
                 self.warmth = self.stage.temperatures(self.temperature, size)
-        self.targets = self.rows.T
+        self.targets, self.firsts = self.rows.T, self.rows[0].tolist()
         if not self.voltage:
             moved = apply(self.stage.decoupling, self.rows).T
             scales = [one.scaling_at(degrees, size) for one, degrees in zip(self.loops, self.warmth, strict=True)]
@@ -380,7 +380,7 @@ class _Plan:
             strays = "" if self.single is None else self.single.straying(self.targets[0])
             if strays:
                 raise ModelError(f"{strays}; {ANYWAY}")
-        self.firsts = [float(values[0]) for values in self.targets]
+            self.firsts = self.firsts_within(scales)
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
         if time is not None:
             self.time = vector(time, "time")
@@ -392,6 +392,21 @@ class _Plan:
         }
         if self.rates and self.single is None:
             raise ModelError(argument=min(self.rates), got="it for several axes", need="a path of one axis")
+
+    def firsts_within(self, scales: Sequence[tuple[Any, Any]]) -> list[float]:
+        """Return the `firsts` if axes within reach are corrected by what the others miss, as in each step.
+
+        `scales`: gains and offsets [m] of the axes.
+        """
+        gains, offsets = ([float(np.ravel(values)[0]) for values in column] for column in zip(*scales, strict=True))
+
+        def nearest(j: int, target: float) -> float | None:
+            one = self.loops[j]
+            low, high = (offsets[j] + gains[j] * end for end in one.actuator.major_loop(one.limits))
+            return None if low <= target <= high else min(max(target, low), high)
+
+        targets, _ = targets_and_clamped(self.stage.decoupling.tolist(), self.rows[0].tolist(), nearest)
+        return [(target - offset) / gain for target, gain, offset in zip(targets, gains, offsets, strict=True)]
 
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""

@@ -87,32 +87,37 @@ dehyst_status piezo_begin(piezo *p)
 
 void piezo_offer(piezo *p, const dehyst_real displacement[MODEL_AXES], dehyst_real voltage[MODEL_AXES])
 {
-    dehyst_real corrected[MODEL_AXES], reached[MODEL_AXES];
-    int offered[MODEL_AXES], fresh, left, i, j;
+    dehyst_real moved[MODEL_AXES], reached[MODEL_AXES], beyond[MODEL_AXES], target;
+    int passed = 0, changed, i, j;
     for (j = 0; j < MODEL_AXES; j++) {
-        corrected[j] = displacement[j];
-        reached[j] = 0;
-        offered[j] = p->clamped[j] = 0;
+        moved[j] = displacement[j];
+        reached[j] = beyond[j] = 0;
+        p->clamped[j] = 0;
     }
     do {
-        fresh = left = 0;
+        changed = 0;
         for (j = 0; j < MODEL_AXES; j++) {
-            dehyst_loop *loop = &p->loop[j];
-            if (offered[j]) continue;
-            voltage[j] = dehyst_loop_offer(models[j], loop, p->memory + begins[j], dot(decoupling[j], corrected));
-            if (loop->offer == DEHYST_LIMITED || loop->offer == DEHYST_SLEWED) {
-                reached[j] = reached_by(p, j, voltage[j]);
-                p->clamped[j] = offered[j] = 1;
-                fresh = 1;
-            } else {
-                left = 1;
+            if (p->clamped[j]) {
+                /* An axis that moves past what is wanted of it need not be clamped. */
+                if (passed < 2 * MODEL_AXES && beyond[j] * (displacement[j] - moved[j]) < 0) {
+                    p->clamped[j] = 0;
+                    changed = 1;
+                }
+                continue;
             }
+            target = dot(decoupling[j], moved);
+            voltage[j] = dehyst_loop_offer(models[j], &p->loop[j], p->memory + begins[j], target);
+            if (p->loop[j].offer != DEHYST_LIMITED && p->loop[j].offer != DEHYST_SLEWED) continue;
+            reached[j] = reached_by(p, j, voltage[j]);
+            beyond[j] = target - reached[j];
+            p->clamped[j] = changed = 1;
         }
-        if (fresh && left) {
-            for (i = 0; i < MODEL_AXES; i++) corrected[i] = displacement[i];
-            solve_reachable(p->clamped, reached, corrected);
+        if (changed) {
+            for (i = 0; i < MODEL_AXES; i++) moved[i] = displacement[i];
+            solve_reachable(p->clamped, reached, moved);
         }
-    } while (fresh && left);
+        passed++;
+    } while (changed);
 }
 
 void piezo_commit(piezo *p, const dehyst_real voltage[MODEL_AXES])
