@@ -84,6 +84,14 @@ class DehystError(Exception):
         return escaped(super().__str__())
 
 
+def of_part(error: DehystError, part: str) -> Any:
+    """Return the same error of a part, as "axis x", whose words a command can still replace by its own."""
+    if error.argument or type(error).__init__ is not DehystError.__init__:
+        return type(error)(f"{part}: {error}")
+    fields = {name: getattr(error, name) for name in ("got", "need", "hint", "change")}
+    return type(error)(f"{part}: {error.message}", **fields)
+
+
 class RecordError(DehystError, ValueError):
     """A record of voltage and displacement that cannot be used as it is."""
 

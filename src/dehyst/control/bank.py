@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import ModelError
+from dehyst._errors import ModelError, of_part
 from dehyst._native import BankCore, BankMemory, CoreState, checked, has_avx2
 from dehyst._text import counted
 from dehyst._types import Array
@@ -136,7 +136,7 @@ class Bank:
             try:
                 self._each.append(Compensator(actuator, bounds, slew, period=period, state=state))
             except ModelError as error:
-                raise ModelError(f"actuator {i}: {error}") from error
+                raise of_part(error, f"actuator {i}") from error
         self.alone = {i: reason for i, one in enumerate(self.actuators) if (reason := _reason_alone(one))}
         self._laned = np.array([i for i in range(size) if i not in self.alone], dtype=np.intp)
         self._whole = self._laned.size == size

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
+from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
 from dehyst._validation import for_each, interval, keep, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
@@ -93,7 +93,7 @@ class StageCompensator(ReadOnly):
                 made.append(Compensator(actuator, bounds, slew, period=period, state=state, warns=False))
                 keep(made[-1], _assumed=start is None)
             except ModelError as error:
-                raise ModelError(f"axis {axis}: {error}") from error
+                raise of_part(error, f"axis {axis}") from error
         keep(self, stage=stage, compensators=tuple(made), period=made[0].period)
         keep(self, limits=tuple(one.limits for one in made), slew_rate=tuple(one.slew_rate for one in made))
         keep(self, clamped=(False,) * len(made), _table=stage.decoupling.tolist())
@@ -289,7 +289,7 @@ class StageCompensator(ReadOnly):
             try:
                 return self.compensators[j].trajectory(target, **options, extrapolate=stray)
             except ModelError as error:
-                raise ModelError(f"axis {self.stage.axes[j]}: {error}") from error
+                raise of_part(error, f"axis {self.stage.axes[j]}") from error
 
         alone = targets = apply(self.stage.decoupling, wanted)
         commands = [command(j, targets[:, j], extrapolate) for j in axes]

@@ -7,6 +7,7 @@ from dehyst.identification.coupling.matrix import (
     AxisTraces,
     PlayColumns,
     coupling_by_plays,
+    refuse_still,
     separate_motion,
 )
 from dehyst.identification.diagnostics.branches import Branch, voltage_at

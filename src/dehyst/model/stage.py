@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
+from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
 from dehyst._views.fields import json_values
@@ -269,7 +269,7 @@ class Stage(JsonFile):
             try:
                 motions.append(getattr(one, call)(column, **options, extrapolate=extrapolate))
             except ModelError as error:
-                raise ModelError(f"axis {axis}: {error}") from error
+                raise of_part(error, f"axis {axis}") from error
         return motions
 
     def temperatures(self, temperature: ArrayLike | None, samples: int) -> list[Array | None]:

@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.identification import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, separate_motion
+from dehyst.identification import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, refuse_still, separate_motion
 from dehyst.model import Stage, by_axis, matrix_lines
 from dehyst.records import Record
 from dehyst.trust.assessment import insight
@@ -141,6 +141,7 @@ def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> S
         As in `dehyst.check`.
     """
     _refuse_other_axes(stage, [record])
+    refuse_still([record])
     rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
     columns, changes = PlayColumns.of([record]), list[str]()
     if separate_motion(columns).min() < INSEPARABLE:

@@ -268,7 +268,8 @@ def identify_stage(
                 f"{', '.join(training[0].axes)}; give records of the same axes in the same order"
             )
     names, strokes = training[0].axes, np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
-    matrix.refuse_still_or_equal(training)
+    matrix.refuse_still(training)
+    matrix.refuse_equal(training)
     report("coupling of the axes")
     with one_thread():
         columns = matrix.PlayColumns.of(training)

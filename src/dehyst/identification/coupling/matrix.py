@@ -184,20 +184,25 @@ def refuse_inseparable(names: Sequence[str], shares: Array) -> list[str]:
     return remarks
 
 
-def refuse_still_or_equal(records: Sequence[Record]) -> None:
-    """Raise `RecordError` if an axis moves in none of the records, or two displacements differ by a constant."""
+def refuse_still(records: Sequence[Record]) -> None:
+    """Raise `RecordError` if the voltage or the displacement of an axis moves in none of the records."""
     names = records[0].axes
     for j, name in enumerate(names):
         if all(np.ptp(one.voltage[:, j]) == 0 for one in records):
             held = records[0].voltage[0, j]
             raise RecordError(
-                f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves; record each axis alone: "
-                "dehyst excite stage"
+                f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves: record all axes moving, one "
+                "after the other or together: dehyst excite stage"
             )
         if all(np.ptp(one.displacement[:, j]) == 0 for one in records):
             raise RecordError(
                 f"axis {name}: its displacement does not move; check its sensor, and the column that is read: --columns"
             )
+
+
+def refuse_equal(records: Sequence[Record]) -> None:
+    """Raise `RecordError` if the displacements of two axes differ by a constant."""
+    names = records[0].axes
     for i, j in combinations(range(len(names)), 2):
         pairs = [one.displacement[:, [i, j]] for one in records]
         if all(np.ptp(pair[:, 0] - pair[:, 1]) <= _SAME * np.ptp(pair, axis=0).max() for pair in pairs):
