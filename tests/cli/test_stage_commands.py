@@ -1,6 +1,7 @@
 """Commands with several axes: records with axes in --columns, and models of several axes."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from command_line import rare, refused, result
 from dehyst.cli import main
 from dehyst.model import Stage
 from dehyst.records import Record, read, read_table, write_columns
+from dehyst.records.tables import axis_columns, text_of
 from dehyst.trust import start_of
 
 AXES = "x=vx_V:x_um, y=vy_V:y_um"
@@ -355,3 +357,118 @@ def test_axes_whose_columns_are_not_named_get_a_proposal(folder):
     words = ["compensate", folder / "numbered.json", folder / "path.csv", "-o", folder / "numbered.csv"]
     assert '--columns "1=x_um, 2=y_um"' in run(*words, status=2)
     run(*words, "--columns", "1=x_um, 2=y_um", "--no-home")
+
+
+def in_other_units(folder, name, columns, *, scales=(1, 1, 1, 1)):
+    """Write the columns of a table of both axes by other names, divided by scales."""
+    table = read_table(folder / name)
+    sources = ["vx_V", "x_um", "vy_V", "y_um"]
+    found = {one.name: one.data for one in table.columns}
+    kept = {name: values for name, values in found.items() if name not in sources}
+    own = {new: found[old] / scale for old, new, scale in zip(sources, columns, scales, strict=True)}
+    write_columns(folder / f"other-{name}", kept | own)
+    return folder / f"other-{name}"
+
+
+@pytest.fixture(scope="module")
+def scaled(folder):
+    """Return a record with scaled columns, the columns as text, and the model with these among its own."""
+    record = in_other_units(folder, "stage.csv", ["Mx", "x_um", "vy_V", "y_um"], scales=(15, 1, 2, -1))
+    axes = "x=Mx:V*15:x_um, y=vy_V*2:y_um*-1um/um"
+    recorded = ("x=Mx:V*15:x_um", "y=vy_V*2:y_um*-1 um/um")
+    replace(Stage.load(folder / "stage.json"), recorded_columns=recorded).save(folder / "scaled.json")
+    return record, axes
+
+
+def test_a_record_with_scales_is_checked_with_and_without_columns(folder, scaled):
+    record, axes = scaled
+    plain, own, given = (
+        json.loads(run("check", *words, "--json"))
+        for words in (
+            (folder / "stage.json", folder / "stage.csv"),
+            (folder / "scaled.json", record),
+            (folder / "stage.json", record, "--columns", axes),
+        )
+    )
+    assert own == given
+    assert np.allclose(own["coupling"], plain["coupling"], rtol=1e-9, atol=1e-12)
+    common = ("--columns", "voltage=*15")
+    other = result_of(run("check", folder / "scaled.json", record, *common, "--json", status=1))
+    assert other["axes"]["x"] == own["axes"]["x"]
+    assert other["axes"]["y"] != own["axes"]["y"]
+
+
+def test_identify_keeps_the_scales_of_axes(folder, scaled):
+    record, axes = scaled
+    words = ["--columns", axes, "-o", folder / "again.json", "--structure", "maxwell_slip"]
+    CliRunner().invoke(main, [str(word) for word in ("identify", record, *words)])
+    kept = axis_columns(text_of(Stage.load(folder / "again.json").recorded_columns))
+    assert [one[1:] for one in kept] == [
+        ("Mx:V", "x_um", "15 V/V", None),
+        ("vy_V", "y_um", "2 V/V", "-1 um/um"),
+    ]
+
+
+def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
+    write_columns(folder / "plain.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
+    for name in ("stage", "scaled"):
+        run("compensate", folder / f"{name}.json", folder / "plain.csv", "--no-home", "-o", folder / f"{name}-v.csv")
+        run("simulate", folder / f"{name}.json", folder / "stage-v.csv", "-o", folder / f"{name}-y.csv")
+    assert (folder / "stage-v.csv").read_bytes() == (folder / "scaled-v.csv").read_bytes()
+    assert (folder / "stage-y.csv").read_bytes() == (folder / "scaled-y.csv").read_bytes()
+
+
+def test_a_path_takes_units_and_scales_of_each_axis(folder):
+    x, y = np.linspace(4.0, 8.0, 50), np.linspace(9.0, 6.0, 50)
+    write_columns(folder / "bare.csv", {"first": x, "second": y / -2})
+    write_columns(folder / "um.csv", {"x_um": x, "y_um": y})
+    words = ["compensate", folder / "stage.json", "--no-home"]
+    run(*words, folder / "um.csv", "-o", folder / "um-v.csv")
+    given = ["--columns", "x=first:um, y=second:um*-2um/um"]
+    run(*words, folder / "bare.csv", *given, "-o", folder / "bare-v.csv")
+    assert (folder / "um-v.csv").read_bytes() == (folder / "bare-v.csv").read_bytes()
+
+
+def test_the_columns_that_a_message_proposes_are_taken(folder):
+    write_columns(folder / "cn.csv", {"first": np.linspace(4.0, 8.0, 50), "second": np.linspace(9.0, 6.0, 50)})
+    words = ["compensate", folder / "stage.json", folder / "cn.csv", "-o", folder / "cn-v.csv", "--no-home"]
+    proposed = re.search('--columns "(.*?)"', run(*words, status=2))
+    run(*words, "--columns", proposed[1])
+    moved = read_table(folder / "cn-v.csv").column("displacement", "y_um")
+    assert np.allclose(moved, 1e-6 * np.linspace(9.0, 6.0, 50), rtol=0, atol=1e-15)
+    assert "x=NAME" in run(*words, "--columns", "x=first, y=second", status=2)
+
+
+def test_a_start_from_a_record_takes_the_scales_of_its_columns(folder, scaled):
+    record, _ = scaled
+    write_columns(
+        folder / "s.csv", {"time_s": np.arange(50) * 0.02, "vx_V": np.full(50, 40.0), "vy_V": np.full(50, 30.0)}
+    )
+    words = [folder / "s.csv", "-o", folder / "s-y.csv", "--json"]
+    plain = result_of(run("simulate", folder / "stage.json", *words, "--start", folder / "stage.csv"))
+    own = result_of(run("simulate", folder / "scaled.json", *words, "--start", record))
+    for axis in "xy":
+        pairs = zip(plain["state"][axis].items(), own["state"][axis].values(), strict=True)
+        for (name, before), after in pairs:
+            assert np.allclose(before, after, rtol=1e-6, atol=1e-12), name
+
+
+def test_a_record_in_which_an_axis_stands_still_is_refused_by_its_axis(folder):
+    table = read(folder / "stage.csv", axes=AXES)
+    still = replace(table, voltage=table.voltage * [1.0, 0.0])
+    write(folder / "still.csv", still)
+    for words in (["check"], ["update", "-o", folder / "u.json"]):
+        found = refused(words[0], folder / "stage.json", folder / "still.csv", *words[1:])
+        assert found["kind"] == "RecordError"
+        assert "axis y" in found["message"]
+
+
+def test_a_key_is_no_axis_and_a_bound_is_given_once(folder):
+    found = refused("show", folder / "stage.csv", "--columns", "time=vx_V:x_um, y=vy_V:y_um")
+    assert found["argument"] == "axes"
+    assert "time" in found["hint"]
+    write_columns(folder / "once.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
+    words = ["compensate", folder / "stage.json", folder / "once.csv", "-o", folder / "n.csv"]
+    twice = ["--limits", "x=0", "90", "--limits", "x=0", "100"]
+    assert refused(*words, *twice)["argument"] == "limits"
+    assert refused(*words, "--slew-rate", "90", "--slew-rate", "100")["argument"] == "slew_rate"

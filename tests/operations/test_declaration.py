@@ -184,7 +184,9 @@ COLUMNS = st.builds(
     join=st.none() | st.just(Path("other file.csv")),
     decimal=st.none() | st.sampled_from(",."),
     max_bytes=st.sampled_from([5e8, 1e9]),
-    axes=st.dictionaries(st.sampled_from(["x", "y", "z"]), st.just("v_V:y_um"), max_size=2),
+    axes=st.dictionaries(
+        st.sampled_from(["x", "y", "z"]), st.sampled_from(["v_V:y_um", "V [V]*15:y, up [um]*-1um/um"])
+    ),
 )
 
 

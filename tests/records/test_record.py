@@ -336,7 +336,7 @@ def test_refuses_a_constant_displacement(n):
 @pytest.mark.parametrize("noise", [0, 1e-7])
 def test_refuses_an_inverted_sensor(noise):
     record = lagging(noise=noise)
-    with pytest.raises(RecordError, match="try multiplying"):
+    with pytest.raises(RecordError, match="displacement_scale"):
         with_displacement(record, -record.displacement).check_usable()
 
 

@@ -17,8 +17,8 @@ from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
 from dehyst.operations.run import Run
-from dehyst.records.formats.columns import Table, listed
-from dehyst.records.tables import axis_columns
+from dehyst.records.formats.columns import GUESS, QUANTITIES, ColumnError, Table, listed, plausible_unit
+from dehyst.records.tables import AxisColumns, axis_columns, error_of_axis, parts_of_axis, scaled, text_of, with_scale
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,8 @@ def rates_of(axes: Sequence[str], given: Iterable[Slew]) -> list[float | None]:
 def _by_axis(axes: Sequence[str], given: Iterable[Any], name: str) -> list[Any]:
     found: dict[str, Any] = {}
     for one in given:
+        if one.axis in found:
+            raise ModelError(argument=name, got=f"{one.axis or 'one for all axes'} twice", need="one")
         if one.axis and one.axis not in axes:
             known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
             raise ModelError(argument=name, got=f"the axis {one.axis}", need=known)
@@ -197,24 +199,56 @@ class AxesModel:
             raise FileFormatError(
                 "the model does not name its columns", argument="axes", hint="give those of each axis"
             )
-        return columns.pairs or " ".join(self.stage.recorded_columns)
+        if columns.axes:
+            return columns.pairs
+        # A scale that is given replaces that of the records.
+        scales = "voltage_scale", "displacement_scale"
+        given: dict[str, Any] = {name: None for name in scales if getattr(columns, name) is not None}
+        return text_of(one._replace(**given).text for one in self._recorded())
 
-    def named(self, table: Table, quantity: str, columns: Columns) -> dict[str, str]:
-        """Return the column of each of several axes: given, as in the records if a table has them, or the usual one."""
+    def _recorded(self) -> tuple[AxisColumns, ...]:
+        """Return the columns of the records of a stage; none if it does not name them."""
+        known = () if self.stage is None else self.stage.recorded_columns
+        return axis_columns(text_of(known)) if known else ()
+
+    def named(
+        self, table: Table, quantity: str, columns: Columns, *, record: bool = False
+    ) -> dict[str, tuple[str, str | None]]:
+        """Return the column of each of several axes and its scale.
+
+        They are the given ones, those of the records if a table has them, or the usual ones. `record`: whether the
+        table is a record, of which both columns of an axis are given. The scales of the records are not those of paths
+        and voltages: there, columns of the records that have one are not used.
+        """
         if columns.axes and set(columns.axes) != set(self.axes):
             raise FileFormatError(
                 argument="axes",
                 got=", ".join(columns.axes),
                 need=f"a column for each of the axes {', '.join(self.axes)}",
             )
-        given = columns.pairs if all(":" in one for one in columns.axes.values()) else None
-        recorded = "" if self.stage is None else " ".join(self.stage.recorded_columns)
-        names = (
-            {one.name: getattr(one, quantity) for one in axis_columns(given or recorded)} if given or recorded else {}
+        common = getattr(columns, f"{quantity}_scale")
+        parts = {axis: parts_of_axis(text) for axis, text in columns.axes.items()}
+        pairs = bool(parts) and all(len(one) == 2 for one in parts.values())
+        if parts and not pairs and not record:
+            # Of a record both columns, else the one that is read.
+            at = -1 if quantity == "displacement" else 0
+            one_each = {axis: scaled(quantity, own[at]) for axis, own in parts.items()}
+            return {axis: (name, scale or common) for axis, (name, scale) in one_each.items()}
+        known = axis_columns(columns.pairs) if pairs else self._recorded()
+        names = {one.name: (getattr(one, quantity), getattr(one, f"{quantity}_scale")) for one in known}
+        used = names and all(
+            table.fitting(quantity, name) == 1 and (record or scale is None) for name, scale in names.values()
         )
-        if given or (names and set(names.values()) <= set(table.names)):
-            return names
-        return {axis: self.name(quantity, axis) for axis in self.axes}
+        if not pairs and not used:
+            names = {axis: (self.name(quantity, axis), None) for axis in self.axes}
+        return {axis: (name, scale or common) for axis, (name, scale) in names.items()}
+
+    def column(self, table: Table, quantity: str, axis: str, named: tuple[str, str | None]) -> Array:
+        """Return a quantity (n,) of one of several axes from the column and the scale of this axis."""
+        try:
+            return table.column(quantity, *named)
+        except ColumnError as error:
+            raise error_of_axis(table, axis, [error], "NAME") from error
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
@@ -222,34 +256,35 @@ class AxesModel:
             return columns.values(table, quantity)[:, None]
         names = self.named(table, quantity, columns)
         if columns.axes:
-            # Of a record both columns, else the one that is read.
-            at = -1 if quantity == "displacement" else 0
-            names = {axis: one.split(":")[at] for axis, one in columns.axes.items()}
-            own = [name for name in names.values() if name != MIDDLE]
+            own = [name for name, _ in names.values() if name != MIDDLE]
             if len(set(own)) < len(own):
-                got = ", ".join(f"{axis}={name}" for axis, name in names.items())
+                got = ", ".join(f"{axis}={with_scale(*one)}" for axis, one in names.items())
                 raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
         else:
             self._demand_named(table, quantity, names)
-        scale = getattr(columns, f"{quantity}_scale")
         middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]
         rows = max(column.data.size for column in table.columns)
         return np.column_stack(
             [
-                np.full(rows, middle[j]) if names[axis] == MIDDLE else table.column(quantity, names[axis], scale)
+                np.full(rows, middle[j])
+                if names[axis][0] == MIDDLE
+                else self.column(table, quantity, axis, names[axis])
                 for j, axis in enumerate(self.axes)
             ]
         )
 
-    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, str]) -> None:
+    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, tuple[str, str | None]]) -> None:
         """Raise an error that proposes columns if a table lacks one of these columns of the axes."""
-        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
+        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis][0])]
         if not missing:
             return
         fits = [*dict.fromkeys(one.name for one in table.columns if quantity_of(one.parts[1]) == quantity)]
-        fits += ["NAME"] * len(self.axes)
+        clocks = {*QUANTITIES["time"].words.split(", ")}
+        bare = [one for one in table.columns if not one.parts[1] and not one.words & clocks]
+        fits += [f"{one.name}:{unit}{GUESS}" for one in bare if (unit := plausible_unit(quantity, one.data))]
+        fits += [f"NAME:{'V' if quantity == 'voltage' else 'um'}"] * len(self.axes)
         proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
         raise FileFormatError(
-            f"{table.source}: no column '{names[missing[0]]}' for the {quantity} of the axis {missing[0]}",
+            f"{table.source}: no column '{names[missing[0]][0]}' for the {quantity} of the axis {missing[0]}",
             hint=f'the file holds {listed(table.names)}. Name the column of each axis, as --columns "{proposal}"',
         )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -23,15 +21,13 @@ from dehyst.model import Actuator
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Record, read, read_table, write_columns
 from dehyst.records.files import named_and_joined, record_of, time_of
-from dehyst.records.formats.columns import GAIN, Table, listed
+from dehyst.records.formats.columns import Table, listed
 from dehyst.records.formats.file_content import MOST
 from dehyst.records.record import Channel
-from dehyst.records.tables import RATE, Choice, axis_columns, chosen
+from dehyst.records.tables import RATE, Choice, axis_columns, chosen, entries_of, scaled, text_of, with_scale
 
 _Read = TypeVar("_Read")
 _SIGNS = {"point": ".", "comma": ","}
-_SCALES = {"voltage": "V/V", "displacement": "um/V"}
-_SCALED = re.compile(rf"(.*?)\s*\*\s*(-?[\d.]+(?:[eE][+-]?\d+)?|{GAIN})\s*([^\s/*]+\s*/\s*[^\s/*]+)?\s*", re.DOTALL)
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
 TEXT = ("decimal", "max_size")
 RECORD = ("time", "voltage", "displacement", "rate", "names", "join", *TEXT)
@@ -72,7 +68,8 @@ class Columns:
     temperature : str, optional
         Column of the temperature in a path file; those of records are found by their names.
     axes : dict
-        Other keys: names of axes. Values: VOLTAGE:DISPLACEMENT for a record, DISPLACEMENT for a path, or "middle".
+        Other keys: names of axes. Values: VOLTAGE:DISPLACEMENT for a record, DISPLACEMENT for a path, or "middle";
+        units and scales as above: ``x=Ch1:mV*100:Sensor:um``.
     """
 
     time: str | None = None
@@ -101,15 +98,15 @@ class Columns:
     def parse(cls, text: str) -> Self:
         """Return the columns that a text declares; raise ValueError if it declares none."""
         found: dict[str, Any] = {"axes": {}}
-        for entry in next(csv.reader([text], skipinitialspace=True)):
+        for entry in entries_of(text):
             key, equals, value = (part.strip() for part in entry.partition("="))
             if not equals or not key or not value:
                 raise ValueError(f"got {entry!r}, need KEY=VALUE, as in 'time=Time:ms, voltage=Ch1:mV*100'")
             if key in found or key in found["axes"]:
                 raise ValueError(f"got {key} twice; give it once")
             if key in ("voltage", "displacement"):
-                name, scale = _scaled(value, _SCALES[key])
-                found |= {key: name or None, f"{key}_scale": scale or None}
+                name, scale = scaled(key, value)
+                found |= {key: name or None, f"{key}_scale": scale}
             elif key in ("time", "wanted", "temperature"):
                 found[key] = value
             elif key == "names":
@@ -128,9 +125,7 @@ class Columns:
 
     def __str__(self) -> str:
         """Return the text."""
-        doubled = '""'
-        quoted = (f'"{one.replace(doubled[0], doubled)}"' if set(one) & set(',"') else one for one in self._entries())
-        return ", ".join(quoted)
+        return text_of(self._entries())
 
     @classmethod
     def of_options(cls, options: Mapping[str, Any], before: Columns | None = None) -> Columns:
@@ -260,8 +255,13 @@ class Columns:
 
     @property
     def pairs(self) -> str:
-        """The argument `axes` of `dehyst.read`."""
-        return " ".join(f"{name}={columns}" for name, columns in self.axes.items())
+        """The argument `axes` of `dehyst.read`; raise FileFormatError if there is only one axis."""
+        if len(self.axes) == 1:
+            keys = ", ".join(dict.fromkeys((*RECORD, *PATH, "wanted")))
+            got = text_of(f"{name}={columns}" for name, columns in self.axes.items())
+            need = 'two axes at least, as "x=vx_V:x_um, y=vy_V:y_um"'
+            raise FileFormatError(argument="axes", got=got, need=need, hint=f"no axis can be called {keys}")
+        return text_of(f"{name}={columns}" for name, columns in self.axes.items())
 
     def _options(self, axes: str | None) -> dict[str, Any]:
         """Return the keywords of `dehyst.read` except the decimal sign."""
@@ -285,10 +285,8 @@ class Columns:
 
     def _entries(self) -> Iterator[str]:
         for name in ("time", "voltage", "displacement", "wanted", "temperature"):
-            value, scale = getattr(self, name), getattr(self, f"{name}_scale", None)
-            scale = "" if scale is None else f"*{scale.removesuffix(' V/V')}"
-            if value or scale:
-                yield f"{name}={value or ''}{scale}"
+            if value := with_scale(getattr(self, name), getattr(self, f"{name}_scale", None)):
+                yield f"{name}={value}"
         if self.sample_rate is not None:
             yield f"rate={self.sample_rate if isinstance(self.sample_rate, str) else f'{self.sample_rate:.12g}'}"
         if self.names is not None:
@@ -304,14 +302,6 @@ class Columns:
 
 # Columns that are found by their names.
 AS_FOUND = Columns()
-
-
-def _scaled(value: str, units: str) -> tuple[str, str]:
-    """Split a column into name and scale; a scale without unit has the given units."""
-    match = _SCALED.fullmatch(value)
-    if match is None:
-        return value, ""
-    return match[1], f"{match[2]} {match[3] or units}"
 
 
 def _number(text: str) -> float:

@@ -19,6 +19,7 @@ from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, write_record
 from dehyst.records.formats.columns import Table
+from dehyst.records.tables import axis_columns
 from dehyst.report import write_record_page
 
 _MODELS: dict[str | None, type[Actuator | Stage]] = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
@@ -110,7 +111,8 @@ class _AxisView:
     def _wanted(self, quantity: str) -> str | None:
         """Return the requested column of a quantity."""
         if self.name and quantity != "time":
-            return self.columns.axes[self.name].split(":")[quantity == "displacement"]
+            known = {one.name: one for one in axis_columns(self.columns.pairs)}
+            return str(getattr(known[self.name], quantity))
         wanted: str | None = getattr(self.columns, quantity)
         return wanted
 
@@ -124,7 +126,8 @@ class _AxisView:
         used = {**{one.name: one.column for one in record.others}, **record.meta.get("columns", {})}
 
         def origin(quantity: str) -> str:
-            scale = getattr(self.columns, f"{quantity}_scale", None)
+            scales = record.meta.get("scales", {})
+            scale = scales.get(f"{quantity} of {self.name}" if self.name else quantity)
             mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
             column = used.get(quantity) or self._wanted(quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"

@@ -28,6 +28,7 @@ _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
     "give a record for more"
 )
+_MEASURED = ("voltage", "displacement")
 # Before the file of a record whose beginning, not whose end, is the start.
 _AS = "as:"
 # Seconds of a homing from which on its duration is a warning.
@@ -81,13 +82,20 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     if start.path is None:
         return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
     table, name = columns.plain_table(start.path), start.path.name
-    known = {} if model.stage is None else {q: model.named(table, q, columns) for q in ("voltage", "displacement")}
-    moved = [known["displacement"][axis] if known else None for axis in model.axes]
-    voltages = [table.column("voltage", known["voltage"][axis] if known else None) for axis in model.axes]
     computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
-    measured = all(table.fitting("displacement") == 1 if one is None else one in table.names for one in moved)
     own = set(computed) <= set(table.names)
-    measured = measured and not own
+    known = {} if model.stage is None else {q: model.named(table, q, columns, record=True) for q in _MEASURED}
+
+    def values(quantity: str) -> list[Array]:
+        if not known:
+            return [table.column(quantity)]
+        # What dehyst wrote is in V and um, whatever the records were in.
+        pairs = ((axis, *known[quantity][axis]) for axis in model.axes)
+        return [model.column(table, quantity, axis, (name, None if own else scale)) for axis, name, scale in pairs]
+
+    voltages = values("voltage")
+    moved = [known["displacement"][axis][0] if known else None for axis in model.axes]
+    measured = not own and all(table.fitting("displacement", one) == 1 for one in moved)
     if start.began and not measured:
         raise ModelError(
             argument="start",
@@ -100,7 +108,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
         voltage = voltages[axis]
         time = table.column("time") if actuator.needs_time or measured else None
         if time is not None and measured:
-            targets = model.targets(np.column_stack([table.column("displacement", one) for one in moved]))
+            targets = model.targets(np.column_stack(values("displacement")))
             record = Record(time, voltage, targets[:, axis], name)
             found = start_of(actuator, record, began=start.began, limits=limits)
         else:

@@ -24,10 +24,20 @@ from dehyst.records.formats.file_content import MOST, content_of
 from dehyst.records.formats.notation import SIGNS
 from dehyst.records.formats.reader_process import LOADERS, load
 from dehyst.records.record import Record, further_channels
-from dehyst.records.tables import AxisColumns, Choice, ColumnsError, axis_columns, chosen, joined, renamed
+from dehyst.records.tables import (
+    AxisColumns,
+    Choice,
+    ColumnsError,
+    axis_columns,
+    chosen,
+    error_of_axis,
+    joined,
+    renamed,
+)
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
 _MEASURED = ("voltage", "displacement")
+_SCALES = ("voltage_scale", "displacement_scale")
 # Kinds of files whose numbers are text.
 _WITH_SIGNS = (*TEXT, ".lvm", ".asc", ".xlsx")
 
@@ -80,7 +90,9 @@ def read(
         Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
     axes : str, optional
         For a record of several axes, instead of `voltage` and `displacement`: the columns of each axis, as
-        "vx_V:x_um vy_V:y_um". An axis is named after its displacement, without the unit, or explicitly: "x=vx_V:x_um".
+        "x=vx_V:x_um, y=vy_V:y_um". A column is "NAME", "NAME:UNIT" or, with its scale, "NAME*100" or "NAME*10um/V".
+        Without "x=" an axis is named after its displacement, without the unit; without blanks in names, blanks may
+        replace the commas.
     max_bytes : float
         Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
         are read.
@@ -124,7 +136,7 @@ def read(
 def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns] = ()) -> Record:
     """Return the record in a table, see `read`; of several axes if there are `axes`."""
     timed = ("time",) if choice.sample_rate is None else ()
-    own = [choice._replace(voltage=one.voltage, displacement=one.displacement) for one in axes]
+    own = [one.choice(choice) for one in axes]
     parts: list[dict[str, Selected]] = []
     for k, selected in enumerate(own or [choice]):
         try:
@@ -133,29 +145,29 @@ def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumn
             if not axes:
                 raise
             # Options for one voltage and one displacement do not help here.
-            raise FileFormatError(
-                f"{error.reason.split(' Select ')[0].rstrip('.')}. Axis {axes[k].name} needs its columns by the names "
-                "in the file, with units; where the file has none, name all columns in their order, as "
-                '"time:s,vx_V,vy_V,x_um,y_um"',
-                change=("columns",),
-            ) from error
+            raise error_of_axis(table, axes[k].name, error.problems, "VOLTAGE:DISPLACEMENT") from error
     voltages, displacements = ([part[quantity].values for part in parts] for quantity in _MEASURED)
     samples, found = len(voltages[0]), parts[0]
     time = found["time"].values if timed else time_of(table, samples, choice.time, choice.sample_rate)
     used = [one.column for part in parts for one in part.values()]
     others, remarks = further_channels(table, used, len(time))
-    words = {
-        quantity if quantity == "time" or not axes else f"{quantity} of {axes[k].name}": one.guess
+    used_as = {
+        quantity if quantity == "time" or not axes else f"{quantity} of {axes[k].name}": one
         for k, part in enumerate(parts)
         for quantity, one in part.items()
     }
+    words = {name: one.guess for name, one in used_as.items()}
     words |= {channel.name: column.guessed for channel, column in others}
-    scales = {quantity: one.scale.words for quantity, one in found.items() if one.scale is not None and not axes}
+    scales = {name: one.scale.words for name, one in used_as.items() if one.scale is not None}
     columns = {quantity: found[quantity].column.name for quantity in _MEASURED}
     columns["time"] = found["time"].column.name if timed else f"index / {choice.sample_rate:.9g} Hz"
     columns |= {channel.name: column.name for channel, column in others}
     source = f"{table.source}{''.join(f', {quantity} {scale}' for quantity, scale in scales.items())}"
-    origin = {"axes": [one.text for one in axes]} if axes else {"columns": columns}
+    texts = [
+        one._replace(**{name: getattr(known, name) for name in _SCALES}).text
+        for one, known in zip(axes, own, strict=True)
+    ]
+    origin = {"axes": texts} if axes else {"columns": columns}
     guesses = {quantity: guess for quantity, guess in words.items() if guess}
     added = {"scales": scales, "guesses": guesses, "remarks": [*table.remarks, *remarks]}
     meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}

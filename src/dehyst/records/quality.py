@@ -210,7 +210,8 @@ def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterat
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
         yield (
             "displacement falls when voltage rises: the actuator is poled the other way, or the sensor's sign is "
-            "inverted; try multiplying the displacement by -1"
+            "inverted; if it is the sensor, read the displacement with a scale of -1: NAME*-1um/um in --columns, "
+            'displacement_scale="-1 um/um" in Python'
         )
     yield from _clipped(record, max(5, round(0.005 * len(record) / max(1, len(cycles)))))
     yield from _leading(record, cycles)

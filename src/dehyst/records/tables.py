@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import permutations
@@ -29,6 +31,8 @@ from dehyst.records.formats.columns import (
 
 # What a user replaces by the samples a second.
 RATE = "HZ"
+_SCALES = {"voltage": "V/V", "displacement": "um/V"}
+_SCALED = re.compile(rf"(.*?)\s*\*\s*(-?[\d.]+(?:[eE][+-]?\d+)?|{GAIN})\s*([^\s/*]+\s*/\s*[^\s/*]+)?\s*", re.DOTALL)
 
 
 class Choice(NamedTuple):
@@ -47,16 +51,60 @@ class Choice(NamedTuple):
 
 
 class AxisColumns(NamedTuple):
-    """The `name` of an axis, and the columns of its voltage and its displacement."""
+    """The `name` of an axis, the columns of its voltage and its displacement, and their scales."""
 
     name: str
     voltage: str
     displacement: str
+    voltage_scale: str | None = None
+    displacement_scale: str | None = None
 
     @property
     def text(self) -> str:
         """The axis as `axis_columns` reads it."""
-        return f"{self.name}={self.voltage}:{self.displacement}"
+        pairs = ((self.voltage, self.voltage_scale), (self.displacement, self.displacement_scale))
+        return f"{self.name}={':'.join(with_scale(*pair) for pair in pairs)}"
+
+    def choice(self, common: Choice) -> Choice:
+        """Return the selection of its columns; a scale of `common` holds if the axis has none."""
+        own = {name: value for name, value in self._asdict().items() if name != "name" and value is not None}
+        return common._replace(**own)
+
+
+def entries_of(text: str) -> list[str]:
+    """Return the entries of a text with commas between them; one that holds a comma is in double quotes."""
+    return next(csv.reader([text], skipinitialspace=True), [])
+
+
+def text_of(entries: Iterable[str]) -> str:
+    """Return the text of entries, see `entries_of`."""
+    return ", ".join('"{}"'.format(one.replace('"', '""')) if set(one) & set(',"') else one for one in entries)
+
+
+def scaled(quantity: str, text: str) -> tuple[str, str | None]:
+    """Return the name and the scale in "NAME*SCALE" (None: no scale); without units a scale is in V/V or um/V."""
+    match = _SCALED.fullmatch(text)
+    return (text, None) if match is None else (match[1], f"{match[2]} {match[3] or _SCALES[quantity]}")
+
+
+def with_scale(name: str | None, scale: str | None) -> str:
+    """Return the text that `scaled` reads."""
+    return (name or "") + ("" if scale is None else f"*{scale.removesuffix(' V/V')}")
+
+
+def parts_of_axis(text: str) -> list[str]:
+    """Return the columns of an axis, "NAME", "NAME:UNIT" or "NAME*SCALE" with colons between them.
+
+    A unit belongs to the name before it.
+    """
+    found: list[str] = []
+    for part in text.split(":"):
+        unit = scaled("voltage", part)[0].removesuffix(GUESS)
+        if found and ":" not in found[-1] and quantity_of(unit) in _SCALES:
+            found[-1] += f":{part}"
+        else:
+            found.append(part)
+    return [part.strip() for part in found]
 
 
 def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
@@ -67,17 +115,21 @@ def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
     """
 
     def refusal(got: str, need: str) -> FileFormatError:
-        return FileFormatError(argument="axes", got=got, need=f'{need}, as "vx_V:x_um vy_V:y_um"')
+        return FileFormatError(argument="axes", got=got, need=f'{need}, as "x=vx_V:x_um, y=vy_V:y_um"')
 
     entries = []
-    for text in axes.replace(",", " ").split() if isinstance(axes, str) else ():
+    # Names may hold blanks if there are commas between the axes.
+    texts = [] if not isinstance(axes, str) else entries_of(axes) if "," in axes else axes.split()
+    for text in filter(None, map(str.strip, texts)):
         name, _, columns = text.rpartition("=")
-        parts = columns.split(":")
+        parts = parts_of_axis(columns)
         if len(parts) != 2 or not all(parts):
-            raise refusal(f"'{text}'", "the columns of a voltage and a displacement")
-        word = parts[1].rsplit("/", 1)[-1]
-        entries.append(AxisColumns(name or (word.rsplit("_", 1)[0] if "_" in word else word), *parts))
-    used = [column for one in entries for column in one[1:]]
+            need = "the columns of a voltage and a displacement (with a unit where the file states none: NAME:UNIT)"
+            raise refusal(f"'{text}'", need)
+        (voltage, gain), (displacement, scale) = map(scaled, _SCALES, parts)
+        name = name.strip() or Column(displacement.partition(":")[0], np.empty(0)).parts[0]
+        entries.append(AxisColumns(name, voltage, displacement, gain, scale))
+    used = [column for one in entries for column in one[1:3]]
     if twice := sorted({column for column in used if used.count(column) > 1}):
         raise refusal(f"'{twice[0]}' twice", "columns of its own for each axis")
     if len(entries) < 2:
@@ -135,8 +187,10 @@ class ColumnsError(FileFormatError):
     """Columns of a record that are not found, with the options of `read` that may select them.
 
     `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`, in
-    addition to these options.
+    addition to these options. `problems`: of each column.
     """
+
+    problems: tuple[ColumnError, ...] = ()
 
     def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
         given = [f'{name.replace("_", " ")} "{value}"' for name, value in options.items()]
@@ -178,8 +232,26 @@ def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[st
         except ColumnError as error:
             problems.append(error)
     if problems:
-        raise _columns_error(table, choice, problems, {one.column.name for one in found.values()})
+        refused = _columns_error(table, choice, problems, {one.column.name for one in found.values()})
+        refused.problems = tuple(problems)
+        raise refused
     return found
+
+
+def error_of_axis(table: Table, axis: str, problems: Iterable[ColumnError], entry: str) -> FileFormatError:
+    """Return the problems with the columns of an axis as one error; `entry`: what its columns are given as."""
+    found = list(problems)
+    untimed = any(one.quantity == "time" for one in found)
+    rate = "; without a time column, give the sample rate in Hz" if untimed else ""
+    faults = "; ".join(dict.fromkeys(one.problem for one in found))
+    if unsolvable := [one.hint for one in found if one.unsolvable]:
+        return FileFormatError(f"{table.source}: {faults}", hint=unsolvable[0])
+    return FileFormatError(
+        f"{table.source}: {faults}",
+        hint=f'the file holds {listed(table.names)}. Give the axis {axis} as "{axis}={entry}", with a unit where the '
+        f"file states none (NAME:UNIT), and a scale of a monitor or a sensor (NAME*{GAIN}, NAME*-1um/um){rate}",
+        change=("time", "sample_rate") if untimed else (),
+    )
 
 
 def _columns_error(table: Table, choice: Choice, problems: list[ColumnError], taken: set[str]) -> ColumnsError:

@@ -341,7 +341,8 @@ class Selected:
             unit = self.unit or scale.per
             if refusal := scale.refusal(unit):
                 problem = f" has the unit '{shortened(unit)}', but {refusal}"
-                advice = "give a scale for that unit, or leave it out"
+                example = f", as {scale.words.partition('/')[0]}/{unit}" if symbol_of(unit) else ""
+                advice = f"give a scale for that unit{example}, or leave it out"
                 raise self._error(problem, advice, change=(f"{self.quantity}_scale",), usable=False)
         elif self.unit not in FACTORS[self.quantity]:
             raise self._unknown_unit()
