@@ -695,3 +695,15 @@ def test_a_bad_sensor_is_not_followed():
     for options in ({"rate": 0.0}, {"rate": 0.6}, {"gain": 1.0}, {"offset": -1.0}):
         with pytest.raises(ModelError):
             loop.follow_sensor(1e-6, **options)
+
+
+@pytest.mark.parametrize("elements", [3, 6, 10, 20])
+def test_a_state_after_0_volts_is_held_by_0_volts(elements):
+    """Not by what rounding leaves of them; a small voltage is kept."""
+    actuator = replace(plain_records.plant(elements), limits=(0.0, 200.0))
+    for seed in range(20):
+        turns = np.random.default_rng(seed).uniform(0, 200, 40)
+        for last in (0.0, 1e-9):
+            state = actuator.simulate([*turns, last], state=actuator.turned(0.0, rising=False)).state
+            assert actuator.voltage(state) == pytest.approx(last, rel=1e-3, abs=0)
+            assert Compensator(actuator).held(state) == pytest.approx(last, rel=1e-3, abs=0)

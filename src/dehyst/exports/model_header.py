@@ -91,11 +91,12 @@ class ExportedStart(NamedTuple):
         loop, actuator = compensator.clone(), compensator.actuator
         state, (low, high), asked = loop.state, loop.limits, loop.initial_state
         # A little beyond the limits, the requested state has the same way.
-        near = abs(actuator.voltage(asked) - loop.voltage) <= NEAR * (high - low)
+        held = loop.held(asked)
+        near = abs(actuator.voltage(asked) - held) <= NEAR * (high - low)
         return cls(
             actuator.displacement(state),
-            loop.voltage,
-            _way(actuator, asked if near else state, loop.voltage, loop.limits),
+            held,
+            _way(actuator, asked if near else state, held, loop.limits),
         )
 
     @property

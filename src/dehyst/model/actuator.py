@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from control import NonlinearIOSystem
     from matplotlib.axes import Axes
 
+# The voltage of a state is a sum: it has an error of at most this part of the spring's range.
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
 
 @dataclass(frozen=True, eq=False)
 class Actuator(JsonFile, AbstractModel):
@@ -379,7 +382,8 @@ class Actuator(JsonFile, AbstractModel):
         start = self._start(state)
         v = self.core.voltage(self.model.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
-        return v
+        # What rounding leaves of 0 V.
+        return 0.0 if abs(v) < _ROUNDING * float(np.ptp(self.spring.voltage)) else v
 
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
