@@ -11,13 +11,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
-from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, SmoothSlip, Thermal
+from dehyst import (
+    Compensator,
+    Creep,
+    Dynamics,
+    ModelError,
+    RecordError,
+    SmoothSlip,
+    Stage,
+    StageCompensator,
+    Thermal,
+)
 from dehyst.control import PossibleStart, StartError, plan_path, plan_voltage, wave_table
 from dehyst.control.planning.start import model_error
+from dehyst.model import Identification, Validity, apply, standing
 from dehyst.waveforms import Triangle
 
 LIMITS = -40.0, 260.0
 STROKE = plain_records.STROKE
+TESTED = Validity(1e-8, 1e-7, 0.0, STROKE, limits=LIMITS, speeds=(0.1, 500.0))
 PLAIN = replace(plain_records.plant(6), limits=LIMITS)
 CREEPING = replace(PLAIN, creep=Creep([2.0, 30.0, 200.0], [1e5, 2e5, 2e5]))
 GRADED = replace(structured_records.plant(structured_records.STRUCTURES["graded, transformer"]).actuator, limits=LIMITS)
@@ -96,6 +108,50 @@ def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
         when = homed.time if actuator.needs_time else None
         y = actuator.simulate(homed.voltage, time=when, state=state).displacement[first:]
         assert np.abs(y - wanted).max() <= model_error(actuator)
+
+
+@pytest.mark.parametrize("present", [(None, None), (0.0, 70.0), (20.0, None)])
+def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(present):
+    """The homing makes the state known: nothing may come between it and the path."""
+    time, known = np.arange(400) * 0.05, Identification(validity=replace(TESTED, hold=5.0))
+    plain = replace(PLAIN, identification=known)
+    stage, slews = Stage((CREEPING, plain), [[1.0, 0.03], [-0.05, 1.0]]), (100.0, 200.0)
+    wanted = STROKE * np.column_stack([0.5 - 0.3 * np.cos(time), 0.5 - 0.2 * np.cos(2 * time)])
+    loop = StageCompensator(stage, slew_rate=slews)
+    paths = plan_path(loop, wanted, time=time, home=True, present=present)
+    first, when = paths[0].first, paths[0].time
+    own = apply(stage.decoupling, wanted)[:, 1]
+    alone = plan_path(Compensator(plain, slew_rate=200.0), own, time=time, home=True, present=present[1])
+    waits = paths[1].seconds - alone.seconds
+    assert waits > 100 and alone.seconds < 20
+    rows = when < when[0] + waits - 1e-6
+    assert np.all(paths[1].voltage[rows] == (present[1] or 0.0)) and paths[0].voltage[0] == (present[0] or 0.0)
+    # Then it is homed as if it were alone, until the path begins.
+    np.testing.assert_allclose(
+        paths[1].voltage[~rows], np.interp(when[~rows] - when[0] - waits, alone.time, alone.voltage), atol=1e-6
+    )
+    for path, slew in zip(paths, slews, strict=True):
+        assert np.abs(np.diff(path.voltage) / np.diff(when)).max() <= slew * (1 + 1e-6)
+        assert path.voltage.min() >= LIMITS[0] and path.voltage.max() <= LIMITS[1] and path.certified
+    homings = [one.phase == 0 for one in paths]
+    np.testing.assert_array_equal(*homings)
+    # It ends when the last axis is homed.
+    assert when[homings[0]][-1] >= when[0] + waits + alone.time[alone.phase == 0][-1] - 1e-6
+    # What is expected is what the plant does with these voltages, with all coupling.
+    moved = [
+        one.simulate(path.voltage, time=when, state=standing(one, float(path.voltage[0]), LIMITS)).displacement
+        for one, path in zip(stage.actuators, paths, strict=True)
+    ]
+    moved = apply(stage.coupling, np.column_stack(moved))
+    for j, path in enumerate(paths):
+        np.testing.assert_allclose(path.expected[:first], moved[:first, j], atol=1e-12)
+        np.testing.assert_allclose(path.expected[first:], moved[first:, j], atol=path.error.model_error)
+    # The records of this one do not show what it does after so long at one voltage.
+    remarks = [path.promise.untested for path in paths[1:]]
+    longer = replace(plain, identification=Identification(validity=replace(TESTED, hold=1.01 * waits)))
+    loop = StageCompensator(replace(stage, actuators=(CREEPING, longer)), slew_rate=slews)
+    tested = plan_path(loop, wanted, time=time, home=True, present=present)[1].promise.untested
+    assert len(remarks[0]) == len(tested) + 1
 
 
 def test_the_displacement_before_a_path_is_within_reach():

@@ -297,6 +297,7 @@ def promise(
     *,
     thermal: Thermal | None = None,
     temperature: ArrayLike | None = None,
+    waits: float = 0.0,
 ) -> Promise:
     """Return the promised error of a path when its voltage is played.
 
@@ -312,6 +313,8 @@ def promise(
         Part of the model.
     temperature : float or (n,) array_like, optional
         Temperature of the path [degC]; default: not known.
+    waits : float
+        Time [s] for which the voltage is held before the path, or before the homing that leads to it.
     """
     v = np.asarray(voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
@@ -326,7 +329,7 @@ def promise(
         lagging = rms, largest
         moved, fastest = _moved_in_lag(validity, v, clock)
         rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
-    untested = [*_untested(validity, v, clock, at, beyond)]
+    untested = [*_untested(validity, v, clock, at, beyond, waits)]
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
     if cost.largest:
         # Half of a range bounds the standard deviation in it.
@@ -338,17 +341,21 @@ def promise(
 
 
 def promised(
-    actuator: Actuator, voltage: ArrayLike, time: ArrayLike | None = None, temperature: ArrayLike | None = None
+    actuator: Actuator,
+    voltage: ArrayLike,
+    time: ArrayLike | None = None,
+    temperature: ArrayLike | None = None,
+    waits: float = 0.0,
 ) -> tuple[Promise | None, tuple[str, ...]]:
     """Return the promised error of a path of an `actuator`, None without `Validity`, and what its records do not test.
 
-    `voltage`, `time`, `temperature`: as in `promise`.
+    `voltage`, `time`, `temperature`, `waits`: as in `promise`.
     """
     known = actuator.identification
     if known is None or known.validity is None:
         sentence = TemperatureCost(actuator.thermal, None, float(np.ptp(actuator.reach)), temperature).sentence
         return None, (sentence,) if sentence else ()
-    found = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature)
+    found = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature, waits=waits)
     return found, found.untested
 
 
@@ -408,7 +415,7 @@ def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> tup
 
 
 def _untested(
-    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], beyond: Array
+    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], beyond: Array, waits: float
 ) -> Iterator[str]:
     """Yield a sentence for each part of a path that the records do not test."""
     over = max(validity.limits[0] - float(voltage.min()), float(voltage.max()) - validity.limits[1])
@@ -428,3 +435,5 @@ def _untested(
     hold = longest_hold(time, voltage, validity.span)
     if hold > _ALIKE * validity.hold:
         yield f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
+    if waits > _ALIKE * validity.hold:
+        yield f"It waits for the other axes for {waits:.3g} s; the records hold for {validity.hold:.3g} s at most."

@@ -190,7 +190,7 @@ def plan_path(
     """Compute the voltages of a path from its possible starts, with a homing before it if the start matters.
 
     Limits and slew rate hold from the present voltage to the last sample. Several axes are homed simultaneously: an
-    axis with a shorter homing waits.
+    axis with a shorter homing waits before it, at its present voltage.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ class _Way(NamedTuple):
 
     `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
     `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
-    before this sample.
+    before this sample. `waits`: time [s] at the first voltage, for the homings of other axes.
     """
 
     start: PossibleStart
@@ -335,6 +335,7 @@ class _Way(NamedTuple):
     goal: float = 0.0
     last: float = 0.0
     step: float = 0.0
+    waits: float = 0.0
 
 
 class _Plan:
@@ -488,7 +489,10 @@ class _Plan:
                 other.scale(*one.scaling_at(None, 1))
 
     def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
-        """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits."""
+        """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits.
+
+        It waits at its present voltage, so that its homing, which makes the state known, ends with the way to the path.
+        """
         ways = [
             self.way(one, start, now, first)
             for one, start, now, first in zip(self.loops, starts, present, self.firsts, strict=True)
@@ -509,7 +513,10 @@ class _Plan:
             merged.append(one._replace(time=ahead - ahead[0], phase=phase, voltage=voltage, last=float(voltage[-1])))
         states = self.motion(merged)[1]
         seconds = -float(ahead[0])
-        return [one._replace(seconds=seconds, state=state) for one, state in zip(merged, states, strict=True)]
+        return [
+            one._replace(seconds=seconds, state=state, waits=seconds - one.seconds)
+            for one, state in zip(merged, states, strict=True)
+        ]
 
     def way(self, one: Compensator, start: PossibleStart | None, present: float | None, first: float) -> _Way:
         """Return the shortest homing of an axis (none from a known start), and the way from its end to the path."""
@@ -624,7 +631,7 @@ class _Plan:
             error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first)
             gain, offset = one.scaling_at(warmth, size)
             error = replace(error, lowest=offset + gain * error.lowest, highest=offset + gain * error.highest)
-            promise, untested = promised(one.actuator, command.voltage, self.time, temperature)
+            promise, untested = promised(one.actuator, command.voltage, self.time, temperature, way.waits)
             speeds = () if self.voltage else self.speeds(j, command)
             paths.append(
                 HomedPath(
