@@ -246,6 +246,52 @@ def test_a_path_begins_at_the_last_voltage_of_a_file(folder, columns, words):
     assert status == 0 and abs(out.column("voltage")[0] - 7) <= SPEED * 0.01 * (1 + 1e-6)
 
 
+def jumps(result):
+    return [one for one in result["warnings"] if "ramp there" in one]
+
+
+@pytest.mark.parametrize(
+    ("model", "path"),
+    [("model", ("slow.csv",)), ("stage", ("slow_axes.csv",)), ("model", ("scan-0.1.csv", "--table", "table.csv"))],
+)
+def test_without_a_homing_the_way_from_a_given_voltage_is_in_the_file_and_that_from_an_unknown_one_is_named(
+    folder, model, path
+):
+    names = ("--columns", "x=x_um, y=y_um") if model == "stage" else ()
+    words, voltages = (*path, *names, "--no-home"), ("vx_V", "vy_V") if model == "stage" else ("voltage_V",)
+    _, result, table = compensated(folder, *words, model=f"{model}.json")
+    starts = {one.name: one.data[0] for one in table.columns}
+    assert len(jumps(result)) == len(voltages) and min(starts[name] for name in voltages) > 10
+    status, result, table = compensated(folder, *words, "--present", 90, model=f"{model}.json")
+    assert status == 0 and not jumps(result)
+    for name in voltages:
+        begin = {one.name: one.data for one in table.columns}[name][0]
+        assert abs(begin - 90) <= SPEED * 0.01 and steepest(table, name) <= 2 * SPEED * (1 + 1e-6)
+    if "--table" not in path:
+        # Without a slew rate the way is no part of the file.
+        _, result, table = compensated(folder, *words, "--present", 90, "--slew-rate", "none", model=f"{model}.json")
+        assert len(jumps(result)) == len(voltages) and "phase" not in [one.name for one in table.columns]
+
+
+@pytest.mark.parametrize("more", [("--home",), ("--no-home",), ("--start", "bottom")])
+def test_each_axis_has_a_present_voltage_of_its_own(folder, more):
+    words = ("slow_axes.csv", "--columns", "x=x_um, y=y_um", *more)
+    for given, begins in (
+        (("--present", 20), (20, 20)),
+        (("--present", "x=20", "--present", "y=30"), (20, 30)),
+        (("--present", 30, "--present", "x=20"), (20, 30)),
+        (("--present", "y=30"), (0, 30)),
+    ):
+        status, result, table = compensated(folder, *words, *given, model="stage.json")
+        columns = {one.name: one.data for one in table.columns}
+        assert status == 0 and not jumps(result)
+        for name, begin in zip(("vx_V", "vy_V"), begins, strict=True):
+            assert columns[name][0] == pytest.approx(begin, abs=1e-9)
+    for wrong in ("z=3", "x=a", "x=900"):
+        status, _, err = run("compensate", "stage.json", *words, "-o", "o.csv", "--present", wrong, cwd=folder)
+        assert status == 2 and "--present" in err
+
+
 def test_a_wrong_slew_rate_is_refused(folder):
     for wrong in ("fast", "-1", "0", "inf", "nan"):
         status, _, err = run("compensate", "model.json", "slow.csv", "-o", "o.csv", "--slew-rate", wrong, cwd=folder)

@@ -154,6 +154,25 @@ def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(pr
     assert len(remarks[0]) == len(tested) + 1
 
 
+def test_without_a_homing_a_path_begins_at_the_present_voltage_if_one_is_given():
+    loop, time = Compensator(PLAIN, slew_rate=100.0), np.arange(400) * 0.05
+    wanted = STROKE * (0.5 - 0.3 * np.cos(time))
+    for home in (False, None):
+        # A model whose error is larger than what the start leaves open is not homed by default either.
+        coarse = PLAIN if home is False else PLAIN.with_identification(largest_error=STROKE)
+        led = plan_path(Compensator(coarse, slew_rate=100.0), wanted, time=time, home=home, present=20.0)
+        assert led.homing is None and led.voltage[0] == 20.0 and set(led.phase) == {1, 2} and not led.clamped.any()
+        assert np.abs(np.diff(led.voltage) / np.diff(led.time)).max() <= 100.0 * (1 + 1e-9)
+        rng = np.random.default_rng(2)
+        for _ in range(10):
+            y = PLAIN.simulate(led.voltage, state=history(PLAIN, rng, 20.0)).displacement[led.first :]
+            slack = 1e-9 * STROKE
+            assert np.all((led.error.lowest - slack <= y) & (y <= led.error.highest + slack))
+    assert plan_path(loop, wanted, time=time, home=False).first == 0
+    with pytest.raises(RecordError, match="present: got 900 V"):
+        plan_path(loop, wanted, time=time, home=False, present=900.0)
+
+
 def test_the_displacement_before_a_path_is_within_reach():
     """The middle of the possible states at 0 V lies far below what voltages within the limits reach."""
     actuator = replace(plain_records.plant(6, share=0.9), limits=(0.0, plain_records.VOLTS))

@@ -48,26 +48,40 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Slew:
-    """The largest slew rate [V/s] of the named axis, or without a name of all axes; None: not limited."""
+class AxisNumber:
+    """A number for the named axis, or without a name for all axes."""
 
     axis: str
-    rate: float | None
+    number: float | None
 
-    metavar: ClassVar[str] = "[AXIS=]V/S|none"
+    metavar: ClassVar[str]
+    needed: ClassVar[str]
+    none: ClassVar[bool] = False
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the slew rate in a text; raise ValueError that says what is needed."""
+        """Return the number in a text; raise ValueError that says what is needed."""
         axis, _, number = text.rpartition("=")
         try:
-            return cls(axis, None if number == "none" else float(number))
+            return cls(axis, None if cls.none and number == "none" else float(number))
         except ValueError as error:
-            raise ValueError(f"got {text!r}, need a number of V/s, or none") from error
+            raise ValueError(f"got {text!r}, need {cls.needed}") from error
 
     def __str__(self) -> str:
         """Return the text."""
-        return f"{self.axis and f'{self.axis}='}{'none' if self.rate is None else f'{self.rate:.12g}'}"
+        return f"{self.axis and f'{self.axis}='}{'none' if self.number is None else f'{self.number:.12g}'}"
+
+
+class Slew(AxisNumber):
+    """The largest slew rate [V/s]; None: not limited."""
+
+    metavar, needed, none = "[AXIS=]V/S|none", "a number of V/s, or none", True
+
+
+class Present(AxisNumber):
+    """The present voltage [V]."""
+
+    metavar, needed = "[AXIS=]V", "a number of V"
 
 
 def limits_of(axes: Sequence[str], given: Iterable[Limit]) -> list[tuple[float, float] | None]:
@@ -80,9 +94,9 @@ def slews_of(axes: Sequence[str], given: Iterable[Slew]) -> list[Slew | None]:
     return _by_axis(axes, given, "slew_rate")
 
 
-def rates_of(axes: Sequence[str], given: Iterable[Slew]) -> list[float | None]:
-    """Return the slew rate [V/s] of each axis, None if it is not limited or not given."""
-    return [None if one is None else one.rate for one in slews_of(axes, given)]
+def numbers_of(axes: Sequence[str], given: Iterable[AxisNumber], name: str) -> list[float | None]:
+    """Return the number for each axis, None if it is none or not given; `name`: of the parameter."""
+    return [None if one is None else one.number for one in _by_axis(axes, given, name)]
 
 
 def _by_axis(axes: Sequence[str], given: Iterable[Any], name: str) -> list[Any]:

@@ -22,7 +22,7 @@ from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.model import Actuator
-from dehyst.operations.axes import Limit, Slew, limits_of, rates_of
+from dehyst.operations.axes import Limit, Slew, limits_of, numbers_of
 from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.paths import bounds_remarks
@@ -94,7 +94,7 @@ def calibrate(
     columns.demand(("max_size",), "on voltages to play")
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
-    allowed, steepest = limits_of(every, limits), rates_of(every, slew_rate)
+    allowed, steepest = limits_of(every, limits), numbers_of(every, slew_rate, "slew_rate")
     played = tuple(read_voltage(path, max_bytes=columns.max_bytes).excitation for path in protocol)
     plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
     if not dry_run and format_of(output / "campaign.json") != FORMAT:

@@ -13,10 +13,11 @@ from dehyst._errors import FileFormatError, ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import HomedPath, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
+from dehyst.control.planning.homing import present_voltage
 from dehyst.control.planning.path import MOST_ROWS, needed_slew_rate, speed_remark
 from dehyst.model import Actuator, promised
 from dehyst.operations import start as starts
-from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
+from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
 from dehyst.operations.paths import (
@@ -50,6 +51,16 @@ class _AxisRequest:
     present: float | None
 
     @property
+    def stands(self) -> bool:
+        """Whether its start or its present voltage is given."""
+        return self.start is not None or self.present is not None
+
+    @property
+    def place(self) -> Limits:
+        """Range of the voltage [V] before the path: the limits, or the present voltage."""
+        return self.limits if self.present is None else (self.present, self.present)
+
+    @property
     def allowed(self) -> tuple[float, float]:
         """The effective limits [V]."""
         return self.limits or self.actuator.voltage_range
@@ -62,7 +73,6 @@ def _is_scan(given: Values) -> bool:
 _of_scan = Only(_is_scan, "without the path of a dehyst scan, for a model of one axis")
 _of_table = beside("table")
 _without_table = Only(lambda given: "table" not in given, "with --table, which is at the reference temperature")
-_of_homing = Only(lambda given: "start" in given or given.get("home") is not False, "without a homing")
 
 
 @operation(plan_path, rare=("approach", "start_up", "tolerance"))
@@ -77,7 +87,7 @@ def compensate(
     zero: Zero | None = None,
     start: Start | None = None,
     home: bool | None = None,
-    present: Annotated[float | None, _of_homing] = None,
+    present: tuple[Present, ...] = (),
     temperature: Annotated[float | None, _without_table] = None,
     table: Annotated[Output | None, _of_scan] = None,
     cycles: Annotated[int, _of_table] = 1,
@@ -113,7 +123,8 @@ def compensate(
         Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first
         sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
     present
-        Present voltage on the actuator [V]; default: the voltage of --start, else 0 or the nearest limit.
+        Present voltage [V], of all axes or of one: the output begins there; default: the voltage of --start, else 0 or
+        the nearest limit, where a homing begins.
     temperature
         Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
@@ -171,19 +182,18 @@ def _axes_of(
     limits: Sequence[Limit],
     slew_rate: Sequence[Slew],
     start: Start | None,
-    present: float | None,
+    present: Sequence[Present],
     columns: Columns,
 ) -> tuple[list[_AxisRequest], list[str]]:
     """Return the request for each axis, and remarks on the start."""
     bounds, slews = limits_of(known.axes, limits), slews_of(known.axes, slew_rate)
     begins, remarks = starts.starts_of(known, start, bounds, columns)
-    axes = []
-    for actuator, allowed, slew, begin in zip(known.actuators, bounds, slews, begins, strict=True):
-        now = present
-        stands = begin
-        if begin is not None and present is not None:
-            volts = VoltageLimits(*(allowed or actuator.voltage_range)).within(present, "present")
-            stands, now = begin.standing_at(actuator, volts), None
+    volts, axes = numbers_of(known.axes, present, "present"), []
+    for actuator, allowed, slew, begin, given in zip(known.actuators, bounds, slews, begins, volts, strict=True):
+        # Beside the given voltage of another axis, that of an unknown start is the default.
+        assumed = given is not None or (begin is None and present)
+        now = present_voltage(VoltageLimits(*(allowed or actuator.voltage_range)), given) if assumed else None
+        stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
         axes.append(_AxisRequest(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
     remarks += known.prefixed(coverage_remarks(one.actuator, one.limits) for one in axes)
     return axes, remarks
@@ -257,11 +267,7 @@ def _follow(
     write_table(output, _written(known, paths, time))
     each = list(zip(axes, slews, paths, strict=True))
     remarks += known.prefixed(
-        [
-            *starts.path_warnings(one.actuator, path, one.limits, slew.bound),
-            *_idle_present(one, path),
-        ]
-        for one, slew, path in each
+        starts.path_warnings(one.actuator, path, one.place, slew.bound, stands=one.stands) for one, slew, path in each
     )
     judged = [judge_planned(one.actuator, path) for one, _, path in each]
     clamped = [int(path.clamped.sum()) for path in paths]
@@ -283,7 +289,7 @@ def _follow(
     }
     words = []
     for (one, slew, path), (low, high), count, miss in zip(each, spans, clamped, misses, strict=True):
-        begin = path.start.within(one.actuator, one.limits)
+        begin = path.start.within(one.actuator, one.place)
         before = (
             starts.start_words(one.actuator, path.start, begin) if path.homing is None else starts.homed_words(path)
         )
@@ -300,11 +306,6 @@ def _follow(
     certified = all(path.certified for path in paths)
     good = all(path.followed for path in paths) and (certified or not home)
     return Result(fields, lines, warnings=remarks, good=good)
-
-
-def _idle_present(one: _AxisRequest, path: HomedPath) -> list[str]:
-    idle = one.present is not None and one.start is None and path.homing is None
-    return ["--present: has no effect, because the start does not matter and no homing is needed"] if idle else []
 
 
 def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
@@ -331,12 +332,16 @@ def _tabulate(
     """Write the wave table of a scan with its start-up, and with its homing unless a start or --no-home is given."""
     actuator, slew, path = one.actuator, one.slew, scan.path(axis)
     bounds = one.limits or actuator.limits
-    start = one.start or PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
+    start = one.start or (
+        PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
+        if one.present is None
+        else PossibleStart.unknown(actuator, one.present, bounds)
+    )
     homes = one.start is None and home is not False
     if options["tolerance"] is not None and not options["tolerance"] > 0:
         raise RecordError(argument="tolerance", got=f"{options['tolerance'] * 1e6:g}", need="a length above 0 in um")
     run.progress("homing, and the steady cycle")
-    begin: dict[str, Any] = {"state": None if homes else start.within(actuator, one.limits), "present": one.present}
+    begin: dict[str, Any] = {"state": None if homes else start.within(actuator, one.place), "present": one.present}
     try:
         table = wave_table(actuator, scan, axis=axis, limits=one.limits, slew_rate=slew.bound, **begin, **options)
     except RecordError as error:
@@ -354,8 +359,8 @@ def _tabulate(
     promise, untested = promised(actuator, played.voltage[first:], played.time[first:])
     warnings = [*table.warnings, *remarks, *speed_remark(actuator, needed, slew.bound), *untested]
     if table.homing is None:
-        state = start.within(actuator, one.limits)
-        warnings += starts.file_warnings(actuator, float(table.start_up.voltage[0]), start, state, slew.bound)
+        first_volts, state = float(table.start_up.voltage[0]), begin["state"] if one.stands else None
+        warnings += starts.file_warnings(actuator, first_volts, start, state, slew.bound)
     else:
         warnings += starts.delay_warnings(actuator)
     left = None

@@ -62,7 +62,7 @@ class PathSlew(NamedTuple):
         """Return the given slew rate, or the default of a path: the speed of the model's records."""
         recorded = actuator.recorded_slew_rate
         if given is not None:
-            return cls(given.rate, "none" if given.rate is None else "option", recorded)
+            return cls(given.number, "none" if given.number is None else "option", recorded)
         return cls(recorded, "unknown" if recorded is None else "records", recorded)
 
     def of_path(self, *, timed: bool) -> PathSlew:

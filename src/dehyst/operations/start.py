@@ -209,16 +209,22 @@ def path_start_fields(path: HomedPath) -> dict[str, Any]:
 
 
 def file_warnings(
-    actuator: Actuator, first: float, start: PossibleStart, state: State, slew: float | None
+    actuator: Actuator, first: float, start: PossibleStart, state: State | None, slew: float | None
 ) -> list[str]:
-    """Warn that the file does not contain the ramp to its first voltage, earlier creep and the delay."""
+    """Warn that the file does not contain the ramp to its first voltage, earlier creep and the delay.
+
+    `state`: at which the actuator stands before the file; None if that is not known.
+    """
     warnings = []
-    present = actuator.voltage(state)
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *(actuator.limits or ()))):
+    low, high = actuator.voltage_range
+    present = min(max(0.0, low), high) if state is None else actuator.voltage(state)
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
         within = "slowly" if slew is None else "within the slew rate"
+        origin = "that of the start, " if state is not None else ""
+        hint = "" if state is not None else "; --present V, the voltage now, puts the way into it"
         warnings.append(
-            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from that of the start, "
-            f"{present:.6g} V: ramp there {within} before you play the file"
+            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
+            f"ramp there {within} before you play the file{hint}"
         )
     if actuator.creep_times.size and start.name in ("top", "bottom", "relaxed"):
         longest = float(actuator.creep_times.max())
@@ -240,8 +246,13 @@ def delay_warnings(actuator: Actuator) -> list[str]:
     ]
 
 
-def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None) -> list[str]:
-    """Return warnings about the part of a file before its path: the homing, the way, or their absence."""
+def path_warnings(
+    actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None, *, stands: bool
+) -> list[str]:
+    """Return warnings about the part of a file before its path: the homing, the way, or their absence.
+
+    `stands`: whether it is known where the actuator stands before it.
+    """
     first = float(path.voltage[0])
     if path.homing is None:
         begin = path.start.within(actuator, limits)
@@ -252,7 +263,7 @@ def path_warnings(actuator: Actuator, path: HomedPath, limits: Limits, slew: flo
         return [
             *([lead] if path.first else []),
             *path.warnings,
-            *file_warnings(actuator, first, path.start, begin, slew),
+            *file_warnings(actuator, first, path.start, begin if stands else None, slew),
         ]
     warnings, without = [*path.warnings, *delay_warnings(actuator)], path.unhomed
     if without is not None and path.seconds is not None and path.seconds >= _LONG:

@@ -211,7 +211,8 @@ def plan_path(
         means no homing only: from given starts there is a way, as by default, if one step within the slew rate does not
         lead to the path.
     present : float, or one an axis, optional
-        Present voltage [V] before a homing; default 0 V or the nearest limit.
+        Present voltage [V] of an unknown start: from there the homing begins, or without one the way to the first
+        sample. Default 0 V or the nearest limit; without a homing: if none is given, at the first sample.
 
     Returns
     -------
@@ -232,7 +233,7 @@ def plan_path(
         return plan.result(plan.led([one if one and one.known else None for one in given], now))
     if all(given):
         return plan.result(plan.begun(given))
-    paths = plan.begun(None)
+    paths = plan.begun(None) if all(one is None for one in now) else plan.standing(now)
     if home is None and any(one.error.matters for one in paths):
         homed = plan.led(given, now)
         paths = [replace(one, unhomed=before.error) for one, before in zip(homed, paths, strict=True)]
@@ -425,31 +426,43 @@ class _Plan:
         """Return a temperature (n,) [degC] for `before` rows and `size` samples after them; before, it is the first."""
         return None if temperature is None else np.concatenate([np.full(before, temperature[0]), temperature[:size]])
 
-    def begun(self, given: list[PossibleStart] | None) -> list[HomedPath]:
-        """Return the voltages of the path, with a way before it if its first step would exceed the slew rate."""
+    def standing(self, present: Sequence[float | None]) -> list[HomedPath]:
+        """Return the voltages of the path from unknown starts at present voltages [V], with a way as in `begun`."""
+        held = [present_voltage(one.bounds, now) for one, now in zip(self.loops, present, strict=True)]
+        pairs = list(zip(self.loops, held, strict=True))
+        return self.begun([PossibleStart.unknown(one.actuator, now, one.limits) for one, now in pairs], held)
+
+    def begun(self, given: list[PossibleStart] | None, present: list[float] | None = None) -> list[HomedPath]:
+        """Return the voltages of the path, with a way before it if its first step would exceed the slew rate.
+
+        `present` [V]: of given starts; by default as their states.
+        """
         starts = given or [
             PossibleStart.unknown_near(one.actuator, y, one.limits)
             for one, y in zip(self.loops, self.firsts, strict=True)
         ]
-        states = [start.within(one.actuator, one.limits) for start, one in zip(starts, self.loops, strict=True)]
+        places = [one.limits for one in self.loops] if present is None else [(now, now) for now in present]
+        states = [
+            start.within(one.actuator, place) for start, one, place in zip(starts, self.loops, places, strict=True)
+        ]
         # An actuator stands at the first sample, or is brought there slowly.
         begins = [
             state_at(one.actuator, state, y) if given is None or one.actuator.model.has_dynamics else state
             for one, state, y in zip(self.loops, states, self.firsts, strict=True)
         ]
-        held = [one.held(state) for one, state in zip(self.loops, states, strict=True)]
+        held = present or [one.held(state) for one, state in zip(self.loops, states, strict=True)]
         commands = self.follow(begins, None if given is None else held, self.compensator.period)
         jumps = [one.slew_rate and command.clamped[0] for one, command in zip(self.loops, commands, strict=True)]
         if given is not None and any(jumps):
             known = [PossibleStart(start.name, (state,)) for start, state in zip(starts, states, strict=True)]
-            return self.led(known, [None] * len(known), given)
+            return self.led(known, held, given)
         ways = [_Way(start, start.state) for start in starts]
         return self.joined(ways, np.zeros((0, len(starts))), commands, self.rows)
 
     def led(
         self,
         known: Sequence[PossibleStart | None],
-        present: list[float | None],
+        present: Sequence[float | None],
         starts: list[PossibleStart] | None = None,
     ) -> list[HomedPath]:
         """Return the voltages of the path after a way from known starts, or after the shortest homing.
