@@ -354,7 +354,8 @@ def test_the_zero_and_the_present_voltage_of_a_stage(folder):
 def test_axes_whose_columns_are_not_named_get_a_proposal(folder):
     stage = Stage.load(folder / "stage.json")
     replace(stage, axes=("1", "2"), recorded_columns=()).save(folder / "numbered.json")
-    words = ["compensate", folder / "numbered.json", folder / "path.csv", "-o", folder / "numbered.csv"]
+    write_columns(folder / "unnamed.csv", {"time_s": np.arange(3.0), "x_um": np.ones(3), "y_um": np.ones(3)})
+    words = ["compensate", folder / "numbered.json", folder / "unnamed.csv", "-o", folder / "numbered.csv"]
     assert '--columns "1=x_um, 2=y_um"' in run(*words, status=2)
     run(*words, "--columns", "1=x_um, 2=y_um", "--no-home")
 
