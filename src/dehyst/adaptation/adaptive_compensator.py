@@ -258,7 +258,8 @@ class AdaptiveCompensator:
 
     def _corrected(self, last: tuple[float, float], measured: float, scaling: tuple[float, float]) -> float:
         """Return the integral action's next addition to the path; it pauses while a voltage is clamped."""
-        (wanted, voltage), (gain, offset) = last, scaling
+        wanted, voltage = last
+        gain, offset = scaling
         low, high = self._compensator.limits
         if not isnan(measured) and low < voltage < high and not self._contradicted:
             # The path that was wanted is that without the correction before; it lacks gain and offset.

@@ -184,7 +184,7 @@ class PathRun:
         return plan_path(self._planner, self._wanted, home=True)
 
     def recording(self, path: PathLike, repetitions: int) -> Recording:
-        """Begin the recording of a homing and `repetitions`, for `play`.
+        """Begin the recording of a homing and `repetitions` at `path` (.h5), for `play`.
 
         Its columns "wanted_m" and "repetition_1" hold the wanted displacement and the number of the repetition; in the
         homing, what the model expects and 0. Raise `FileFormatError` as `Recording`, or if the disk has no room for it.

@@ -75,13 +75,16 @@ class AxisNumber:
 class Slew(AxisNumber):
     """The largest slew rate [V/s]; None: not limited."""
 
-    metavar, needed, none = "[AXIS=]V/S|none", "a number of V/s, or none", True
+    metavar = "[AXIS=]V/S|none"
+    needed = "a number of V/s, or none"
+    none = True
 
 
 class Present(AxisNumber):
     """The present voltage [V]."""
 
-    metavar, needed = "[AXIS=]V", "a number of V"
+    metavar = "[AXIS=]V"
+    needed = "a number of V"
 
 
 def limits_of(axes: Sequence[str], given: Iterable[Limit]) -> list[tuple[float, float] | None]:

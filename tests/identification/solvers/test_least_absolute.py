@@ -54,8 +54,11 @@ def least(a, b, free, matrix=None, lower=None):
     low = np.zeros(0) if lower is None else lower
     limits = np.where(np.arange(q) < free, 0.0, -np.inf), np.zeros(q)
     box = np.append(-np.ones(n), np.zeros(len(c))), np.append(np.ones(n), np.full(len(c), np.inf))
-    answer = highs.minimum(-np.append(b, low) / unit, box, (np.vstack([a, c]) / scale).T, limits, solver="simplex")
-    assert answer.optimal, answer.status
+    program = -np.append(b, low) / unit, box, (np.vstack([a, c]) / scale).T, limits
+    answers = (highs.minimum(*program, solver=solver) for solver in ("simplex", "ipm"))
+    # The simplex gives up on some programs with ties.
+    answer = next((one for one in answers if one.optimal), None)
+    assert answer is not None
     return -answer.objective * unit
 
 
