@@ -358,6 +358,7 @@ def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):
 @pytest.mark.slow
 def test_a_path_is_followed_while_the_rig_ages_and_the_model_adapts(person, bench, loops):
     person.drop(loops)
+    person.sees("1 ready")
     person.identify(structure="maxwell_slip")
     person.step("Path")
     person.page.get_by_label("Draw points").check()
