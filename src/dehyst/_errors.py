@@ -84,8 +84,8 @@ class DehystError(Exception):
         return escaped(super().__str__())
 
 
-def of_part(error: DehystError, part: str) -> Any:
-    """Return the same error of a part, as "axis x", whose words a command can still replace by its own."""
+def of_part(error: DehystError, part: str) -> DehystError:
+    """Return the error with a `part`, such as "axis x", before it; a command can still name its own options in it."""
     if error.argument or type(error).__init__ is not DehystError.__init__:
         return type(error)(f"{part}: {error}")
     fields = {name: getattr(error, name) for name in ("got", "need", "hint", "change")}

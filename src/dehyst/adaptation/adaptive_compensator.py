@@ -257,13 +257,16 @@ class AdaptiveCompensator:
         return (displacement - offset) / gain
 
     def _corrected(self, last: tuple[float, float], measured: float, scaling: tuple[float, float]) -> float:
-        """Return the integral action's next addition to the path; it pauses while a voltage is clamped."""
+        """Return the integral action's next addition to the path; it pauses while a voltage is clamped.
+
+        `last`: wanted displacement, without gain and offset, and voltage [V] of the last step. `scaling`: both.
+        """
         wanted, voltage = last
         gain, offset = scaling
         low, high = self._compensator.limits
         if not isnan(measured) and low < voltage < high and not self._contradicted:
-            # The path that was wanted is that without the correction before; it lacks gain and offset.
-            error = gain * (wanted - self._correction / gain - (measured - offset) / gain)
+            # The path that was wanted is that without the correction before.
+            error = gain * wanted + offset - self._correction - measured
             limit = self._most_correction
             return min(max(self._correction + self._rate * error, -limit), limit)
         return self._correction

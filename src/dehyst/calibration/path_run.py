@@ -310,7 +310,7 @@ class PathRun:
         return self._thermal.at_reference(record.displacement, np.broadcast_to(expected, len(record)))
 
     def _play(self, number: int, voltage: Array, wanted: Array, listener: ProgressListener) -> Record:
-        """Play repetition `number`, or the homing as 0, in which the listener is told of nothing wanted."""
+        """Play repetition `number` and return its record; 0 is the homing, of which the listener gets no `wanted`."""
         name, count = f"repetition {number}" if number else "homing", 0
         excitation = Excitation(name, voltage, self.rate)
         rows = self._rig.rows(len(excitation))

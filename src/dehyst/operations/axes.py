@@ -98,7 +98,7 @@ def slews_of(axes: Sequence[str], given: Iterable[Slew]) -> list[Slew | None]:
 
 
 def numbers_of(axes: Sequence[str], given: Iterable[AxisNumber], name: str) -> list[float | None]:
-    """Return the number for each axis, None if it is none or not given; `name`: of the parameter."""
+    """Return the number of each axis: its own, the common one, or None. `name`: the parameter, for errors."""
     return [None if one is None else one.number for one in _by_axis(axes, given, name)]
 
 

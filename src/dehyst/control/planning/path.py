@@ -206,10 +206,10 @@ def plan_path(
     start : PossibleStart, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
-        Whether a way to the first sample comes before the path: from a known start directly, otherwise with the
-        shortest homing. Default for an unknown start: if its error along the path exceeds the model's error. False
-        means no homing only: from given starts there is a way, as by default, if one step within the slew rate does not
-        lead to the path.
+        True: a way to the first sample comes before the path, from a known start directly, otherwise with the shortest
+        homing. False: no homing. Default: a homing if the error that an unknown start leaves along the path exceeds the
+        model's error. With False and by default, a way leads from a given start or present voltage to a path that one
+        step within the slew rate does not reach.
     present : float, or one an axis, optional
         Present voltage [V] of an unknown start: from there the homing begins, or without one the way to the first
         sample. Default 0 V or the nearest limit; without a homing: if none is given, at the first sample.
