@@ -166,6 +166,24 @@ def test_a_record_is_a_start(folder, model):
     assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
 
 
+def test_a_start_from_a_record_takes_the_given_columns_and_scales(folder):
+    """A low-voltage command to an amplifier, in the record of the start as in the file of voltages."""
+    actuator = Actuator.load(folder / "model.json")
+    voltage = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 0, 200), np.linspace(0, 120, 150)])
+    time, y = np.arange(550) * 0.05, actuator.simulate(voltage).displacement
+    moved = {"displacement_um": 1e6 * y}
+    write_columns(folder / "volts.csv", {"time_s": time, "out": voltage / 20, **moved})
+    write_columns(folder / "plain.csv", {"time_s": time, "voltage_V": voltage, **moved})
+    onward = np.linspace(120, 60, 40)
+    write_columns(folder / "onward.csv", {"time_s": np.arange(40) * 0.05, "out": onward / 20})
+    columns, states = ("--columns", "voltage=out*20"), {}
+    for start in ("volts.csv", "plain.csv"):
+        given = ("simulate", "model.json", "onward.csv", "-o", "s.csv", "--start", start, *columns)
+        states[start] = answer(*given, cwd=folder)[1]["state"]
+    for name, values in states["plain.csv"].items():
+        np.testing.assert_allclose(states["volts.csv"][name], values, rtol=1e-6, atol=1e-12)
+
+
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_record_is_a_start_as_it_began(folder, model):
     """What a record measured follows from its voltages and the state in which it began, which no name describes."""

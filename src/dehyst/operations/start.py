@@ -19,7 +19,7 @@ from dehyst.model import Actuator, State
 from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns
-from dehyst.records import Record
+from dehyst.records import Record, Table
 from dehyst.trust import start_of
 
 # Least share of the stroke that is printed as a number [%].
@@ -84,17 +84,16 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     table, name = columns.plain_table(start.path), start.path.name
     computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
     own = set(computed) <= set(table.names)
-    known = {} if model.stage is None else {q: model.named(table, q, columns, record=True) for q in _MEASURED}
+    known = {quantity: _columns_of(model, table, quantity, columns, own=own) for quantity in _MEASURED}
 
     def values(quantity: str) -> list[Array]:
-        if not known:
-            return [table.column(quantity)]
-        # What dehyst wrote is in V and um, whatever the records were in.
-        pairs = ((axis, *known[quantity][axis]) for axis in model.axes)
-        return [model.column(table, quantity, axis, (name, None if own else scale)) for axis, name, scale in pairs]
+        pairs = known[quantity].items()
+        if model.stage is None:
+            return [table.column(quantity, *pair) for _, pair in pairs]
+        return [model.column(table, quantity, axis, pair) for axis, pair in pairs]
 
     voltages = values("voltage")
-    moved = [known["displacement"][axis][0] if known else None for axis in model.axes]
+    moved = [name for name, _ in known["displacement"].values()]
     measured = not own and all(table.fitting("displacement", one) == 1 for one in moved)
     if start.began and not measured:
         raise ModelError(
@@ -117,6 +116,22 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
         return replace(found, remarks=(*found.remarks, *remarks))
 
     return read
+
+
+def _columns_of(
+    model: AxesModel, table: Table, quantity: str, columns: Columns, *, own: bool
+) -> dict[str, tuple[str | None, str | None]]:
+    """Return the column of each axis in the file of a start, and its scale; None: the usual one, and no scale.
+
+    Given columns are those of the path; the file of the start may have others. `own`: dehyst wrote the file, in V and
+    um whatever the records were in.
+    """
+    if model.stage is not None:
+        named = model.named(table, quantity, columns, record=True)
+        return {axis: (named[axis][0], None if own else named[axis][1]) for axis in model.axes}
+    name, scale = getattr(columns, quantity), getattr(columns, f"{quantity}_scale")
+    has = not own and (name is None or table.fitting(quantity, name) == 1)
+    return dict.fromkeys(model.axes, (name, scale) if has else (None, None))
 
 
 def starts_of(
