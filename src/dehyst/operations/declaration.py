@@ -197,7 +197,8 @@ class Parameter:
     @property
     def whole_help(self) -> str:
         """Its help with the default."""
-        known = self.default in (REQUIRED, None, (), False, True) or "default" in self.help or not _text(self.default)
+        plain = self.default in (REQUIRED, None, ()) or isinstance(self.default, bool)
+        known = plain or "default" in self.help or not _text(self.default)
         return self.help if known else f"{self.help}  [default: {_text(self.default)}]"
 
     def words(self, value: Any) -> list[str]:

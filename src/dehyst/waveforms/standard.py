@@ -36,8 +36,8 @@ RATIO = 1.3247179572447460
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
-    `peaks`: one or (m,) voltages [V] above the base; each is repeated for `cycles`. `drive`: how it is played. Raise
-    `RecordError` as all excitations do.
+    `peaks`: one or (m,) voltages [V] above the base. `cycles`: number of cycles to each of them. `drive`: how it is
+    played. Raise `RecordError` as all excitations do.
     """
     several: Any = [peaks] if isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0 else peaks
     tops = voltages(several, "peaks")
@@ -100,8 +100,9 @@ def minor_loop(
 
     The first major cycle homes the actuator; the second one is the major loop.
 
-    `low`, `high` [V]: turning points, base <= low < high <= highest. `highest` [V]: top of the `majors`, major cycles.
-    `cycles` of the minor loop. `drive`: how it is played. Raise `RecordError` as all excitations do.
+    `low`, `high` [V]: turning points, base <= low < high <= highest. `highest` [V]: top of the major cycles. `majors`:
+    number of major cycles. `cycles`: number of minor cycles. `drive`: how it is played. Raise `RecordError` as all
+    excitations do.
     """
     top, lower, upper = _top(highest, drive), volts(low, "low"), volts(high, "high")
     if not drive.base <= lower < upper <= top:
