@@ -260,7 +260,7 @@ class AxesModel:
             names = {axis: (self.name(quantity, axis), None) for axis in self.axes}
         return {axis: (name, scale or common) for axis, (name, scale) in names.items()}
 
-    def column(self, table: Table, quantity: str, axis: str, named: tuple[str, str | None]) -> Array:
+    def column(self, table: Table, quantity: str, axis: str, named: tuple[str | None, str | None]) -> Array:
         """Return a quantity (n,) of one of several axes from the column and the scale of this axis."""
         try:
             return table.column(quantity, *named)
