@@ -19,6 +19,9 @@ from strangers.command import table as strangers_table
 
 from dehyst.identification.rules import DecisionRules
 
+# Parts of the benchmark of the promise.
+PARTS = {"calibrate": "ten mechanisms", "unseen": "six others", "last": "three made last"}
+
 
 def readme() -> list[str]:
     """Largest and RMS error of a straight scale factor, the best other model, and dehyst."""
@@ -347,7 +350,7 @@ def promise() -> list[str]:
         "ready, missed by twice",
     )
     rows = []
-    for part, name in (("calibrate", "ten mechanisms"), ("unseen", "six others"), ("last", "three made last")):
+    for part, name in PARTS.items():
         tables = found[part]["tables"]
         for by, values in tables.items():
             if by in ("truth", "path") and part == "calibrate":
@@ -360,6 +363,20 @@ def promise() -> list[str]:
                     [title, str(row["paths"]), kept, kept_rms, sharp, over, str(row["ready_and_missed_by_twice"])]
                 )
     return table(head, rows)
+
+
+def zeros() -> list[str]:
+    """How often the promise is kept by the largest error from other zeros."""
+    whole = [data("promise")[part]["tables"]["all"][""] for part in PARTS]
+    rows = [
+        [where, *(f"{100 * one[key]:.0f} %" for one in whole)]
+        for where, key in (
+            ("less its mean, as promised", "kept"),
+            ("from the first sample of the path, where the sensor is zeroed", "kept_zeroed"),
+            ("from the sensor's zero of the records, which a drift moves", "kept_absolute"),
+        )
+    ]
+    return table(("largest error", *PARTS.values()), rows)
 
 
 def rules() -> list[str]:
@@ -419,7 +436,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/how_to/firmware.md": {"firmware": firmware},
     "docs/how_to/control.md": {"loop": loop},
     "docs/explanation/safety.md": {"faults": faults},
-    "docs/explanation/trust.md": {"promise": promise},
+    "docs/explanation/trust.md": {"promise": promise, "zeros": zeros},
     "docs/how_to/identify.md": {"temperature": temperature},
     "docs/how_to/keep_true.md": {"lives": lives, "updates": updates},
     "docs/reference/decision_rules.md": {"rules": rules},

@@ -1,8 +1,9 @@
 """How often the promise of a model is kept, and how sharp it is. Writes `promise.json`.
 
 Actuators by mechanisms that are no instance of the model are recorded, identified, and made to follow paths of five
-kinds in the open loop. A promise is kept if the largest error of the path, its mean aside, is not above it; it is sharp
-if it is not much larger than the error that was reached.
+kinds in the open loop. A promise is kept if the largest error of the path, less its mean, is not above it; it is sharp
+if it is not much larger than the error that was reached. Beside it are the errors from the first sample of the path, as
+of a sensor that is zeroed there, and from the zero that the sensor had at the first sample of the records.
 
     python benchmarks/promise.py [calibrate] [unseen] [last] [--jobs N]
 
@@ -160,6 +161,7 @@ def case(job):
         ahead = CubicSpline(when, wanted)(np.minimum(when + model.delay, when[-1])) if model.delay else wanted
         command = Compensator(model, model.limits).trajectory(ahead, time=when, state=homed.state)
         error = (wanted - np.append(wanted[0], copy.deepcopy(stage.bench).play(when[1:], command.voltage[1:])))[1:]
+        zeroed, absolute = (float(np.abs(one).max()) for one in (error - error[0], error))
         error -= error.mean()
         promised = command.promise
         rows.append(
@@ -168,6 +170,8 @@ def case(job):
                 "path": path,
                 "largest": float(np.abs(error).max()),
                 "rms": float(error.std()),
+                "zeroed": zeroed,
+                "absolute": absolute,
                 "promised_largest": promised.largest,
                 "promised_rms": promised.rms,
                 "untested": len(promised.untested),
@@ -216,6 +220,10 @@ def summary(rows, by):
             "paths": len(own),
             "kept": float(np.mean(ratio >= 1)),
             "kept_rms": float(np.mean(other >= 1)),
+            **{
+                f"kept_{key}": float(np.mean([row["promised_largest"] >= row[key] for row in own]))
+                for key in ("zeroed", "absolute")
+            },
             "sharpness": float(np.median(ratio)),
             "sharpness_rms": float(np.median(other)),
             "over_three": float(np.mean(ratio > 3)),

@@ -14,7 +14,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
 from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import Outcome, Validity, distances, legs, temperature_range
+from dehyst.model import APART, Outcome, Validity, distances, legs, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
 # Held-out legs may go beyond the voltages of the others by this part of the range.
@@ -39,7 +39,7 @@ class Expectation:
     Attributes
     ----------
     rms, largest : float
-        Bounds [m] that nine of ten paths within the recorded voltages should keep: see `Validity`.
+        Bounds [m] that nine of ten paths within the recorded voltages should keep, less the mean error: see `Promise`.
     measured : float
         Measured RMS error of the records from which the bounds follow [m].
     noise : float
@@ -114,7 +114,7 @@ class Expectation:
         """The verdict, with the largest and the RMS error to expect."""
         return (
             f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
-            f"{self._both(self.rms)} RMS"
+            f"{self._both(self.rms)} RMS, {APART}"
         )
 
     @property
@@ -143,7 +143,7 @@ class Expectation:
         """The verdict in one line, with its numbers and reasons."""
         text = (
             f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
-            f"{self._both(self.largest)} at most (from {self.basis}; goal {self.goal:g} %). {self._missed}"
+            f"{self._both(self.largest)} at most, {APART} (from {self.basis}; goal {self.goal:g} %). {self._missed}"
         )
         if self.if_actuator_lags is not None:
             rms, largest = map(self._part, self.if_actuator_lags)

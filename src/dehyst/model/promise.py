@@ -1,9 +1,10 @@
 """The promise: a bound of the error on a path, from what the records of an identification tested.
 
-A promise is a bound that nine of ten paths should keep (theory section 18). It grows with three errors: the error on
-held-out parts of the records, the disagreement of models that explain the records about as well, and the distance of
-the path's turning points from those of the records. Its factors were tuned on virtual actuators whose mechanisms are
-not instances of the model, and are tested on other mechanisms: `benchmarks/promise.py`.
+A promise is a bound that nine of ten paths should keep (theory section 18), for the error less its mean: no record
+determines where the zero of the sensor will be later. It grows with three errors: the error on held-out parts of the
+records, the disagreement of models that explain the records about as well, and the distance of the path's turning
+points from those of the records. Its factors were tuned on virtual actuators whose mechanisms are not instances of the
+model, and are tested on other mechanisms: `benchmarks/promise.py`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from dehyst.records import Record, turning_points
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
+# What the promised errors leave out, in words.
+APART = "apart from a constant offset"
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02
 # Legs that are kept of the records.
@@ -280,7 +283,8 @@ class Promise:
     def sentence(self, stroke: float) -> str:
         """Return the promise in words, errors in percent of a `stroke` [m]."""
         rms_, largest = (100 * error / stroke for error in (self.rms, self.largest))
-        return " ".join([f"Expect an error of {largest:.2g} % at most and {rms_:.2g} % RMS.", *self.untested])
+        expected = f"Expect an error of {largest:.2g} % at most and {rms_:.2g} % RMS, {APART}."
+        return " ".join([expected, *self.untested])
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the bound along the path."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace, label
+from dehyst.model import APART
 from dehyst.records import largest, white_noise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
@@ -32,8 +33,8 @@ def verdict(fit: Fit) -> str:
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (
-        f"is the largest error to expect on any path within these voltages, RMS {rms} (from {expected.basis}; the "
-        f"goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"is the largest error to expect on any path within these voltages, {APART}, RMS {rms} (from {expected.basis}; "
+        f"the goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )
     why = "".join(f"<li>{words(one[0].upper() + one[1:])}.</li>" for one in expected.why_not_ready)

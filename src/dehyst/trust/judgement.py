@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dehyst._units import per_metre
 from dehyst._views.fields import json_values
 from dehyst.control import HomedPath, StartError
-from dehyst.model import Actuator, Identification, Promise
+from dehyst.model import APART, Actuator, Identification, Promise
 from dehyst.records import largest as largest_of
 from dehyst.records import rms as rms_of
 from dehyst.trust.prediction_band import PredictionBand
@@ -37,8 +37,8 @@ class Judgement:
     Attributes
     ----------
     rms, largest : float or None
-        RMS and largest error of the path [m], bounds that nine of ten paths should keep. Without a path: of any path
-        within the recorded voltages.
+        RMS and largest error of the path, less its mean [m], bounds that nine of ten paths should keep. Without a path:
+        of any path within the recorded voltages.
     parts : mapping of str to float
         Largest error by cause [m]: keys of `PredictionBand.errors`; "training", the error on the training records; and
         "temperature", what a temperature adds that was not tested, or is not known.
@@ -79,7 +79,8 @@ class Judgement:
         cause = "the offset that the sensor shows" if self.begins == "seen" else "the start"
         share = f"; {cause} causes up to {100 * self.start / stroke:.2g} %" if open_ else ""
         begins = _BEGINS.get(self.begins, f", from the start {self.begins}")
-        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{begins}{share}"
+        apart = "" if self.begins == "seen" else f", {APART}"
+        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{begins}{apart}{share}"
 
     def lines(self, stroke: float) -> list[str]:
         """Return the promise of a path in a line; no line if it is not known."""

@@ -26,7 +26,7 @@ export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
   const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
-  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect`);
+  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, apart from a constant offset`);
   return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", words),
     h("b", percent(largest), " ", told),
