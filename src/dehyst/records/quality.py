@@ -87,7 +87,7 @@ def other_unit(record: Record) -> str:
         return ""
     return (
         f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
-        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"'
+        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"; a rig reads metres'
     )
 
 
