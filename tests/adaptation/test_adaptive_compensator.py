@@ -350,6 +350,28 @@ def test_snapshots_continue_bit_for_bit(tmp_path):
         AdaptiveCompensator(replace(plain_records.plant(8, seed=4), limits=LIMITS), period=PERIOD).restore(snapshot)
 
 
+def memory_of(loop):
+    return json.dumps(loop.snapshot().as_dict())
+
+
+def test_a_snapshot_of_another_loop_changes_nothing():
+    """Of another period, of an actuator with as many elements, and from outside the limits."""
+    donor = AdaptiveCompensator(PLANT, LIMITS, period=2 * PERIOD, warns=False)
+    lived(donor, 8, age=lambda part: part)
+    stiff = replace(PLANT, slip=replace(PLANT.slip, stiffness=1.2 * PLANT.slip.stiffness))
+    outside = AdaptiveCompensator(PLANT, (LIMITS[0] - 90, LIMITS[1]), period=PERIOD, warns=False)
+    outside.step(-STROKE)
+    for other in (donor, loop_of(actuator=stiff), outside):
+        loop = loop_of()
+        lived(loop, 3)
+        before, gain = memory_of(loop), loop.drift.gain
+        with pytest.raises(ModelError):
+            loop.restore(other.snapshot())
+        assert (memory_of(loop), loop.drift.gain) == (before, gain)
+    loop.restore(loop_of().snapshot())
+    assert loop.log == ()
+
+
 def test_impossible_arguments_are_refused():
     for options in ({"memory": 0.5}, {"memory": math.nan}, {"time_constant": -1.0}, {"integral_time": 0.0}):
         with pytest.raises(ModelError) as caught:
@@ -440,5 +462,22 @@ def test_a_cycle_with_unequal_columns_or_impossible_voltages_is_refused():
         with pytest.raises(ModelError) as caught:
             loop.learn(*columns)
         assert caught.value.argument == "measured"
+    voltage, before = loop.plan(wanted), memory_of(loop)
+    far, nothing = voltage.copy(), np.full(wanted.size, math.nan)
+    far[-1] = 1e4
+    for columns in ((wanted, far, wanted), (nothing, voltage, wanted), (wanted, nothing, wanted)):
+        with pytest.raises(ModelError):
+            loop.learn(*columns)
+    with pytest.raises(ModelError) as caught:
+        loop.plan(wanted, pause=-3.0)
+    assert caught.value.argument == "pause" and memory_of(loop) == before
+
+
+def test_a_refused_plan_takes_no_time():
+    """A model that creeps would go on creeping during the pause before it."""
+    loop = loop_of(actuator=replace(PLANT, displacement_creep=DisplacementCreep([1.0, 30.0], [0.02, 0.02])))
+    lived(loop, 1)
+    before = memory_of(loop)
     with pytest.raises(ModelError):
-        loop.learn(wanted, np.full(wanted.size, 1e4), wanted)
+        loop.plan(np.full(40, math.nan), pause=5.0)
+    assert memory_of(loop) == before

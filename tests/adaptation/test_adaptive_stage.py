@@ -76,6 +76,18 @@ def test_its_memory_is_kept_and_a_wrong_one_refused():
         again.step([1e-6, 1e-6], [1e-6])
 
 
+def test_what_is_no_displacement_of_each_axis_is_refused():
+    """A mask is not dropped, nor a shape; the memory is that of before."""
+    loop, wanted = loop_of(AdaptiveStageCompensator), [0.4 * STROKE, 0.4 * STROKE]
+    loop.step(wanted, wanted)
+    before = [one.as_dict() for one in loop.snapshot()]
+    for measured in (np.ma.array(wanted, mask=[True, False]), ["1", "2"], [True, False], [wanted], 1e-6):
+        with pytest.raises(ModelError) as caught:
+            loop.step(wanted, measured)
+        assert caught.value.argument == "measured"
+    assert [one.as_dict() for one in loop.snapshot()] == before
+
+
 def test_axes_learn_what_their_actuators_move_at_the_reference_temperature():
     """The same ageing as at the reference, though each axis moves less and its sensor shifts."""
     thermals, degrees = (Thermal(-4e-3, 2e-8, 20.0), Thermal(-2e-3, 0.0, 22.0)), np.array([35.0, 30.0])

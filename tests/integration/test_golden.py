@@ -80,6 +80,9 @@ def test_the_memory_of_a_loop_that_learns():
     loop.restore(AdaptiveSnapshot.load(GOLDEN / "adaptive-loop-2.json"))
     assert loop.step(5e-6, 4.9e-6) == pytest.approx(33.3909090909091, rel=1e-12)
     assert loop.snapshot().learnt["before"][:2] == pytest.approx([0.04226946, 0.0638009], rel=1e-6)
+    again = AdaptiveCompensator(actuator, (0, 90), slew_rate=2e4, period=1e-3, zero_drifts=False, warns=False)
+    again.restore(AdaptiveSnapshot.load(GOLDEN / "adaptive-loop-3.json"))
+    assert (again.voltage, again.step(4e-6, 4.8e-6)) == (loop.voltage, loop.step(4e-6, 4.8e-6))
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "h5"])
@@ -139,7 +142,7 @@ NEWER = "got (format .* )?version 99, need .*a newer dehyst wrote it: install th
         (Actuator, "actuator-4.json"),
         (Stage, "stage-2.json"),
         (Snapshot, "loop-2.json"),
-        (AdaptiveSnapshot, "adaptive-loop-2.json"),
+        (AdaptiveSnapshot, "adaptive-loop-3.json"),
     ],
 )
 def test_a_newer_model_or_memory_is_refused(kind, name):
@@ -164,7 +167,7 @@ DAMAGE = (None, [], [1.0], [[]], {}, {"x": 1}, 3, -1.5, "x", np.nan, np.inf, Tru
         *((Actuator, f"actuator-{version}.json") for version in DISPLACEMENT),
         *((Stage, f"stage-{version}.json") for version in (1, 2)),
         (Snapshot, "loop-2.json"),
-        *((AdaptiveSnapshot, f"adaptive-loop-{version}.json") for version in (1, 2)),
+        *((AdaptiveSnapshot, f"adaptive-loop-{version}.json") for version in (1, 2, 3)),
     ],
 )
 def test_a_damaged_value_anywhere_is_refused_or_can_be_used(kind, name):

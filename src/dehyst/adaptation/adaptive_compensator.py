@@ -17,12 +17,12 @@ from dehyst._native import EMPTY
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
 from dehyst.adaptation.estimator import Estimator, Exchange, PathCycle
-from dehyst.control import Compensator, Snapshot, VoltageLimits
+from dehyst.control import Compensator, Snapshot, VoltageLimits, unchanged_by_errors
 from dehyst.model import Actuator, State, looped
 from dehyst.model import serialization as files
 
-# Version 1 has no means of the cycle before.
-FORMAT, VERSIONS = "dehyst-adaptive-loop", (1, 2)
+# Version 1 has no means of the cycle before, version 2 no origin.
+FORMAT, VERSIONS = "dehyst-adaptive-loop", (1, 2, 3)
 # Samples of a cycle in the loop at most, of any cycle at least, and those after which turns are looked for.
 _MOST, FEWEST, _DUE = 4096, 24, 32
 # The integral action moves the path by this part of the reach at most.
@@ -167,6 +167,7 @@ class AdaptiveCompensator:
                 raise ModelError(f"{name} needs the time between steps", hint="give the period [s]", change=("period",))
         self._memory, self._time_constant, self.learning = float(memory), time_constant, True
         self._estimator = Estimator(compensator.actuator, compensator.state, zero_drifts)
+        self._origin = np.array([float(compensator.model_ids()[0])])
         self._rate = 0.0 if integral_time is None or period is None else period / integral_time
         low, high = compensator.reach
         self._most_correction, self._correction = _INTEGRAL * (high - low), 0.0
@@ -209,7 +210,7 @@ class AdaptiveCompensator:
         if measured is None:
             measured = nan
         elif not isinstance(measured, float):
-            measured = float(check.number(measured, "measured"))
+            measured = check.number(measured, "measured", self._compensator.units)
         scaling, correction = self._scaling, self._correction
         if temperature is not None:
             gain, offset = self._compensator.scaling_at(temperature, 1)
@@ -316,13 +317,15 @@ class AdaptiveCompensator:
         """Return the voltages (n,) [V] of a cycle that will be played as a whole; nothing is committed.
 
         `displacement` (n,): wanted [m, or `units`], as of n calls of `step`. `pause`: time [s] for which the last
-        voltage is held before. After the cycle call `learn`. Raises and warns as `Compensator.run`.
+        voltage is held before. After the cycle call `learn`. Raises and warns as `Compensator.run`; raises `ModelError`
+        too if `pause` is no time of 0 or more.
         """
         before = self._compensator.snapshot()
-        self._hold(pause)
-        voltage = self._compensator.run(displacement)
-        self._compensator.restore(before)
-        return voltage
+        try:
+            self._hold(pause)
+            return self._compensator.run(displacement)
+        finally:
+            self._compensator.restore(before)
 
     def learn(self, displacement: ArrayLike, voltage: ArrayLike, measured: ArrayLike, pause: float = 0.0) -> None:
         """Commit a cycle (n,) that was played as a whole, and learn from it; then new weights may be in use.
@@ -330,18 +333,26 @@ class AdaptiveCompensator:
         `displacement`: as given to `plan`. `voltage`: sent [V]. `measured` [m, or `units`]: displacement at each of
         these samples; NaN if unknown. `pause`: time [s] for which the last voltage was held before.
 
-        Raise `ModelError` if lengths differ, there are fewer than 24 samples, or a voltage is not one of these limits.
+        Raise `ModelError` if lengths differ, there are fewer than 24 samples, a wanted displacement is not finite, or a
+        voltage is not one of these limits: the memory is unchanged.
         """
-        columns = [np.array(one, dtype=np.float64).ravel() for one in (displacement, voltage, measured)]
+        units = self._compensator.units
+        columns = [
+            check.vector(displacement, "displacement", units),
+            check.vector(voltage, "voltage"),
+            check.readings(measured, "measured", units),
+        ]
         wanted, sent, seen = (one.size for one in columns)
         if not wanted == sent == seen or wanted < FEWEST:
             got = f"{seen} values for {wanted} displacements and {sent} voltages"
             raise ModelError(argument="measured", got=got, need=f"one for each, of {FEWEST} samples at least")
         before = self._compensator.state.displacement
-        self._hold(pause)
-        self._estimator.pause(pause, self._compensator.state.displacement - before)
-        for one in columns[1].tolist():
-            self._compensator.commit(one)
+        with unchanged_by_errors((self._compensator,)):
+            self._hold(pause)
+            crept = self._compensator.state.displacement - before
+            for one in columns[1].tolist():
+                self._compensator.commit(one)
+        self._estimator.pause(pause, crept)
         columns[0], columns[2] = self._at_reference(columns[0]), self._at_reference(columns[2])
         late = (self._sent.maxlen or 1) - 1
         columns[2] = np.append(columns[2][late:], np.full(late, nan))
@@ -364,6 +375,8 @@ class AdaptiveCompensator:
         return found
 
     def _hold(self, seconds: float) -> None:
+        if not check.number(seconds, "pause") >= 0:
+            raise ModelError(argument="pause", got=repr(seconds), need="a time [s] of 0 or more")
         for _ in range(round(seconds / self._compensator.period) if self._compensator.period else 0):
             self._compensator.hold()
 
@@ -420,26 +433,38 @@ class AdaptiveCompensator:
         """Finish the learning under way, and return the whole memory except the samples of the present cycle."""
         while self._work is not None:
             self._advance()
-        learnt = self._estimator.numbers() | {"correction": np.array([self._correction])}
-        return AdaptiveSnapshot(self._compensator.snapshot(), learnt)
+        return AdaptiveSnapshot(self._compensator.snapshot(), self._numbers())
+
+    def _numbers(self) -> dict[str, Array]:
+        """Return what was learnt, by name; "origin" is the checksum of the actuator with which the loop began."""
+        return self._estimator.numbers() | {"correction": np.array([self._correction]), "origin": self._origin}
 
     def restore(self, snapshot: AdaptiveSnapshot) -> None:
-        """Continue from a `snapshot` of a loop with the same actuator; this empties the log.
+        """Continue from a `snapshot` of a loop that began with the same actuator; this empties the log.
 
-        Raise `ModelError` if the snapshot belongs to another actuator, period or limits, or is damaged.
+        Raise `ModelError` if the snapshot belongs to another actuator, period or preview, lies outside of the limits,
+        or is damaged: the memory is unchanged.
         """
         if not isinstance(snapshot, AdaptiveSnapshot):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="an AdaptiveSnapshot")
-        given = self._estimator.numbers() | {"correction": np.zeros(1)}
-        learnt = {"before": EMPTY, **snapshot.learnt}
+        given = self._numbers()
+        learnt = {"before": EMPTY, "origin": given["origin"], **snapshot.learnt}
         same = given.keys() == learnt.keys() and all(
             learnt[name].size == values.size for name, values in given.items() if name not in {"usual", "before"}
         )
         same = same and learnt["before"].size in {0, given["factors"].size + 1}
-        if not same:
+        if not same or not np.array_equal(learnt["origin"], given["origin"]):
             raise ModelError("it is of another actuator", argument="snapshot", hint="make the loop as it was")
-        self._compensator.exchange(self._estimator.restore(learnt))
-        self._compensator.restore(snapshot.loop)
+        mine = self._compensator.snapshot(), self.actuator
+        try:
+            self._compensator.exchange(self._estimator.restore(learnt))
+            self._compensator.restore(snapshot.loop)
+        except ModelError:
+            self._estimator.restore(given)
+            self._compensator.exchange(mine[1])
+            self._compensator.restore(mine[0])
+            raise
+        self._estimator.log.clear()
         self._correction = float(learnt["correction"][0])
         self.rescale()
         self._begin()

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import vector
+from dehyst._validation import readings, vector
 from dehyst.adaptation.adaptive_compensator import AdaptiveCompensator, AdaptiveSnapshot
 from dehyst.control import StageCompensator, restore_all
 from dehyst.model import Stage, State, dot
@@ -79,7 +78,8 @@ class AdaptiveStageCompensator:
         Raises
         ------
         ModelError
-            If `wanted` is not finite, `measured` no numbers, or a size not the number of axes: the memory is unchanged.
+            If `wanted` is not finite, `measured` no numbers or masked, or a size not the number of axes: the memory is
+            unchanged.
 
         Warns
         -----
@@ -87,16 +87,13 @@ class AdaptiveStageCompensator:
             As `StageCompensator.step`.
         """
         count = len(self.axes)
-        try:
-            reached = [nan] * count if measured is None else np.asarray(measured, dtype=np.float64).ravel().tolist()
-        except (TypeError, ValueError) as error:
-            raise ModelError(argument="measured", got=repr(measured), need="a number for each axis") from error
+        aims = vector(wanted, "displacement").tolist()
+        reached = [nan] * count if measured is None else readings(measured, "measured", "m").tolist()
         if len(reached) != count:
             raise ModelError(argument="measured", got=f"{len(reached)} values", need=f"{count}, one an axis")
         voltage = self._compensator.step(wanted, temperature)
         if temperature is not None:
             self._rescale()
-        aims = vector(wanted, "wanted").tolist()
         for axis, row, value in zip(self.axes, self._table, voltage.tolist(), strict=True):
             axis.took(dot(row, aims), value, dot(row, reached))
         return voltage
