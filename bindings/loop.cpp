@@ -117,7 +117,9 @@ struct Loop {
     }
     void commit(double v) {
         demand_free();
-        if (!dehyst_loop_accepts(&model, v)) throw CoreError("nothing like the limits");
+        // From farther outside, the next step, which is within the limits, would exceed the slew rate.
+        const bool returns = v - model.high <= model.change && model.low - v <= model.change;
+        if (!returns || !dehyst_loop_accepts(&model, v)) throw CoreError("nothing like the limits");
         dehyst_loop_commit(&model, &loop, memory.data(), v);
     }
     double step(double u) {

@@ -153,6 +153,20 @@ def test_a_voltage_that_has_nothing_to_do_with_the_limits_was_not_sent(volts):
     assert 0 <= compensator.offer(3e-6) <= 100
 
 
+@pytest.mark.parametrize("volts", [-40.0, 3.4, 91.6])
+def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(volts):
+    """A sample must be within the limits, and no farther than 1.5 V from the one before."""
+    compensator = Compensator(PLANT, (5, 90), 1500.0, period=1e-3, warns=False)
+    before = compensator.voltage
+    with pytest.raises(ModelError) as caught:
+        compensator.commit(volts)
+    assert caught.value.argument == "voltage" and compensator.voltage == before
+    for start, goal in ((3.6, 0.9 * plain_records.STROKE), (91.4, 0.0)):
+        compensator.commit(start)
+        voltage = compensator.step(goal)
+        assert 5 <= voltage <= 90 and abs(voltage - start) <= 1.5 * (1 + 1e-9)
+
+
 def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
     """Tracking error [% of the stroke] after the last clamp, memory true; and that of clipping the voltage alone."""
     path = plain_records.path(turns, 200)

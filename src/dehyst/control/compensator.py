@@ -207,16 +207,16 @@ class Compensator(ReadOnly):
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.
 
-        Raise `ModelError` if it is not finite, or outside the limits by more than their distance: the memory is
-        unchanged.
+        Raise `ModelError` if it is not finite, or so far outside the limits that the next step could not return within
+        the slew rate, or by more than their distance: the memory is unchanged.
         """
         try:
             self._loop.commit(number(voltage, "voltage"))
         except CoreError as error:
             raise ModelError(
-                f"got {voltage:g} V, which has nothing to do with the limits {self.bounds.words}",
+                f"got {voltage:g} V, too far outside the limits {self.bounds.words} to return in one step",
                 argument="voltage",
-                hint="need the voltage that was really sent, in volts",
+                hint="give the voltage that was really sent, in volts; if it was that, ramp to the limits first",
             ) from error
 
     def hold(self) -> None:
