@@ -231,6 +231,18 @@ def test_models_of_others_fail_in_their_own_rows_only(records):
     assert [len(row.scores) for row in (found["empties"], found["truth"])] == [3, 3]
 
 
+@dataclass(frozen=True)
+class Late(Linear):
+    """A model with a delay longer than any record."""
+
+    delay: float = 1000.0
+
+
+def test_a_model_of_which_no_sample_counts_has_no_score(records):
+    (row,) = compare(records[0], models={"late": lambda _: Late(7.0)}).rows
+    assert row.failure and row.scores == ()
+
+
 def test_refusals(records):
     chosen = {"truth": plant}
     for arguments, options, error, said in (

@@ -254,15 +254,17 @@ class _Played(NamedTuple):
 
     def score(self, model: AbstractModel, stroke: float) -> RecordScore:
         """Return the errors of a model [% of the stroke]."""
-        item = self.item
+        item, delay = self.item, float(getattr(model, "delay", 0.0))
         residuals = [
             _residual(model, piece, kept, item.noise, stroke if self.lead else None)
-            for piece, kept in self.counted(float(getattr(model, "delay", 0.0)))
+            for piece, kept in self.counted(delay)
         ]
         error = np.concatenate([np.zeros(0), *residuals])
+        if not error.size:
+            raise IdentifyError(f"{item.name}: no sample counts with the model's delay of {delay:.3g} s")
         if not np.isfinite(error).all():
             raise IdentifyError(f"{item.name}: the simulation diverges")
-        free = error - error.mean() if error.size else error
+        free = error - error.mean()
         figures = (percent(figure(e), stroke) for e in (free, error) for figure in (largest, rms))
         return RecordScore(item.name, self.role, error.size, item.samples - error.size, *figures)
 
