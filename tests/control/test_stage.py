@@ -314,6 +314,8 @@ def test_what_one_axis_refuses_changes_no_axis():
         lambda: loop.reset([None, None, 5]),
         lambda: loop.restore([other[0], other[1], 5]),
         lambda: loop.restore(snapshot[:2]),
+        lambda: loop.restore(None),
+        lambda: plan_path(loop, np.zeros((9, 3)), start="top"),
         lambda: loop.trajectory(np.zeros((0, 3))),
     ):
         with pytest.raises(dehyst.ModelError):
@@ -422,6 +424,16 @@ def warm_stage():
     cold = stage()
     pairs = zip(cold.actuators, THERMALS, strict=True)
     return replace(cold, actuators=tuple(replace(one, thermal=part) for one, part in pairs))
+
+
+@pytest.mark.parametrize("temperature", ["warm", [25.0], [[20.0, 21.0]], [20.0, 21.0, 22.0, 23.0]])
+def test_a_temperature_that_is_not_one_for_all_or_for_each_is_refused(temperature):
+    loop = StageCompensator(warm_stage())
+    loop.set_temperature([20.0, 21.0, 22.0])
+    before = [one.scaling for one in loop.compensators]
+    with pytest.raises(dehyst.ModelError) as caught:
+        loop.set_temperature(temperature)
+    assert caught.value.argument == "temperature" and [one.scaling for one in loop.compensators] == before
 
 
 @pytest.mark.parametrize("shape", [(), (300,), (300, 3)])

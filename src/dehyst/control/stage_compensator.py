@@ -191,7 +191,7 @@ class StageCompensator(ReadOnly):
         Actuators without the part `thermal` ignore it. Raise `ModelError` if none has that part, or as
         `Compensator.set_temperature`: all memory is unchanged.
         """
-        degrees = self.stage.temperatures(np.atleast_2d(temperature), 1)
+        degrees = self.stage.temperatures(temperature if np.ndim(temperature) == 0 else np.atleast_2d(temperature), 1)
         pairs = zip(self.compensators, self.stage.actuators, degrees, strict=True)
         scales = [(one, part.thermal.scale(own, 1)) for one, part, own in pairs if part.thermal and own is not None]
         for one, (gain, offset) in scales:
@@ -389,8 +389,9 @@ def unchanged_by_errors(loops: Sequence[Any]) -> Iterator[None]:
 
 def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
     """Continue each of the `loops` of several axes from its snapshot; after a `ModelError` the memory is unchanged."""
-    if len(snapshots) != len(loops):
-        raise ModelError(f"snapshots: got {len(snapshots)}, need {len(loops)}, one an axis")
+    given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
+    if given != len(loops):
+        raise ModelError(argument="snapshots", got=str(given), need=f"{len(loops)}, one an axis")
     with unchanged_by_errors(loops):
         for one, snapshot in zip(loops, snapshots, strict=True):
             one.restore(snapshot)

@@ -209,12 +209,14 @@ def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Arra
 
     Raise `ModelError` if it has another shape.
     """
-    given = np.asarray(plain(temperature, "temperature"), dtype=np.float64)
     try:
+        given = np.asarray(plain(temperature, "temperature"), dtype=np.float64)
+        if given.ndim == 2 and given.shape != (samples, axes):
+            raise ValueError
         return np.broadcast_to(given[:, None] if given.ndim == 1 else given, (samples, axes))
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ModelError(
             argument="temperature",
-            got=f"an array {given.shape} for {samples} samples of {axes} axes",
+            got=f"{np.shape(temperature) or repr(temperature)} for {samples} samples of {axes} axes",
             need="one number, one a sample, or one a sample and axis",
         ) from error

@@ -228,7 +228,7 @@ def plan_path(
         If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
     """
     plan = _Plan(compensator, displacement, "displacement", time, temperature, velocity, acceleration)
-    given, now = plan.each(start, "start"), plan.each(present, "present")
+    given, now = plan.starts(start), plan.each(present, "present")
     if home:
         return plan.result(plan.led([one if one and one.known else None for one in given], now))
     if all(given):
@@ -299,7 +299,7 @@ def plan_voltage(
         As `plan_path` does.
     """
     plan = _Plan(compensator, voltage, "voltage", time, temperature)
-    given = plan.each(start, "start")
+    given = plan.starts(start)
     if home:
         ways = plan.ways([None] * len(given), plan.each(present, "present"))
     else:
@@ -413,6 +413,15 @@ class _Plan:
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""
         return for_each(values, len(self.loops), what)
+
+    def starts(self, given: Any) -> list[Any]:
+        """Return the start of each axis, None if none was given."""
+        starts = self.each(given, "start")
+        for one in starts:
+            if one is not None and not isinstance(one, PossibleStart):
+                hint = 'PossibleStart.named(actuator, "top") makes one'
+                raise ModelError(argument="start", got=repr(one), need="a PossibleStart", hint=hint)
+        return starts
 
     def result(self, paths: list[HomedPath]) -> Any:
         """Return the paths of several axes, or the path of the only axis, in the units of its compensator."""
