@@ -1,6 +1,6 @@
 """What every rig must do. To enter a rig, add one line to `RIGS`. The tests are those of `dehyst.testing`."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import epics_on_ioc
 import fake_nidaqmx
@@ -117,3 +117,52 @@ def test_a_wrong_displacement_is_noticed(method, factor):
 
     with pytest.raises(AssertionError):
         RigContract().test_displacements_are_the_instruments(bench, RIGS[0])
+
+
+class Late(FakeRig):
+    """Its displacements are those of the sample before."""
+
+    def _wave(self, voltage, rate):
+        for lot in super()._wave(voltage, rate):
+            yield lot._replace(displacement=np.roll(lot.displacement, 1))
+
+
+class Beside(FakeRig):
+    """The zero of its recorder is 0.3 um beside that of its readings."""
+
+    def _wave(self, voltage, rate):
+        for lot in super()._wave(voltage, rate):
+            yield lot._replace(displacement=lot.displacement + 3e-7)
+
+
+class Spiked(FakeRig):
+    """One voltage of a wave is 5 V too high, and is not recorded so."""
+
+    def _wave(self, voltage, rate):
+        spiked, start = np.where(np.arange(voltage.size) == 12, voltage + 5, voltage), 0
+        for lot in super()._wave(spiked, rate):
+            asked = voltage[start : start + lot.voltage.size]
+            start += asked.size
+            yield lot._replace(voltage=asked, displacement=self.instrument.displacement(asked))
+
+
+class Fast(FakeRig):
+    """It plays twice as fast, by a clock that is twice as fast."""
+
+    def _read(self):
+        return super()._read()._replace(time=2 * self.instrument.now)
+
+    def _wave(self, voltage, rate):
+        for lot in super()._wave(voltage, 2 * rate):
+            yield lot._replace(time=2 * lot.time)
+
+
+@pytest.mark.parametrize("kind", [FakeRig, Late, Beside, Spiked, Fast])
+@pytest.mark.parametrize("longest", [None, 17])
+def test_a_rig_that_differs_from_its_instrument_is_noticed(kind, longest):
+    def bench(**options):
+        rig = kind((LOW, HIGH), **options)
+        return rig, rig.instrument
+
+    with nullcontext() if kind is FakeRig else pytest.raises(AssertionError):
+        RigContract().test_a_fake_instrument_got_and_gave_what_is_recorded(bench, RIGS[0], longest)

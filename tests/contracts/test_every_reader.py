@@ -7,7 +7,7 @@ from pathlib import Path
 import file_specimens
 import pytest
 
-from dehyst.records import LOADERS, Record
+from dehyst.records import LOADERS, Allowance, Record
 from dehyst.testing import ReaderCandidate, ReaderContract
 
 RECORD = Record(file_specimens.T, file_specimens.V, file_specimens.Y)
@@ -43,3 +43,12 @@ class TestEveryReader(ReaderContract):
     @pytest.fixture(params=NAMES)
     def candidate(self, request):
         return ReaderCandidate(request.param, specimens()[request.param], RECORD, tolerance=1e-6)
+
+
+def test_a_reader_that_takes_no_allowance_is_noticed(monkeypatch):
+    rows = "".join(f"{t},{v},{y}\n" for t, v, y in zip(RECORD.time, RECORD.voltage, RECORD.displacement, strict=True))
+    candidate = ReaderCandidate("greedy.csv", rows.encode(), RECORD)
+    ReaderContract().test_the_allowance_of_memory_holds(candidate)
+    monkeypatch.setattr(Allowance, "take", lambda *_: None)
+    with pytest.raises(pytest.fail.Exception):
+        ReaderContract().test_the_allowance_of_memory_holds(candidate)

@@ -60,3 +60,8 @@ class TestEveryTarget(TargetContract):
     @pytest.fixture(params=TARGETS_HERE, ids=lambda candidate: candidate.suffix or "C")
     def candidate(self, request):
         return request.param
+
+
+def test_a_candidate_without_voltages_says_by_a_skip_that_none_is_compared(tmp_path):
+    with pytest.raises(pytest.skip.Exception):
+        TargetContract().test_narrower_limits_hold(TargetCandidate(""), tmp_path)

@@ -58,8 +58,8 @@ FACES = {
             Paper
         """,
         "testing": """
-            FakeInstrument ModelCandidate ModelContract ReaderCandidate ReaderContract RigCandidate RigContract
-            TargetCandidate TargetContract
+            BaselineCandidate BaselineContract FakeInstrument ModelCandidate ModelContract ReaderCandidate
+            ReaderContract RigCandidate RigContract TargetCandidate TargetContract
         """,
         "trust": """
             Change CheckHistory Insight Recheck check

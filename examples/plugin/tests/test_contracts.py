@@ -11,6 +11,8 @@ import pytest
 import dehyst
 from dehyst.baselines import BASELINES
 from dehyst.testing import (
+    BaselineCandidate,
+    BaselineContract,
     ModelCandidate,
     ModelContract,
     ReaderCandidate,
@@ -55,6 +57,12 @@ class TestPolynomial(ModelContract):
     @pytest.fixture
     def candidate(self):
         return ModelCandidate("polynomial", fitted)
+
+
+class TestPolynomialFit(BaselineContract):
+    @pytest.fixture
+    def candidate(self):
+        return BaselineCandidate("polynomial")
 
 
 class TestStructuredText(TargetContract):

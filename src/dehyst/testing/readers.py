@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dehyst._errors import DehystError, FileFormatError
-from dehyst.records import LOADERS, Record, read, read_table
+from dehyst.records import LOADERS, Allowance, Record, read, read_table
 
 # Content that is no measurement in any format: nothing but zeros, lines and noise.
 _FOREIGN = {
@@ -123,3 +123,9 @@ class ReaderContract:
     def test_the_limit_of_bytes_holds(self, candidate: ReaderCandidate, path: Path) -> None:
         with pytest.raises(FileFormatError, match="allow"):
             read(path, max_bytes=len(candidate.content) - 1, **candidate.options)
+
+    def test_the_allowance_of_memory_holds(self, candidate: ReaderCandidate) -> None:
+        """With memory for one column only, a file of several is refused: its reader takes the numbers first."""
+        file = Path(candidate.file)
+        with pytest.raises(FileFormatError):
+            LOADERS[file.suffix.lower()].load(candidate.content, Allowance(8 * len(candidate.record), file.stem))

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from dehyst._errors import DeviceError, RecordError, RigError, SensorError
+from dehyst._types import Array
 from dehyst.control import ClampWarning
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.testing.instrument import HIGH, LOW
+from dehyst.testing.instrument import HIGH, LOW, FakeInstrument
 from dehyst.waveforms import Excitation
 
 Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
@@ -24,6 +26,8 @@ Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
 _TICK, _RATE, _STEP, _LONGEST = 0.01, 1000.0, 1.0, 4096
 # Tolerance of displacements, as a share of the largest: noise, creep, and a recorder that is two samples late.
 _GAIN_ERROR = 0.05
+# Tolerance on a fake instrument, which has none of these: half of the last digit of a sensor of 9 bits.
+_DIGIT = 1e-3
 
 
 class RigCandidate(NamedTuple):
@@ -61,6 +65,12 @@ def _fine_step(rig: AbstractRig) -> float:
 def _put_out(instrument: Any) -> tuple[float, ...]:
     """Return what can be seen of all that was ever put out."""
     return *astuple(instrument.log), instrument.voltage
+
+
+def _changes(voltage: ArrayLike, tolerance: float) -> Array:
+    """Return voltages (n,) [V] without those that repeat the one before."""
+    v = np.asarray(voltage, dtype=np.float64)
+    return v[np.abs(np.diff(v, prepend=np.inf)) > tolerance]
 
 
 def _standing(instrument: Any, voltage: float, candidate: RigCandidate) -> bool:
@@ -190,6 +200,28 @@ class RigContract:
         assert abs(rest - record.displacement[-1]) <= abs(80.0 * candidate.gain * _GAIN_ERROR)
         rig.set_voltage(80.0)
         assert rig.read().displacement - rest == stroke
+
+    @pytest.mark.parametrize("longest", [None, 17])
+    def test_a_fake_instrument_got_and_gave_what_is_recorded(
+        self, bench: Bench, candidate: RigCandidate, longest: int | None
+    ) -> None:
+        """Each voltage of the wave and no other, its displacement, and the instrument's time."""
+        rig, instrument = bench(longest=longest) if longest else bench()
+        if not isinstance(instrument, FakeInstrument):
+            pytest.skip("the instrument behind it is no FakeInstrument, which remembers all voltages and the time")
+        asked = excitation(rig, 0, 60, 20, 80, 0)
+        first, began, sent = rig.read(), instrument.now, len(instrument.sent)
+        record = rig.play(asked)
+        last, passed = rig.read(), instrument.now - began
+        got, wanted = (_changes(v, candidate.volts) for v in ([0.0, *instrument.sent[sent:]], asked.voltage))
+        assert got == pytest.approx(wanted, abs=candidate.volts)
+        truth = instrument.displacement(np.append(record.voltage, last.voltage))
+        digits = _DIGIT * np.ptp(truth) + abs(candidate.gain) * candidate.volts
+        assert np.append(record.displacement, last.displacement) == pytest.approx(truth, abs=digits)
+        if passed:  # not if the rig has a clock of its own
+            slack = 2 / asked.sample_rate + 0.01 * passed
+            assert abs(last.time - first.time - passed) <= slack
+            assert abs(record.time[-1] - record.time[0] - passed) <= slack
 
     def test_a_record_begins_by_a_ramp_to_its_first_voltage(self, bench: Bench, candidate: RigCandidate) -> None:
         rig, instrument = bench(slew_rate=600.0)

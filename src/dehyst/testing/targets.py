@@ -185,10 +185,11 @@ class TargetContract:
     def test_narrower_limits_hold(self, candidate: TargetCandidate, tmp_path: Path) -> None:
         status, values, path = _export(tmp_path, _PLAIN, f"stage{candidate.suffix}", "--limits", "10", "50")
         assert status == 0, values
-        if candidate.voltages is not None:
-            got = candidate.voltages(path, _wanted(Compensator(_PLAIN, (10, 50), period=_PERIOD)))
-            assert got.min() >= 10
-            assert got.max() <= 50
+        if candidate.voltages is None:
+            pytest.skip("its candidate has no `voltages`: no test of this class compares a voltage of the export")
+        got = candidate.voltages(path, _wanted(Compensator(_PLAIN, (10, 50), period=_PERIOD)))
+        assert got.min() >= 10
+        assert got.max() <= 50
 
 
 def _compare(candidate: TargetCandidate, path: Path, compensator: Compensator) -> None:
