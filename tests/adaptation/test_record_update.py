@@ -88,8 +88,34 @@ def test_one_loop_of_a_creeping_actuator_is_enough_too():
 def test_a_stage_that_has_not_changed_keeps_its_model(old):
     made = dehyst.update(old, driven(TRUE, ONE_LOOP, seed=1))
     assert not made.used
-    assert made.actuator is old
-    assert made.sentence.startswith("Not updated")
+    without = dict.fromkeys(("identification",))
+    assert replace(made.actuator, **without).as_dict() == replace(old, **without).as_dict()
+
+
+@pytest.mark.parametrize("parts", [{}, {"thermal": dehyst.Thermal(2e-3, 0.0, 20.0)}])
+def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
+    model, record = replace(old, **parts), driven(TRUE, (*ONE_LOOP, 0.5, 0), seed=1)
+    record = replace(record, others={"temperature_C": np.full(len(record), 20.0)})
+    bent = 0.03 * plain_records.STROKE * np.sin(np.linspace(0, 40, len(record)))
+    made = dehyst.update(model, replace(record, displacement=record.displacement + bent))
+    before, after = model.identification, made.actuator.identification
+    assert not made.used
+    assert made.promise.largest >= made.before[0] > before.validity.anywhere.largest
+    assert made.promise.rms >= np.sqrt(made.before[1] ** 2 - made.recheck.noise**2)
+    assert (after.expected_largest, after.expected_rms) == (made.promise.largest, made.promise.rms)
+    assert len(after.validity.legs) > len(before.validity.legs)
+    assert after.largest_error == before.largest_error
+    assert made.actuator.thermal == model.thermal
+    assert made.actuator.slip is model.slip
+
+
+def test_an_update_that_did_not_help_is_not_advised_again(old):
+    made = dehyst.update(old, driven(aged(-0.07, 0.25), ONE_LOOP, seed=1))
+    again = replace(made, used=False)
+    assert any(change.counts for change in again.changes)
+    for one in (made, again):
+        assert not any("dehyst update" in sentence for sentence in one.sentences())
+    assert any("dehyst update" in sentence for sentence in again.recheck.change_sentences())
 
 
 def test_what_a_record_does_not_visit_is_named_and_stays(old):

@@ -18,7 +18,7 @@ from dehyst.adaptation.weights import Weights
 from dehyst.identification import Trace, compare, errors_of, prepare_for
 from dehyst.model import Actuator, Promise, Stage, Validity, by_axis
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
-from dehyst.trust import Change, Recheck, check, check_stage
+from dehyst.trust import IDENTIFY, Change, Recheck, check, check_stage
 
 # Groups of weights: more than in a loop, for time does not matter here.
 _ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
@@ -45,7 +45,8 @@ class Update:
     Attributes
     ----------
     actuator : Actuator
-        The updated model, or the old one if the update does not predict the record better.
+        The updated model, or the old one if the update does not predict the record better. The record counts in the
+        promise of either.
     recheck : Recheck
         The check of the old model against the record, with `changes` of gain, width and offset and their standard
         errors.
@@ -106,7 +107,7 @@ class Update:
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
-        found = list(self.recheck.change_sentences(remedy=not self.used))
+        found = list(self.recheck.change_sentences(lasting=None if self.used else IDENTIFY))
         if self.used and self.shape > 2 * self.shape_error:
             size, error = (lines.percent(value, self.stroke) for value in (self.shape, self.shape_error))
             found.append(f"The shape of the loops has changed by {size} ± {error} of the stroke (RMS).")
@@ -189,8 +190,6 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     creep, thermal = actuator.displacement_creep, actuator.thermal
     if creep is not None or thermal is not None:
         found = update(replace(actuator.before_creep, thermal=None), _before(actuator, record), goal=goal)
-        if not found.used:
-            return replace(found, actuator=actuator)
         state = replace(found.actuator.state, displacement_creep=actuator.state.displacement_creep)
         return replace(found, actuator=replace(found.actuator, displacement_creep=creep, thermal=thermal, state=state))
     recheck = check(actuator, record, goal=goal)
@@ -280,24 +279,28 @@ class _Rows:
         held_out = self._held_out(strength)
         used = strength < np.inf and held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
         shape, spread = self._shape(strength)
-        old = self.weights.actuator
-        made = made.with_validity(self._validity(after[0], held_out[1]), after[0])
-        source = {"updated_from": old.name, "updated_with": self.record.name}
+        old, own = self.weights.actuator, after[0]
+        if used:
+            source = {"updated_from": old.name, "updated_with": self.record.name}
+            made = replace(made, provenance={**old.provenance, **source})
+        else:
+            # The old model is still that of its own records.
+            made, after, held_out, own = old, before, before, self.recheck.before or before[0]
         return Update(
-            replace(made, provenance={**old.provenance, **source}) if used else old,
+            made.with_validity(self._validity(after[0], held_out[1]), own),
             self.recheck,
             used,
             shape,
             spread,
             before,
-            after if used else before,
-            held_out if used else before,
+            after,
+            held_out,
             tuple(self._missing()),
             -datum,
         )
 
     def _validity(self, largest: float, held_out: float) -> Validity:
-        """Return the validity of the updated model after the old records and the new one; errors as measured [m]."""
+        """Return the validity of the model after the old records and the new one; its errors as measured [m]."""
         noise, known = self.recheck.noise, self.weights.actuator.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         largest_ = max(largest - NOISE_PEAK * noise, 0.0)

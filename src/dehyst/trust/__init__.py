@@ -1,7 +1,7 @@
 """Trust: what records determine of a model, the error to expect on a path, and whether the model still holds."""
 
 from dehyst.trust.assessment import insight
-from dehyst.trust.changes import Change
+from dehyst.trust.changes import IDENTIFY, Change
 from dehyst.trust.history import DECISION, CheckHistory, ControlChart
 from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight

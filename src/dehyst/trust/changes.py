@@ -36,6 +36,8 @@ _NARROW = 1e-3
 SLOW = ("creep", "drift")
 # Names of the changes that an update learns.
 LEARNT = ("gain", "width")
+# What to do about them if they last: an update, or after one that did not help another identification.
+UPDATE, IDENTIFY = "dehyst update", "identify the model again from new records"
 # Columns whose range is their largest effect; of others it is the largest value.
 _RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
@@ -80,15 +82,15 @@ class Change:
         scale = self.value / self.effect if self.effect else np.inf
         return float(self.value / max(self.error, self.least * abs(scale) / SIGMAS))
 
-    def sentence(self, stroke: float, *, remedy: bool = True) -> str:
-        """Return the change as a sentence; creep and drift relative to `stroke` [m].
+    def sentence(self, stroke: float, *, lasting: str | None = UPDATE) -> str:
+        """Return the change as a sentence with what to do; creep and drift relative to `stroke` [m].
 
-        `remedy`: whether with what to do.
+        `lasting`: what to do about a gain or a width that stays changed; None: leave out what to do.
         """
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
         text = f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke."
-        return f"{text} {_REMEDIES[self.name]}" if remedy else text
+        return text if lasting is None else f"{text} {_REMEDIES[self.name].format(lasting=lasting)}"
 
     def amount(self, stroke: float) -> str:
         """Return size and standard error as text; creep and drift relative to `stroke` [m]."""
@@ -112,8 +114,8 @@ _WORDS = {
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
 }
 _REMEDIES = {
-    "gain": "Check the sensor's and the amplifier's gain, the load and the preload. If it lasts: dehyst update.",
-    "width": "Check the temperature, the load and the range of the voltage. If it lasts (ageing): dehyst update.",
+    "gain": "Check the sensor's and the amplifier's gain, the load and the preload. If it lasts: {lasting}.",
+    "width": "Check the temperature, the load and the range of the voltage. If it lasts (ageing): {lasting}.",
     "offset": "Zero the sensor or home the actuator; that needs no new model.",
     "delay": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",

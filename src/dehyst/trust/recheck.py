@@ -19,7 +19,7 @@ from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
 from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
-from dehyst.trust.changes import LEARNT, Change, Known, Slow, find_changes
+from dehyst.trust.changes import LEARNT, UPDATE, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
 
 # An error this many times that of the identification is another one.
@@ -191,13 +191,13 @@ class Recheck:
     def _percent(self, length: float) -> str:
         return lines.percent(length, self.stroke)
 
-    def change_sentences(self, *, remedy: bool = True) -> tuple[str, ...]:
+    def change_sentences(self, *, lasting: str | None = UPDATE) -> tuple[str, ...]:
         """Return a sentence for each change that counts, the largest effect first; none of another actuator.
 
-        `remedy`: whether with what to do.
+        `lasting`: as in `Change.sentence`.
         """
         changed = () if self.mismatch else self.changed
-        return tuple(change.sentence(self.stroke, remedy=remedy) for change in changed)
+        return tuple(change.sentence(self.stroke, lasting=lasting) for change in changed)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
