@@ -121,6 +121,14 @@ def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, l
     assert ("dehyst update" in recheck.sentence) == recheck.advises_update
 
 
+def test_a_change_that_counts_is_the_advice_even_if_the_promise_is_kept():
+    recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN))
+    kept = replace(recheck, promise=replace(recheck.promise, largest=recheck.stroke))
+    assert kept.standing is Standing.NEVER_MET
+    assert kept.advises_update
+    assert not replace(kept, changes=()).advises_update
+
+
 @pytest.mark.parametrize("gain", [0.7, -0.6])
 def test_of_another_actuator_nothing_else_is_said(gain):
     recheck = dehyst.check(loops.model(), loops.later(gain=gain), goal=100)

@@ -19,13 +19,15 @@ from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
 from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
-from dehyst.trust.changes import LEARNT, UPDATE, Change, Known, Slow, find_changes
+from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
 # Parts of the gain and of the stroke beyond which a record is not of the model's actuator, or in other units.
 _ANOTHER = 0.5
+# Changes that the error sets aside.
+_SET_ASIDE = ("offset", *SLOW)
 
 
 class Standing(Enum):
@@ -169,22 +171,30 @@ class Recheck:
 
     @property
     def advises_update(self) -> bool:
-        """Whether the model is worse than promised, and an update may learn why: gain, width, or another shape."""
+        """Whether an update may learn why the model is worse than promised, or what has changed of one above the goal.
+
+        That is gain, width, or another shape.
+        """
         learnable = not self.changed or self.changed[0].name in LEARNT
-        return learnable and self.standing in (Standing.WITHIN_GOAL, Standing.RECALIBRATE)
+        return learnable and (
+            self.standing in (Standing.WITHIN_GOAL, Standing.RECALIBRATE)
+            or (self.standing is Standing.NEVER_MET and bool(self.changed))
+        )
 
     def _advice(self) -> str:
         learns = "dehyst update can learn the change from this record" if self.advises_update else ""
+        again = "Identify the model again from new records."
+        if learns:
+            again = f"{learns}; otherwise identify the model again from new records."
         moved = f"the drift is {self._percent(abs(self.drift))} of the stroke and will also occur on a path"
         return {
             Standing.STILL_TRUE: "No new model is needed.",
             Standing.DRIFTS: f"No new model is needed; {moved}: let the actuator warm up and rest.",
             Standing.WITHIN_GOAL: f"{learns or 'No new model is needed'}.",
-            Standing.NEVER_MET: "Records of the same kind would give the same error: record more loops, or allow more "
-            "parts.",
-            Standing.RECALIBRATE: f"{learns}; otherwise identify the model again from new records."
-            if learns
-            else "Identify the model again from new records.",
+            Standing.NEVER_MET: again
+            if any(change.name not in _SET_ASIDE for change in self.changed)
+            else "Records of the same kind would give the same error: record more loops, or allow more parts.",
+            Standing.RECALIBRATE: again,
             Standing.ANOTHER: "Check that model and record belong together.",
         }[self.standing]
 
