@@ -209,6 +209,7 @@ def test_what_only_the_papers_class_knows_asks_for_it(options):
     found, paper = (dehyst.identify(record, **options, **more) for more in ({}, {"structure": "maxwell_slip"}))
     assert found.trials == ()
     assert found.actuator.as_dict() == paper.actuator.as_dict()
+    assert len(found.remarks) - len(paper.remarks) == ("method" not in options)
 
 
 def test_without_inner_loops_the_papers_class_is_kept():

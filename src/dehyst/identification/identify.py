@@ -147,6 +147,7 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+    own = settings.of_maxwell_slip if structure == "auto" and method == "record" else []
     structure = _checked_structure(structure, settings, refine)
     _refuse_copies([*training, *held_out])
     (effect, left_out), measured = temperature_effect(training), training
@@ -171,6 +172,8 @@ def identify(
         if any(item.record.set_aside for item in run.training):
             # Whether the hysteresis sees what rings, the samples after it show.
             run = min(run, run_of(ringing=True), key=IdentificationRun.maxwell_slip_error)
+        if own:
+            run.remarks.append(messages.NOT_SEARCHED.format(options=" and ".join(own)))
         fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
@@ -215,21 +218,24 @@ def _checked_structure(
     structure: Structure | Literal["auto", "maxwell_slip"], settings: Settings, refine: bool
 ) -> Structure | Literal["auto", "maxwell_slip"]:
     """Return the structure, with options of Maxwell-slip only "maxwell_slip" for "auto"; reject options in conflict."""
-    counted = settings.elements is not None or settings.knots is not None or settings.breakaway is not None
-    if structure == "auto" and (counted or settings.method != "record"):
-        structure = "maxwell_slip"
-    if structure == "maxwell_slip":
+    own = settings.of_maxwell_slip
+    implying = [*own, *(["method"] if settings.method != "record" else [])]
+    if structure == "maxwell_slip" or (structure == "auto" and implying):
         if refine:
+            others = [*(["structure"] if structure != "auto" else []), *implying]
             raise IdentifyError(
-                "refine: 'maxwell_slip' is fitted as it is; leave refine out, or try the structure 'auto'"
+                "'maxwell_slip' is fitted as it is",
+                argument="refine",
+                hint=f"leave refine out, or {' and '.join(others)}",
             )
+        structure = "maxwell_slip"
     elif structure != "auto" and not isinstance(structure, Structure):
         raise IdentifyError(
             argument="structure", got=repr(structure), need="'auto', 'maxwell_slip' or a dehyst.Structure"
         )
     elif settings.method != "record":
         raise IdentifyError(f"structure: method {settings.method!r} fits 'maxwell_slip' only; leave one out")
-    elif counted:
+    elif own:
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
     return structure
 

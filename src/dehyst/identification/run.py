@@ -238,7 +238,7 @@ class IdentificationRun:
         settings = self.settings
         known = Identification(
             method=settings.method,
-            norm=settings.norm,
+            norm=settings.norm_used,
             slope_floor=settings.slope_floor,
             shared_datum=settings.shared_datum,
             drift=settings.drift,

@@ -155,6 +155,13 @@ class Deadline:
 Method = Literal["record", "breakpoints", "antisymmetric"]
 Direction = Literal["descending", "ascending"]
 METHODS: tuple[Method, ...] = ("record", "breakpoints", "antisymmetric")
+# The methods that use an option; the others refuse it.
+USERS: dict[str, tuple[Method, ...]] = {
+    "norm": ("record",),
+    "knots": ("record",),
+    "slope_floor": ("record", "breakpoints"),
+    "branch": ("antisymmetric",),
+}
 # Default numbers of elements: the paper's for its methods; with every sample in the fit twice as many.
 _ELEMENTS = {"record": 20, "breakpoints": 10, "antisymmetric": 10}
 
@@ -193,6 +200,11 @@ class Settings:
             _validation.seconds(self.delay, "delay")
         if self.sensor_lag is not None:
             _validation.seconds(self.sensor_lag, "sensor_lag")
+        for name, methods in USERS.items():
+            if self.method not in methods and getattr(self, name) != getattr(Settings, name):
+                raise IdentifyError(
+                    f"has no effect with the method {self.method!r}", argument=name, hint="leave it out"
+                )
         if self.breakaway is None:
             return
         rho = _validation.vector(self.breakaway, "breakaway", error=IdentifyError)
@@ -205,6 +217,16 @@ class Settings:
         object.__setattr__(self, "breakaway", rho)
 
     @property
+    def norm_used(self) -> str:
+        """The norm that is minimised; empty for a closed form."""
+        return "" if self.method == "antisymmetric" else self.norm
+
+    @property
+    def of_maxwell_slip(self) -> list[str]:
+        """Names of given options that only Maxwell-slip elements have."""
+        return [name for name in ("elements", "knots", "breakaway") if getattr(self, name) is not None]
+
+    @property
     def count(self) -> int:
         """Number of elements N."""
         if self.breakaway is not None:
@@ -215,7 +237,7 @@ class Settings:
         """Return the options that affect the result as JSON values."""
         return {
             "method": self.method,
-            "norm": self.norm,
+            "norm": self.norm_used,
             "elements": self.count,
             "slope_floor": self.slope_floor,
             "shared_datum": self.shared_datum,

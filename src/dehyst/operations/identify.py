@@ -16,6 +16,8 @@ from dehyst.identification import Deadline, Fit, StageFit, identify_stage
 from dehyst.identification import identify as identify_one
 from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.results import write_traces
+from dehyst.identification.settings import METHODS, USERS, Direction
+from dehyst.identification.solvers.program import Norm
 from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
@@ -29,6 +31,11 @@ _VOLTS = ("V", "mV", "kV")
 _SLIP = ("elements", "knots", "method")
 
 
+def _used(name: str) -> Only:
+    methods = USERS[name]
+    return Only(lambda given: given.get("method", METHODS[0]) in methods, f"without method {' or '.join(methods)}")
+
+
 def _several(given: Values) -> bool:
     return len(given.get("records", ())) + len(given.get("validate", ())) > 1
 
@@ -39,10 +46,7 @@ def _several(given: Values) -> bool:
         "goal",
         "sensor_lag",
         "method",
-        "norm",
         "elements",
-        "knots",
-        "slope_floor",
         "delay",
         "refine",
         "drift",
@@ -68,10 +72,10 @@ def identify(
     zero: Zero | None = None,
     time_limit: float | None = None,
     shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
-    branch: Annotated[
-        Literal["descending", "ascending"],
-        Only(lambda given: given.get("method") == "antisymmetric", "without method antisymmetric"),
-    ] = "descending",
+    norm: Annotated[Norm, _used("norm")] = "l1",
+    knots: Annotated[int | None, _used("knots")] = None,
+    slope_floor: Annotated[float, _used("slope_floor")] = 0.2,
+    branch: Annotated[Direction, _used("branch")] = "descending",
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
@@ -107,6 +111,9 @@ def identify(
     settings |= {
         "structure": structure,
         "shared_datum": shared_datum,
+        "norm": norm,
+        "knots": knots,
+        "slope_floor": slope_floor,
         "branch": branch,
         "validate": held_out,
         "progress": run.progress,

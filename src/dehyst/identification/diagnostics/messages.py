@@ -33,6 +33,11 @@ STEPS = (
     "After steps of the voltage the displacement rings or overshoots. The expected error holds for paths without "
     "steps. If ringing changes the hysteresis state, the error is larger until the next full loop."
 )
+# `options`: those that were given.
+NOT_SEARCHED = (
+    "No other parts than slip elements and a spring were tried, as {options} of these were given. Without, "
+    "cross-validation selects the parts."
+)
 # What a step of {percent} that follows at once is.
 FALSE_CREEP = (
     "Creep was found and left out: {percent:.0f} % of a step would follow within a twentieth of a cycle, which is a "
