@@ -210,6 +210,28 @@ def test_several_axes_of_a_rig_of_ones_own_are_named(tmp_path):
     assert not (tmp_path / "kept").exists()
 
 
+@pytest.mark.parametrize(
+    ("given", "remarks", "used"), [([], 0, 2000), (["none"], 1, 2000), (["1e9"], 0, 1e9), (["10"], 0, 10)], ids=str
+)
+def test_a_rig_has_a_slew_rate_even_if_none_is_given(given, remarks, used):
+    words = ["calibrate", "sim://play", "--dry-run", "--json", *(["--slew-rate", *given] if given else [])]
+    said = run(*words)
+    planned = result_of(said)
+    assert len(said[: said.index("{")].splitlines()) == remarks
+    assert planned["slew_rate_V_per_s"] == used
+
+
+def test_one_axis_of_a_rig_of_ones_own_may_be_named(tmp_path):
+    rig = "from fake_rig import FakeRig\n\n\ndef make(limits=None, slew_rate=None):\n"
+    (tmp_path / "own.py").write_text(
+        f"{rig}    return FakeRig((0, 100), axis='1', limits=limits, slew_rate=slew_rate)\n"
+    )
+    words = ["calibrate", tmp_path / "own.py:make", "--axes", "1", "--dry-run", "--json"]
+    assert result_of(run(*words))["limits_V"] == [0, 100]
+    planned = result_of(run(*words, "--limits", "1=0", "80", "--slew-rate", "30"))
+    assert (planned["limits_V"], planned["slew_rate_V_per_s"]) == ([0, 80], 30)
+
+
 def test_an_export_begins_where_its_limits_lead(folder):
     words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--no-measure", "--json"]
     result = result_of(run(*words))

@@ -22,7 +22,7 @@ from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.model import Actuator
-from dehyst.operations.axes import Limit, Slew, limits_of, numbers_of
+from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
 from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.paths import bounds_remarks
@@ -94,17 +94,23 @@ def calibrate(
     columns.demand(("max_size",), "on voltages to play")
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
-    allowed, steepest = limits_of(every, limits), numbers_of(every, slew_rate, "slew_rate")
+    allowed, rates = limits_of(every, limits), slews_of(every, slew_rate)
+    steepest = [None if one is None else one.number for one in rates]
     played = tuple(read_voltage(path, max_bytes=columns.max_bytes).excitation for path in protocol)
     plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
     if not dry_run and format_of(output / "campaign.json") != FORMAT:
         for name in (*(STAGE_RESULTS if names else RESULTS), REPORT):
             demand_alike(output / name)
-    bounds = {"limits": allowed, "slew_rate": steepest} if names else {"limits": allowed[0], "slew_rate": steepest[0]}
-    with _left(output, again=names is None), run.held or open_rig(rig, names, **bounds) as instrument:
+    # A rig of one axis need not know lists.
+    several = len(every) > 1
+    bounds, steep = allowed if several else allowed[0], steepest if several else steepest[0]
+    with (
+        _left(output, again=names is None),
+        run.held or open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument,
+    ):
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
-        for one, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
+        for one, wanted, rate in zip(instrument.rigs, allowed, rates, strict=True):
             device = f"axis {one.axis} of the device" if names else "the device"
             for remark in bounds_remarks(wanted, rate, one.limits, f"{device} allows no more"):
                 run.note(remark)

@@ -19,7 +19,7 @@ from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import open_rig
 from dehyst.model import Actuator
-from dehyst.operations.axes import AxesModel, is_stage
+from dehyst.operations.axes import AxesModel, Slew, is_stage
 from dehyst.operations.declaration import Input, Output, beside, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
@@ -106,7 +106,8 @@ def run_path(
         if abs(follower.rate / rate - 1) > _RATES:
             run.note(f"the path has {rate:.6g} Hz, and is played at {follower.rate:.6g} Hz, as {instrument.name} can")
         bounds = VoltageLimits(*follower.limits, instrument.slew_rate)
-        remarks = bounds_remarks(limits, slew_rate, bounds, "device and model allow no more")
+        asked = None if slew_rate is None else Slew("", slew_rate)
+        remarks = bounds_remarks(limits, asked, bounds, "device and model allow no more")
         slew = PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate)
         if slew_rate is not None or slew.times > 1:
             remarks.append(slew.words)

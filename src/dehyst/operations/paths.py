@@ -108,13 +108,18 @@ class PathSlew(NamedTuple):
         return {"slew_V_per_s": self.bound, "slew_from": self.origin}
 
 
-def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
-    """Return remarks if narrower limits [V] or a lower slew rate [V/s] than given are used, because of `who`."""
+def bounds_remarks(limits: Limits, slew_rate: Slew | None, used: VoltageLimits, who: str) -> list[str]:
+    """Return remarks if narrower limits [V] or a lower slew rate than given are used, because of `who`."""
     remarks = []
     if limits is not None and limits != (used.low, used.high):
         remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
-    if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
-        remarks.append(f"slew rate: {slew_rate:.6g} V/s was given, {used.slew_rate:.6g} V/s is used, as {who}")
+    if slew_rate is None or used.slew_rate is None:
+        return remarks
+    if slew_rate.number is None or used.slew_rate < slew_rate.number:
+        given, why = (
+            ("none", "a rig has one always") if slew_rate.number is None else (f"{slew_rate.number:.6g} V/s", who)
+        )
+        remarks.append(f"slew rate: {given} was given, {used.slew_rate:.6g} V/s is used, as {why}")
     return remarks
 
 
