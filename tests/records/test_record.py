@@ -367,6 +367,26 @@ def test_refuses_a_clipped_sensor(side, limits):
             clipped.check_usable()
 
 
+@pytest.mark.parametrize(("bounds", "more"), [((-1, 80), 1), ((20, 101), 1), ((-1, 101), 0)], ids=str)
+def test_a_cut_voltage_is_remarked_on(bounds, more):
+    record = lagging()
+    y = record.displacement + 2e-9 * np.random.default_rng(4).normal(size=len(record))
+    cut = Record(record.time, np.clip(record.voltage, *bounds), y)
+    cut.check_usable()
+    assert len(cut.problems()) - len(with_displacement(record, y).problems()) == more
+
+
+@pytest.mark.parametrize("creeps", [0.0, 0.2])
+def test_a_displacement_that_creeps_in_holds_shows_no_cut_voltage(creeps):
+    time = 0.05 * np.arange(2400)
+    voltage = np.interp(time % 60, [0, 10, 30, 40, 60], [0, 100, 100, 0, 0])
+    late = np.zeros(time.size)
+    for i in range(1, time.size):
+        late[i] = late[i - 1] + 0.05 / 4 * (voltage[i] - late[i - 1])
+    y = 1e-7 * (voltage + creeps * late) + 2e-9 * np.random.default_rng(4).normal(size=time.size)
+    assert Record(time, voltage, y).problems() == ()
+
+
 def test_a_brief_clip_among_many_cycles_is_found():
     record = lagging(n=100_000, cycles=500)
     with pytest.raises(RecordError, match="clipped"):

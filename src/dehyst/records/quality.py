@@ -31,6 +31,9 @@ _LEAST_VOLTAGE = 0.01
 _KELVINS = 250.0, 330.0
 # Share of the time step up to which the rounding of large times is not reported.
 _ROUNDED = 0.02
+# A voltage rests for so many samples at least. What the displacement moves back meanwhile, after it went on: least part
+# of the stroke, and of the way on, which hysteresis makes the longer one.
+_RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
 # Most transients that are named.
 _SHOWN = 5
 
@@ -137,8 +140,35 @@ def _of_samples(record: Record) -> Iterator[str]:
             f"{record.time[spikes[0]]:.6g} s: remove such spikes, they distort range and fit."
         )
     yield from (f"The displacement does not settle at once: {one.words}." for one in found[:_SHOWN])
+    yield from _cut_voltage(record, found)
     for remark in glitch_sentences(glitches(record.time, record.voltage, record.displacement)):
         yield remark[0].upper() + remark[1:]
+
+
+def _cut_voltage(record: Record, found: tuple[Transient, ...]) -> Iterator[str]:
+    """Yield that the voltage rests at its extreme while the displacement goes on and comes back, outside of transients.
+
+    In a hold the displacement creeps on and does not turn. A mass may make it turn: this is no reason to refuse.
+    """
+    least = max(_COMES_BACK * record.stroke, noise_span(record.displacement))
+    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
+        v, y = sign * record.voltage, sign * record.displacement
+        at = runs(v >= v.max() - 1e-12 * float(np.ptp(v)))
+        cut = [
+            (a, b)
+            for a, b in at
+            if _RESTS <= b - a < v.size
+            and not any(one.start < b and a < one.stop for one in found)
+            and (fall := float(y[a:b].max() - y[b - 1])) > least
+            and fall > _BACK * float(y[a:b].max() - y[a])
+        ]
+        if cut:
+            a, b = cut[0]
+            yield (
+                f"The voltage looks cut off at its {side}, {sign * v[a]:.6g} V, in {counted(len(cut), 'place')}, first "
+                f"over samples {a} to {b - 1}: the displacement goes on and comes back there. Record the voltage that "
+                "the actuator gets, or a range that the monitor shows whole."
+            )
 
 
 def _spikes(record: Record, found: tuple[Transient, ...]) -> NDArray[np.intp]:
