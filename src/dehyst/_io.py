@@ -344,6 +344,10 @@ def read_json(path: PathLike) -> dict[str, Any]:
         except UnicodeDecodeError as error:
             raise FileFormatError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from error
         except json.JSONDecodeError as error:
+            if error.pos == 0 and any(mark in text.partition("\n")[0] for mark in ",;\t"):
+                raise FileFormatError(
+                    f"{path}: is a table, as of a record or a path, where a file in JSON is needed, as a model is"
+                ) from error
             raise FileFormatError(
                 f"{path}: line {error.lineno}, column {error.colno}: no valid JSON ({error.msg}); correct it there, or "
                 "write the file again if it was cut off"

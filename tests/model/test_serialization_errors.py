@@ -190,6 +190,8 @@ BROKEN_JSON = {
         "",
         r"a\.json: line 1, column 1: no valid JSON \(Expecting value\); correct it there, or write .* cut off",
     ),
+    "table": ("time_s,voltage_V\n0,1\n", r"a\.json: is a table"),
+    "table with semicolons": ("Zeit (s);Weg [nm]\n0,1;2\n", r"a\.json: is a table"),
     "no JSON": ('{"a": 1,\n "b": x}', "line 2, column 7: no valid JSON"),
     "cut off": ('{"a": [1,\n2', "line 2, column 2: no valid JSON"),
     "more behind": ("{}\n{}", r"line 2, column 1: no valid JSON \(Extra data\)"),

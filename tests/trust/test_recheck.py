@@ -129,6 +129,14 @@ def test_a_change_that_counts_is_the_advice_even_if_the_promise_is_kept():
     assert not replace(kept, changes=()).advises_update
 
 
+@pytest.mark.parametrize(("value", "error"), [(609e-9, 103e-9), (1.2345e-6, 1.16e-7), (3e-9, 2.9e-9)])
+def test_an_offset_and_its_error_are_plain_numbers(value, error):
+    shown = dehyst.trust.Change("offset", value, error, value, 0.0).amount(1e-5).split()
+    assert "e" not in "".join(shown[:3])
+    assert float(shown[0]) == pytest.approx(1e9 * value, rel=5e-3)
+    assert float(shown[2]) == pytest.approx(1e9 * error, rel=5e-2)
+
+
 @pytest.mark.parametrize("gain", [0.7, -0.6])
 def test_of_another_actuator_nothing_else_is_said(gain):
     recheck = dehyst.check(loops.model(), loops.later(gain=gain), goal=100)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
+from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
@@ -412,7 +413,9 @@ class _Rows:
         reach = float(np.ptp(self.compared.regression.axis))
         stuck = int(np.count_nonzero(2 * rho[rho * 2 < np.ptp(actuator.reach)] > reach))
         if stuck:
-            missing.append(f"{stuck} slip elements did not slide both ways: they change as their neighbours do.")
+            missing.append(
+                f"{counted(stuck, 'slip element')} did not slide both ways; the neighbours' change is taken."
+            )
         span = float(np.ptp(record.time))
         if actuator.creep is not None and float(actuator.creep.time_constants.max()) > span / 3:
             missing.append(f"Creep slower than {span / 3:.3g} s is that of the old model.")

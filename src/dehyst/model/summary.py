@@ -227,7 +227,7 @@ def lines(actuator: Actuator) -> Iterator[str]:
     yield "{}: {}, {} ({})".format(escaped(actuator.name), *_ranges(actuator))
     for part in parts_of(actuator):
         holds = "" if part.holds is None else f" Holds {part.holds:.3g} V at most."
-        yield f"  {part.name + ':':<18}{part.sentence}{holds}"
+        yield f"  {part.name + ':':<17} {part.sentence}{holds}"
 
 
 def as_html(actuator: Actuator) -> str:

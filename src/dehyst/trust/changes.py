@@ -97,7 +97,7 @@ class Change:
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
         if self.name in SLOW:
             factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
-        return f"{abs(self.value) * factor:.3g} ± {self.error * factor:.2g} {unit}"
+        return f"{lines.uncertain(abs(self.value) * factor, self.error * factor)} {unit}"
 
     def as_dict(self, stroke: float) -> dict[str, Any]:
         """Return JSON values in SI units, the effect also in % of `stroke` [m]."""

@@ -156,10 +156,10 @@ class Recheck:
     @property
     def sentence(self) -> str:
         """The judgement and its numbers in one line."""
-        text = (
-            f"{self.standing.value.capitalize()}: the largest error is {self._percent(self.without_noise)} of the "
-            f"stroke without the sensor's noise (goal {self.goal:g} %)"
-        )
+        error = f"{self._percent(self.without_noise)} of the stroke without the sensor's noise"
+        if not self.without_noise:
+            error = "within the sensor's noise"
+        text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
         if self.ratio is not None and self.before is not None:
             text += (
                 f"; with noise {self._percent(self.largest)}, and {self._percent(self.before)} when it was identified"

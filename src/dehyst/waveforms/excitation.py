@@ -262,7 +262,7 @@ class Sampling:
     def command(self, protocol: str) -> str:
         """Return the command that writes a `protocol` (kind and its arguments, as typed) with this sampling."""
         limits = "" if self.limits is None else f" --limits {self.limits[0]:g} {self.limits[1]:g}"
-        pace = f" --base {self.base:g} --frequency {self.frequency:.4g}"
+        pace = f" --base {self.base:g} --frequency {self.frequency:.3g}"
         return f"dehyst excite {protocol}{pace}{limits} -o voltage.csv"
 
     def lead_in(self, highest: float) -> list[Leg]:
