@@ -78,7 +78,7 @@ def test_a_virtual_actuator_needs_no_record(folder):
     ("arguments", "said"),
     [
         ([], "neither records nor a virtual actuator"),
-        (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try dehyst"),
+        (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try 'dehyst'"),
         (["tops.csv", "--validate", "three.csv", "--lead", "-2"], "lead: got -2"),
         (["tops.csv", "-o", "tops.csv"], "is also an input of this command"),
         (["tops.csv", "--truths", "glass"], "got 'glass', need play"),

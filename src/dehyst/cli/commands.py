@@ -238,7 +238,7 @@ class OperationCommand(click.Command):
             one = self.operation.parameter(argument)
             if one is None:
                 return flag(argument) if argument in ("force", "options") else argument
-            off = given.get(argument) is False or (one.default is True and one.kind.type is bool)
+            off = one.kind.type is bool and given.get(argument, not one.default) is False
             return (
                 f"{argument} in --options"
                 if one.rare

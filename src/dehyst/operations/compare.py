@@ -69,7 +69,7 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
     names = {name.casefold(): name for name in known}
     for name in only:
         if name.casefold() not in names:
-            raise IdentifyError(f"no model '{name}'", argument="only", hint=f"try {', '.join(known)}")
+            raise IdentifyError(f"no model '{name}'", argument="only", hint=f"try {', '.join(map(repr, known))}")
     return {names[name.casefold()]: known[names[name.casefold()]] for name in only} or known
 
 

@@ -74,7 +74,7 @@ def excite(
     raised-cosine PEAKS: cycles from the base to each of the peaks and back.
     descending-tops HIGHEST: cycles to tops that fall in equal steps; they determine all stiffnesses that loops can.
     reversal-curves HIGHEST: from the highest voltage down to ever lower ones, and back up.
-    minor-loop LOW HIGH: a minor loop with its approach, after major cycles.
+    minor-loop LOW HIGH: a minor loop with its approach, after major cycles to --highest.
     staircase HIGHEST: steps up and down again with holds, which show creep.
     stage HIGHEST of each axis: one axis after the other, then all together.
     homing HIGHEST: up and back; with --model the shortest certified way to a known state.
@@ -116,7 +116,8 @@ def excite(
         words = {None: "one for each peak or axis", 1: "one voltage", 2: "its lowest and its highest voltage"}[needed]
         raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
     if kind == "minor-loop" and "highest" not in options:
-        raise RecordError(argument="highest", got="none", need="the top of the major cycles")
+        need = f"the top of the major cycles, {max(volts):g} V or more"
+        raise RecordError(argument="highest", got="none", need=need)
     if kind == "stage":
         options["axes"] = None if axes is None else axes.split(",")
     given = [volts] if kind in ("raised-cosine", "stage") else volts
