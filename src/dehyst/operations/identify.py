@@ -16,7 +16,7 @@ from dehyst.identification import Deadline, Fit, StageFit, identify_stage
 from dehyst.identification import identify as identify_one
 from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.results import write_traces
-from dehyst.identification.settings import METHODS, USERS, Direction
+from dehyst.identification.settings import METHODS, USERS, Direction, Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, Values, operation
@@ -72,10 +72,10 @@ def identify(
     zero: Zero | None = None,
     time_limit: float | None = None,
     shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
-    norm: Annotated[Norm, _used("norm")] = "l1",
+    norm: Annotated[Norm, _used("norm")] = Settings.norm,
     knots: Annotated[int | None, _used("knots")] = None,
-    slope_floor: Annotated[float, _used("slope_floor")] = 0.2,
-    branch: Annotated[Direction, _used("branch")] = "descending",
+    slope_floor: Annotated[float, _used("slope_floor")] = Settings.slope_floor,
+    branch: Annotated[Direction, _used("branch")] = Settings.branch,
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
