@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,8 +37,9 @@ class Calibration:
     `fit`: a Fit, or a StageFit of several axes; these have no `insight` and no `creep` of a first look. `nominal` and
     `compensated`: the measured path with a constant ratio and with the model. `goal`: allowed error on the path [% of
     the stroke]. `unreached`: sentences on where the voltage could not follow. `training`, `held_out`: the records;
-    those in `kept` were on disk already, those in `played` were played. `agreement`: comparison of a loop on disk with
-    its replay. `instrument`: the rig with its axes and limits.
+    those in `kept` were on disk already, those in `played` were played; files in `aside` were there too, but cut off,
+    damaged, or of another plan. `agreement`: comparison of a loop on disk with its replay. `instrument`: the rig with
+    its axes and limits.
     """
 
     fit: Fit | StageFit
@@ -53,6 +55,7 @@ class Calibration:
     kept: tuple[str, ...] = ()
     played: tuple[str, ...] = ()
     agreement: Agreement | None = None
+    aside: tuple[Path, ...] = ()
 
     @property
     def since(self) -> str:
@@ -83,7 +86,8 @@ class Calibration:
                     f"{subject} to {one.largest_percent:.3g} % of the stroke, the goal is {self.goal:g} %; look at the "
                     "report's residuals, record at the speed of use (--frequency), or allow more with --goal."
                 )
-        return (*first, *self.unreached, *missed)
+        unused = [f"Not used, because cut off, damaged or of another plan: {path}." for path in self.aside]
+        return (*first, *self.unreached, *missed, *unused)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -95,6 +99,7 @@ class Calibration:
             "records": [record.name for record in (*self.training, *self.held_out)],
             "warnings": list(self.warnings()),
             **json_values(self, "nominal compensated kept played comparison=agreement fit"),
+            "aside": [str(path) for path in self.aside],
         }
 
 
@@ -194,6 +199,7 @@ class _Run:
             kept=tuple(session.kept),
             played=tuple(session.played),
             agreement=session.agreement,
+            aside=tuple(session.aside),
         )
 
     def write(self, calibration: Calibration) -> None:

@@ -70,6 +70,7 @@ class Session:
             salvage(self._comparisons)
         self.played: list[str] = []
         self.kept: list[str] = []
+        self.aside: list[Path] = []
         self.sequence: list[Record] = []
         self.agreement: Agreement | None = None
         self._replayed: Record | None = None
@@ -94,7 +95,7 @@ class Session:
             return stored
         self._begin(excitation)
         for path in paths:
-            set_aside(path)
+            self.aside += set_aside(path)
         record = self._play(paths, name, excitation, wanted, stroke)
         if name in self.kept:
             self.kept.remove(name)
@@ -123,7 +124,7 @@ class Session:
         if self._several:
             # Not before it is known that something can be played.
             for path in sorted(self.records.glob("*.h5")):
-                set_aside(path)
+                self.aside += set_aside(path)
 
     def _paths(self, name: str) -> list[Path]:
         """Return the files of a record: one for each axis."""
@@ -253,14 +254,19 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
     return records
 
 
-def set_aside(path: Path) -> None:
-    """Move a file of records, if it exists, to the folder `set-aside` next to it; raise FileFormatError on failure."""
-    if os.path.lexists(path):
-        aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
-        try:
-            path.rename(aside)
-        except OSError as error:
-            raise unwritten(aside, error) from error
+def set_aside(path: Path) -> list[Path]:
+    """Move a file of records, if it exists, to the folder `set-aside` next to it, and return where it is now.
+
+    Raise `FileFormatError` on failure.
+    """
+    if not os.path.lexists(path):
+        return []
+    aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
+    try:
+        path.rename(aside)
+    except OSError as error:
+        raise unwritten(aside, error) from error
+    return [aside]
 
 
 def made_folder(path: Path) -> Path:
