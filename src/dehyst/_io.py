@@ -346,7 +346,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
         except json.JSONDecodeError as error:
             if error.pos == 0 and any(mark in text.partition("\n")[0] for mark in ",;\t"):
                 raise FileFormatError(
-                    f"{path}: is a table, as of a record or a path, where a file in JSON is needed, as a model is"
+                    f"{path}: is a table, of a record or a path; a JSON file, such as a model, is needed"
                 ) from error
             raise FileFormatError(
                 f"{path}: line {error.lineno}, column {error.colno}: no valid JSON ({error.msg}); correct it there, or "

@@ -304,7 +304,7 @@ def test_arguments_in_the_wrong_order_are_explained(folder, command):
     assert status == 2
     assert "MODEL first" in err
     status, _, err = run(command, "loops.csv", "path.csv", *output, cwd=folder)
-    assert status == 2 and "loops.csv: line 1, column 1: no valid JSON" in err
+    assert status == 2 and "loops.csv: is a table" in err
 
 
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
