@@ -4,6 +4,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import pint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -434,6 +435,26 @@ def test_a_temperature_that_is_not_one_for_all_or_for_each_is_refused(temperatur
     with pytest.raises(dehyst.ModelError) as caught:
         loop.set_temperature(temperature)
     assert caught.value.argument == "temperature" and [one.scaling for one in loop.compensators] == before
+
+
+class Labelled:
+    """An array whose unit is a label, and is lost where NumPy makes an array of it."""
+
+    units = "degF"
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array([50.0, 68.0, 86.0], dtype)
+
+
+def test_a_temperature_with_a_unit_is_converted_or_refused():
+    loop, other = StageCompensator(warm_stage()), StageCompensator(warm_stage())
+    other.set_temperature([10.0, 20.0, 30.0])
+    quantity = pint.UnitRegistry(autoconvert_offset_to_baseunit=True).Quantity
+    loop.set_temperature(quantity([50.0, 68.0, 86.0], "degF"))
+    for one, same in zip(loop.compensators, other.compensators, strict=True):
+        assert one.scaling == pytest.approx(same.scaling, rel=1e-12)
+    with pytest.raises(dehyst.ModelError, match="degF"):
+        loop.set_temperature(Labelled())
 
 
 @pytest.mark.parametrize("shape", [(), (300,), (300, 3)])

@@ -91,7 +91,7 @@ class AdaptiveStageCompensator:
         reached = [nan] * count if measured is None else readings(measured, "measured", "m").tolist()
         if len(reached) != count:
             raise ModelError(argument="measured", got=f"{len(reached)} values", need=f"{count}, one an axis")
-        voltage = self._compensator.step(wanted, temperature)
+        voltage = self._compensator.step(aims, temperature)
         if temperature is not None:
             self._rescale()
         for axis, row, value in zip(self.axes, self._table, voltage.tolist(), strict=True):

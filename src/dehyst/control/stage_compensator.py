@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
+from dehyst._units import plain
 from dehyst._validation import for_each, interval, keep, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
@@ -191,7 +192,8 @@ class StageCompensator(ReadOnly):
         Actuators without the part `thermal` ignore it. Raise `ModelError` if none has that part, or as
         `Compensator.set_temperature`: all memory is unchanged.
         """
-        degrees = self.stage.temperatures(temperature if np.ndim(temperature) == 0 else np.atleast_2d(temperature), 1)
+        given = plain(temperature, "temperature")
+        degrees = self.stage.temperatures(given if np.ndim(given) == 0 else np.atleast_2d(given), 1)
         pairs = zip(self.compensators, self.stage.actuators, degrees, strict=True)
         scales = [(one, part.thermal.scale(own, 1)) for one, part, own in pairs if part.thermal and own is not None]
         for one, (gain, offset) in scales:
@@ -200,8 +202,7 @@ class StageCompensator(ReadOnly):
     def commit(self, voltage: ArrayLike) -> None:
         """Commit `voltage` (axes,) [V] as sent: the offered voltages, perhaps rounded by a converter.
 
-        Raise `ModelError` if a voltage is not finite, or outside its limits by more than their distance: no memory
-        changes.
+        Raise `ModelError` as `Compensator.commit`: no memory changes.
         """
         values = self._values(voltage, "voltage")
         with unchanged_by_errors(self.compensators):

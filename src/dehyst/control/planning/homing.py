@@ -514,7 +514,7 @@ def played_homing(
             f"the homing goes from {least:.6g} to {most:.6g} V, outside of the identified range {low:.6g} to "
             f"{high:.6g} V: extrapolated; check that the actuator allows these voltages, or choose narrower limits",
         )
-    # That its legs take longer than at another speed is no news: nobody asked for a speed.
+    # No remark on legs that take longer to keep the slew rate: no speed was requested.
     return played, homing, remarks
 
 
