@@ -1,7 +1,7 @@
 // The pictures of a plan: the wanted path with its points, the voltage, the error, and where the voltage turns.
 import { h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { duration, extent, length, percent, range, short, whole } from "./numbers.js";
+import { APART, duration, extent, length, percent, range, short, whole } from "./numbers.js";
 import { branches } from "./path.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
@@ -144,6 +144,7 @@ export function judged(planned, { stroke, band, turned, light = "green", speed =
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
       `A straight gain would miss it by up to ${share(straightMissed)}.`,
+      ...(band ? [`The error to expect is given ${APART}.`] : []),
       ...(turned ? [turned.sentence] : []),
     ],
   };

@@ -4,7 +4,7 @@ import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
 import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
-import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
+import { APART, duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
 import { PathFigures, curve, judged, turnsOf, verdict } from "./path_figures.js";
 import { isPlane } from "./report.js";
@@ -222,7 +222,7 @@ function planAxes(model) {
   });
   return {
     light,
-    first: `Expect ${expected.join(", ")}.`,
+    first: `Expect ${expected.join(", ")}, ${APART}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
     remarks: model.verdict.remarks,
   };

@@ -1,7 +1,7 @@
 // What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
 import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
-import { length, percent, range } from "./numbers.js";
+import { APART, length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
 import * as server from "./server.js";
 
@@ -26,7 +26,7 @@ export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
   const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
-  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, apart from a constant offset`);
+  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, ${APART}`);
   return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", words),
     h("b", percent(largest), " ", told),
