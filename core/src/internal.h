@@ -6,6 +6,11 @@
 
 #include <stddef.h>
 
+/* Such flags let the compiler assume that there is no NaN: is_finite would be folded to 1, and a NaN become a voltage. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST)
+#error "dehyst: leave out -ffast-math, -Ofast, -ffinite-math-only, /fp:fast: with them a NaN is not refused"
+#endif
+
 static inline int is_finite(dehyst_real a) { return a - a == 0; }
 
 static inline dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }

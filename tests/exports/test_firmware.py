@@ -219,6 +219,17 @@ def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, num
             assert flags is CORTEX_M4 or not needed
 
 
+@pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
+def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag):
+    need("gcc")
+    folder = written(tmp_path / "c", compiled_exports.plain())
+    command = ["gcc", *STRICT, "-O2", "-c", "dehyst.c"]
+    compiled_exports.must_run(command, folder)
+    done = subprocess.run([*command, flag], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "a NaN is not refused" in done.stderr
+
+
 def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
     compensator, folder = compiled_exports.plain(), tmp_path / "c"
     made = export(compensator, folder)
