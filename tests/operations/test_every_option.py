@@ -115,7 +115,6 @@ VALUES = {
     "method": "breakpoints",
     "elements": 3,
     "structure": "--structure auto",
-    "refine": True,
     "norm": "l2",
     "knots": 5,
     "slope_floor": 0.9,
@@ -363,7 +362,7 @@ CASES = {
             "record.csv --structure maxwell_slip --options FEW -o out.json",
             _BASE,
             {"columns:axes": _TWO},
-            {"columns:axes": "see below", "refine": "of parts, refused here: a slow step", "structure": "see below"},
+            {"columns:axes": "see below", "structure": "see below"},
             foreign="out.json",
         ),
         Case(

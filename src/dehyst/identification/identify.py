@@ -29,7 +29,6 @@ from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import simplest
 from dehyst.identification.structured_fit import StructuredFit
-from dehyst.identification.structured_fit import refine as refine_by_simulation
 from dehyst.identification.temperature import TemperatureEffect, temperature_effect
 from dehyst.identification.training_data import TrainingData
 from dehyst.model import Actuator, Outcome
@@ -55,7 +54,6 @@ def identify(
     drift: bool = True,
     branch: Direction = "descending",
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto",
-    refine: bool = False,
     goal: float = 1.0,
     throw: bool = True,
     progress: Progress | None = None,
@@ -100,9 +98,6 @@ def identify(
         smooth elements, inertia). "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
         Default: "auto", but "maxwell_slip" if one of its own options is given (elements, breakaway, knots, another
         method).
-    refine : bool, optional
-        Try Gauss-Newton steps that reduce the simulation error, with free thresholds, and keep them if held-out cycles
-        improve; not for "maxwell_slip".
     goal : float, optional
         Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
     throw : bool, optional
@@ -148,7 +143,7 @@ def identify(
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     own = settings.of_maxwell_slip if structure == "auto" and method == "record" else []
-    structure = _checked_structure(structure, settings, refine)
+    structure = _checked_structure(structure, settings)
     _refuse_copies([*training, *held_out])
     (effect, left_out), measured = temperature_effect(training), training
     if effect is not None:
@@ -174,7 +169,7 @@ def identify(
             run = min(run, run_of(ringing=True), key=IdentificationRun.maxwell_slip_error)
         if own:
             run.remarks.append(messages.NOT_SEARCHED.format(options=" and ".join(own)))
-        fit = _identify_structure(run, structure, refine) if method == "record" else _identify_at_breakpoints(run)
+        fit = _identify_structure(run, structure) if method == "record" else _identify_at_breakpoints(run)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     if effect is not None and isinstance(fit.actuator, Actuator):
@@ -215,19 +210,12 @@ def _refuse_copies(records: list[Record]) -> None:
 
 
 def _checked_structure(
-    structure: Structure | Literal["auto", "maxwell_slip"], settings: Settings, refine: bool
+    structure: Structure | Literal["auto", "maxwell_slip"], settings: Settings
 ) -> Structure | Literal["auto", "maxwell_slip"]:
     """Return the structure, with options of Maxwell-slip only "maxwell_slip" for "auto"; reject options in conflict."""
     own = settings.of_maxwell_slip
     implying = [*own, *(["method"] if settings.method != "record" else [])]
     if structure == "maxwell_slip" or (structure == "auto" and implying):
-        if refine:
-            others = [*(["structure"] if structure != "auto" else []), *implying]
-            raise IdentifyError(
-                "'maxwell_slip' is fitted as it is",
-                argument="refine",
-                hint=f"leave refine out, or {' and '.join(others)}",
-            )
         structure = "maxwell_slip"
     elif structure != "auto" and not isinstance(structure, Structure):
         raise IdentifyError(
@@ -240,9 +228,7 @@ def _checked_structure(
     return structure
 
 
-def _identify_structure(
-    run: IdentificationRun, structure: Structure | Literal["auto", "maxwell_slip"], refine: bool
-) -> Fit:
+def _identify_structure(run: IdentificationRun, structure: Structure | Literal["auto", "maxwell_slip"]) -> Fit:
     """Identify an actuator of a structure that is given, or that the records support."""
     run.report("estimating delay and datums")
     data = run.data(run.delay)
@@ -267,12 +253,12 @@ def _identify_structure(
         frame = run.deadline.attempt(partial(_before_creep, run, frame), frame, "the search for creep in displacement")
         frame, structure = _chosen(run, frame)
         moves = frame.lagging.dynamics is not None or frame.lagging.lag
-        if structure.is_maxwell_slip and not (moves or run.creep or refine):
+        if structure.is_maxwell_slip and not (moves or run.creep):
             rho = None if structure.spacing == 1 else structure.grid(run.span, frame.voltages, frame.times).breakaway
             elements = structure.elements if rho is None else None
             run.settings = replace(run.settings, elements=elements, breakaway=rho, knots=structure.knots)
             return _maxwell_slip(run, run.data(run.delay))
-    return _structured(run, frame, structure, refine)
+    return _structured(run, frame, structure)
 
 
 def _before_creep(run: IdentificationRun, frame: TrainingData) -> TrainingData:
@@ -292,7 +278,7 @@ def _before_creep(run: IdentificationRun, frame: TrainingData) -> TrainingData:
     return frame.without_creep(part)
 
 
-def _structured(run: IdentificationRun, frame: TrainingData, structure: Structure, refine: bool) -> Fit:
+def _structured(run: IdentificationRun, frame: TrainingData, structure: Structure) -> Fit:
     """Solve the convex program of a structure, on means of samples."""
     run.structure = structure
 
@@ -308,7 +294,6 @@ def _structured(run: IdentificationRun, frame: TrainingData, structure: Structur
         solve,
         lambda made: Outcome.WIDER if made.actuator.wide else Outcome.IDENTIFIED,
         longer=structure.reach == 1 and frame.grows(),
-        refine=refine,
     )
 
 
@@ -335,7 +320,7 @@ def _maxwell_slip(run: IdentificationRun, data: TrainingData) -> Fit:
         run.remarks += remarks
         return outcome
 
-    return _completed(run, solve, judge, longer=not given and data.grows(), refine=False)
+    return _completed(run, solve, judge, longer=not given and data.grows())
 
 
 def _completed(
@@ -344,9 +329,8 @@ def _completed(
     judge: Callable[[StructuredFit], Outcome],
     *,
     longer: bool,
-    refine: bool,
 ) -> Fit:
-    """Solve a program, tune and refine what is not convex, and judge the actuator.
+    """Solve a program, tune what is not convex, and judge the actuator.
 
     `solve`: longest threshold in half strokes -> solution. `longer`: whether thresholds beyond 1 are tried.
     """
@@ -358,19 +342,11 @@ def _completed(
         made = run.deadline.attempt(partial(_longer, run, solve, made), made, "the trial of longer elements")
     if made.frame.lagging.dynamics is not None:
         made = run.deadline.attempt(partial(made.tune_dynamics, run.report), made, "the tuning of the resonance")
-    attempt = partial(refine_by_simulation, made, run.report)
-    found = run.deadline.attempt(attempt, None, "the refinement") if refine else None
-    refined = made.actuator if found is None else found.actuator
-    if found is not None:
-        run.remarks.append(
-            f"Refined by simulation: RMS error of cycles held out {found.after * 1e9:.4g} nm, without "
-            f"{found.before * 1e9:.4g} nm; {'kept' if found.kept else 'not better, and left out'}."
-        )
-    run.delay = refined.delay + refined.lag
-    actuator = run.named(refined)
+    run.delay = made.actuator.delay + made.actuator.lag
+    actuator = run.named(made.actuator)
     run.report("simulating every record")
     outcome, solution = judge(made), made.found.solved
-    run.estimate_heldout_errors(made.frame, made.regression, refined)
+    run.estimate_heldout_errors(made.frame, made.regression, made.actuator)
     return run.finish(actuator, made.regression, outcome, solution.status, solution.gap)
 
 

@@ -139,9 +139,6 @@ class DecisionRules:
     growing: float = _rule(
         0.5, "part of the samples", "A record grows if fewer of its samples come after its range was widest."
     )
-    refinement_gain: float = _rule(
-        0.99, "ratio of simulation errors", "A refinement must lower the error of held-out cycles to this part."
-    )
     determined: float = _rule(
         0.1,
         "singular value",

@@ -1,10 +1,4 @@
-"""The fit of one structure: the convex program, tuned and refined by simulation.
-
-The convex program minimises the error of an equation on the measured path. Output-error refinement minimises that of a
-free-running simulation, by Gauss-Newton steps from the convex solution with free thresholds: each step linearises the
-simulation and solves the same program for the remaining error, with the same floors, inequalities and regularisation.
-The result is kept only if it is better on held-out cycles.
-"""
+"""The fit of one structure: the convex program, and its resonance tuned by simulation."""
 
 from __future__ import annotations
 
@@ -14,9 +8,8 @@ from functools import cached_property
 from math import exp
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dehyst._types import Array, Mask, Progress
+from dehyst._types import Array, Progress
 from dehyst.identification.preprocessing.denoising import significant_delay
 from dehyst.identification.preprocessing.preparation import Prepared
 from dehyst.identification.preprocessing.regressors import Epoch
@@ -24,8 +17,8 @@ from dehyst.identification.regression import fold_sums
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.rules import RULES
-from dehyst.identification.solvers.program import Norm, solve
-from dehyst.identification.structure import Grid, Structure
+from dehyst.identification.solvers.program import Norm
+from dehyst.identification.structure import Structure
 from dehyst.identification.training_data import Lagging, TrainingData
 from dehyst.identification.validation import compare, without_offset
 from dehyst.model import Actuator, Dynamics, State
@@ -154,12 +147,6 @@ class SimulationError:
         """Return the error of every sample (n,) [m], mean zero in each epoch."""
         return np.concatenate([epoch.error(actuator) for epoch in self.epochs])
 
-    @cached_property
-    def numbers(self) -> NDArray[np.intp]:
-        """Number of the epoch of every sample (n,)."""
-        sizes = [epoch.epoch.stop - epoch.epoch.start for epoch in self.epochs]
-        return np.repeat(np.arange(len(sizes)), sizes)
-
 
 # Start of the search for the lag [1/omega], and its finite differences.
 _FIRST_LAG = 0.05
@@ -207,151 +194,3 @@ def _tuned(actuator: Actuator, simulation: SimulationError, *, lagging: bool) ->
     found = with_numbers(least_squares(error, first, x_scale=0.1, diff_step=steps, bounds=(least, np.inf)).x)
     sample = min((epoch.record.record.sample_time for epoch in simulation.epochs), default=0.0)
     return replace(found, delay=significant_delay(found.delay, sample), lag=significant_delay(found.lag, sample))
-
-
-_STEPS = 3
-_ROWS = 6000
-# Parts of a step that are tried.
-_PARTS = (1.0, 0.5, 0.2, 0.05)
-# Blocks of the record, of which one is held out to judge the refinement.
-_FOLDS = 3
-# Finite differences, as a part of a coefficient, of the largest of its kind, or of a threshold.
-_DIFFERENCE = 1e-3
-# A threshold that moves by this fraction costs as much as an error of the noise's size at every sample; no threshold
-# moves further than this part of the distance to its neighbour.
-_MOVING, _CLOSEST = 0.1, 0.4
-
-
-@dataclass(frozen=True, eq=False)
-class Refinement:
-    """The result of a refinement.
-
-    `actuator`: the refined actuator, or the original. `before`, `after`: RMS error of simulation [m] on held-out
-    cycles, of the original, which was fitted to them, and of a refined model that was not.
-    """
-
-    actuator: Actuator
-    kept: bool
-    before: float
-    after: float
-
-
-def refine(fit: StructuredFit, progress: Progress) -> Refinement:
-    """Refine an actuator by the simulation error on its training records."""
-    point = _Iterate.of(fit)
-    voltage = np.concatenate([epoch.piece(0.0).voltage for epoch in point.simulation.epochs])
-    held_out = fold_sums.blocks(voltage, point.simulation.numbers) % _FOLDS == _FOLDS - 1
-    before = rms(point.errors()[held_out])
-    if not held_out.any() or held_out.all():
-        return Refinement(fit.actuator, False, before, before)
-    progress("refining in simulation")
-    after = rms(_after_steps(point, ~held_out).errors()[held_out])
-    if not after < RULES.refinement_gain * before:
-        return Refinement(fit.actuator, False, before, after)
-    progress("refining in simulation, with every cycle")
-    return Refinement(_after_steps(point, np.ones_like(held_out)).actuator, True, before, after)
-
-
-def _after_steps(point: _Iterate, used: Mask) -> _Iterate:
-    """Return the point after some steps on the used samples."""
-    error = rms(point.errors()[used])
-    for _ in range(_STEPS):
-        aim, moves = point.aim(used)
-        tried = [point.step(aim, moves, part) for part in _PARTS]
-        errors = [rms(candidate.errors()[used]) for candidate in tried]
-        now, before = min(errors), error
-        if not now < before:
-            break
-        point, error = tried[errors.index(now)], now
-        if not now < RULES.refinement_gain * before:
-            break
-    return point
-
-
-@dataclass(frozen=True, eq=False)
-class _Iterate:
-    """Coefficients and thresholds, and their actuator.
-
-    `given`: its parts lie on the grid of `regression`. `regression`: its rows are not used. `x` (q,): unknowns of the
-    program that are not negative. `breakaway` (N,): [m].
-    """
-
-    given: Actuator
-    regression: Regression
-    simulation: SimulationError
-    x: Array
-    breakaway: Array
-
-    @classmethod
-    def of(cls, fit: StructuredFit) -> _Iterate:
-        grid = Grid.of_actuator(fit.actuator)
-        # The errors of a simulation have no constants of the program's epochs, drifts or starts.
-        none = np.zeros(0, dtype=np.intp)
-        regression = replace(fit.regression, grid=grid, strained=(), drifting=(), lasting=None, ranges=(), epochs=none)
-        x = np.concatenate(regression.unknowns(Coefficients.from_actuator(fit.actuator)))
-        return cls(fit.actuator, regression, fit.playback(), x, grid.breakaway)
-
-    @property
-    def actuator(self) -> Actuator:
-        """The actuator with all branches, even those that hold nothing: the start states contain them."""
-        grid = replace(self.regression.grid, breakaway=self.breakaway)
-        given, first = self.given, float(self.given.spring.voltage[0])
-        return self.regression.at(self.x).to_actuator(
-            grid, first, every_part=True, dynamics=given.dynamics, lag=given.lag, delay=given.delay
-        )
-
-    def errors(self) -> Array:
-        """Return the error of every sample [m]."""
-        return self.simulation.errors(self.actuator)
-
-    def aim(self, used: Mask) -> tuple[Array, Array]:
-        """Return the solution of the linearised problem: unknowns (q,), moves of the thresholds' logarithms (N,)."""
-        regression, errors = self.regression, self.errors()
-        rows = np.flatnonzero(used)
-        rows = rows[:: max(1, rows.size // _ROWS)]
-        by_x, by_rho = self._slopes(errors, rows)
-        noise, movable = rms(errors[rows]), regression.grid.movable
-        constants = np.eye(len(self.simulation.epochs))[self.simulation.numbers[rows]]
-        free = np.hstack([constants, by_rho[:, movable]])
-        still = np.hstack([np.zeros((movable.sum(), constants.shape[1])), np.eye(movable.sum())])
-        still *= noise * np.sqrt(rows.size) / _MOVING
-        alike = regression.regularization("l2", rows.size, free.shape[1], 1 / regression.mean_slope)
-        table = [
-            np.vstack([free, still, alike[0]]),
-            np.vstack([by_x, np.zeros((len(still), self.x.size)), alike[1]]),
-            np.concatenate([errors[rows] + by_x @ self.x, np.zeros(len(still)), alike[2]]),
-            np.concatenate([np.ones(rows.size + len(still)), alike[3]]),
-        ]
-        solution = regression.constrained(
-            lambda limits: solve(*table[:3], weights=table[3], norm="l2", constraints=limits)
-        )
-        moves = np.zeros(movable.size)
-        moves[movable] = solution.free[constants.shape[1] :]
-        return solution.nonnegative, moves
-
-    def step(self, aim: Array, moves: Array, part: float) -> _Iterate:
-        """Take a part of the step, with thresholds in their order."""
-        rho, room = self.breakaway, _CLOSEST * np.diff(self.breakaway, prepend=0.0)
-        above = np.append(room[1:], 0.0)
-        breakaway = rho + np.clip(part * moves * rho, -room, above)
-        return replace(self, x=self.x + part * (aim - self.x), breakaway=breakaway)
-
-    def _slopes(self, errors: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Differentiate the simulation by each unknown (n, q) and by each threshold's logarithm (n, N)."""
-        by_x = np.empty((rows.size, self.x.size))
-        for k, step in enumerate(_DIFFERENCE * self._sizes()):
-            x = self.x.copy()
-            x[k] += step
-            by_x[:, k] = (errors - replace(self, x=x).errors())[rows] / step
-        by_rho = np.zeros((rows.size, self.breakaway.size))
-        for i in np.flatnonzero(self.regression.grid.movable):
-            rho = self.breakaway.copy()
-            rho[i] *= 1 + _DIFFERENCE
-            by_rho[:, i] = (errors - replace(self, breakaway=rho).errors())[rows] / _DIFFERENCE
-        return by_x, by_rho
-
-    def _sizes(self) -> Array:
-        """Return the size of each unknown (q,), at least a part of the largest of its kind."""
-        least = 3 * [1e-3 * self.regression.mean_slope] + [1e-3]
-        kinds = zip(self.regression.unknowns(self.regression.at(self.x)), least, strict=True)
-        return np.concatenate([np.maximum(kind, max(0.1 * kind.max(initial=0.0), low)) for kind, low in kinds])

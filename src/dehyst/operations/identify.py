@@ -48,10 +48,9 @@ def _several(given: Values) -> bool:
         "method",
         "elements",
         "delay",
-        "refine",
         "drift",
     ),
-    rare=("method", "norm", "elements", "knots", "slope_floor", "branch", "delay", "refine", "drift", "shared_datum"),
+    rare=("method", "norm", "elements", "knots", "slope_floor", "branch", "delay", "drift", "shared_datum"),
     details=True,
 )
 def identify(

@@ -412,8 +412,3 @@ class Regression:
             tau = TRANSFORMER_FLOOR + np.append(tau, left)
         internal = x[places["creep"].start : places["smooth"].stop]
         return Coefficients(stiffness, x[places["spring"]] + self.floor, internal, tau)
-
-    def unknowns(self, found: Coefficients) -> tuple[Array, ...]:
-        """Return the program's unknowns of coefficients by kind: elements, spring, internal states, transformer."""
-        elements = found.stiffness[self.grid.movable].ravel()
-        return elements, found.slopes - self.floor, found.internal, found.transformer[:-1] - TRANSFORMER_FLOOR
