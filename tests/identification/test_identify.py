@@ -247,7 +247,7 @@ def test_a_fit_is_json_without_nan(monkeypatch):
     assert json.loads(json.dumps(failed.as_dict(), allow_nan=False))["good"] is False
 
 
-@pytest.mark.parametrize("options", [{}, {"norm": "linf"}, {"method": "breakpoints"}])
+@pytest.mark.parametrize("options", [{}, {"method": "breakpoints"}])
 def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
     break_solver(monkeypatch)
     with pytest.raises(IdentifyError, match=r"Not identified: .* time limit"):

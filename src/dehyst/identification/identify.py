@@ -76,7 +76,7 @@ def identify(
         default 20 (10 for the paper's methods).
     breakaway : (N,) array_like, optional
         Breakaway elongations [m] instead of the grid; "record" only.
-    norm : {"l1", "l2", "linf"}, optional
+    norm : {"l1", "l2"}, optional
         Norm of the weighted residuals; "record" only.
     knots : int, optional
         Number of knots of the spring; default: N + 1, at most 41. "record" only.

@@ -27,7 +27,7 @@ def identify(
     by: str | None = None,
     structure: Literal["maxwell_slip", "auto"] = "maxwell_slip",
     elements: Annotated[int | None, _slip] = None,
-    norm: Literal["l1", "l2", "linf"] = "l1",
+    norm: Literal["l1", "l2"] = "l1",
     delay: float | None = None,
     drift: bool = True,
     prior: Annotated[Input | None, _slip] = None,

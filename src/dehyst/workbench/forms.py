@@ -18,7 +18,7 @@ _LIMITS: Form = {
     "high": {"label": "Highest", "unit": "V"},
     "slew": {"label": "Slew rate", "unit": "V/s", "above": 0},
 }
-_NORMS = {"l1": "Sum of absolute errors (robust)", "l2": "Sum of squares", "linf": "Largest error"}
+_NORMS = {"l1": "Sum of absolute errors (robust)", "l2": "Sum of squares"}
 _STRUCTURES = {
     "auto": "Automatic: select the parts by cross-validation",
     "maxwell_slip": "Maxwell-slip: slip elements and a spring (seconds)",

@@ -15,7 +15,7 @@ from dehyst.identification.preprocessing.regressors import RowSource, internal_s
 from dehyst.identification.solvers.program import NORMS
 from examples import at_night
 
-ORDER = {"l1": 1, "l2": 2, "linf": np.inf}
+ORDER = {"l1": 1, "l2": 2}
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000])

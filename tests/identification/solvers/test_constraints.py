@@ -22,10 +22,9 @@ def problem(seed, free=2, positive=7, rows=50, limits=6):
     return f, p, b, c, c @ inside - rng.uniform(0, 0.2, limits)
 
 
-def reference(norm, f, p, b, c, low):
-    """The least objective by HiGHS on the primal program in epigraph form, with two rows for each residual."""
-    a = np.hstack([f, p])
-    t = np.eye(len(b)) if norm == "l1" else np.ones((len(b), 1))
+def reference(f, p, b, c, low):
+    """The least sum by HiGHS on the primal program in epigraph form, with two rows for each residual."""
+    a, t = np.hstack([f, p]), np.eye(len(b))
     wide = np.hstack([np.zeros((len(c), f.shape[1])), -c, np.zeros((len(c), t.shape[1]))])
     cost = np.concatenate([np.zeros(a.shape[1]), np.ones(t.shape[1])])
     bounds = [(None, None)] * f.shape[1] + [(0, None)] * (p.shape[1] + t.shape[1])
@@ -54,16 +53,13 @@ def assert_kept(c, low, found, tolerance=1e-8):
     assert np.all(c @ x >= low - tolerance * max(1.0, np.abs(x).max()) * np.abs(c).max(axis=1, initial=1.0))
 
 
-@pytest.mark.parametrize("norm", ["l1", "linf"])
 @pytest.mark.parametrize("seed", range(25))
-def test_agrees_with_another_solver(norm, seed):
+def test_agrees_with_another_solver(seed):
     f, p, b, c, low = problem(seed)
-    found = solve(f, p, b, norm=norm, constraints=(c, low))
+    found = solve(f, p, b, norm="l1", constraints=(c, low))
     assert found.optimal, found.status
     assert_kept(c, low, found)
-    r = np.abs(found.residual)
-    value = r.sum() if norm == "l1" else r.max()
-    assert value == pytest.approx(reference(norm, f, p, b, c, low), rel=1e-8)
+    assert np.abs(found.residual).sum() == pytest.approx(reference(f, p, b, c, low), rel=1e-8)
     assert abs(found.gap) < 1e-8
 
 

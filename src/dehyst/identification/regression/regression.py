@@ -246,9 +246,9 @@ class Regression:
         """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization_rows`.
 
         The rows do not involve the `free` columns; `weight` is the weight of a row with the mean slope. The relative
-        weight does not depend on the number of samples. The norm of the largest residual (L-infinity) gets no rows.
+        weight does not depend on the number of samples.
         """
-        if not self.smoothing or norm == "linf":
+        if not self.smoothing:
             return np.zeros((0, free)), self.bounded[:0], np.zeros(0), np.zeros(0)
         rows = self._padded(regularization_rows(self.grid, self.mean_slope))
         p = len(rows)

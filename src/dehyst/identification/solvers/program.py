@@ -1,9 +1,8 @@
-"""The convex program: fit rows in L1, L2 or L-infinity with some coefficients not negative.
+"""The convex program: fit rows in L1 or L2 with some coefficients not negative.
 
     minimise || W (F a + P x - b) ||,   a free, x >= 0, C x >= l
 
-L1 is `least_absolute`, L2 is `least_squares`; L-infinity is a linear program solved by HiGHS with row generation. Each
-answer comes with its duality gap.
+L1 is `least_absolute`, L2 is `least_squares`. Each answer comes with its duality gap.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.solvers import highs
 from dehyst.identification.solvers.least_absolute import least_absolute
 from dehyst.identification.solvers.least_squares import ActiveSet, least_squares, least_squares_of_blocks
-from dehyst.identification.solvers.problem import TINY, Answer, Blocks, Problem
+from dehyst.identification.solvers.problem import Answer, Blocks, Problem
 
-Norm = Literal["l1", "l2", "linf"]
-NORMS: tuple[Norm, ...] = ("l1", "l2", "linf")
+Norm = Literal["l1", "l2"]
+NORMS: tuple[Norm, ...] = ("l1", "l2")
 # Free columns, columns that are not negative, target and weights.
 Table = tuple[Array, Array, Array, Array]
 
@@ -150,66 +148,4 @@ def _answer(blocks: Blocks, frame: Problem, norm: Norm) -> Answer:
         return frame.failed("no coefficients that are not negative keep the inequalities")
     if norm == "l1":
         return least_absolute(blocks, frame)
-    if norm == "linf":
-        return _least_largest(blocks, frame)
     return least_squares(frame) if frame.goal.size else least_squares_of_blocks(blocks, frame)
-
-
-# Rows that one round of the row generation adds at most, and rounds.
-_ROWS_AT_A_TIME = 200
-_ROUNDS = 60
-
-
-def _least_largest(blocks: Blocks, frame: Problem) -> Answer:
-    """Minimise the largest residual, on some rows, to which the worst of the others are added."""
-    q, p = frame.unknowns, frame.free
-    cost = np.append(np.zeros(q), 1.0)
-    bounds = np.append(np.where(np.arange(q) < p, -np.inf, 0.0), 0.0), np.full(q + 1, np.inf)
-    kept = np.hstack([frame.matrix, np.zeros((frame.lower.size, 1))])
-    rows, goal, places = _evenly(blocks)
-    for _ in range(_ROUNDS):
-        ones = np.ones((goal.size, 1))
-        both = np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones]), -kept])
-        upper = np.concatenate([goal, -goal, -frame.lower])
-        solution = highs.minimum(cost, bounds, both, (np.full(upper.size, -np.inf), upper))
-        if not solution.optimal:
-            return frame.failed(solution.status)
-        x = solution.value[:q]
-        worst, largest = _worst(blocks, x, solution.objective + 1e-9)
-        new = ~np.isin(worst[2], places)
-        if not new.any():
-            unit = max(float(np.abs(goal).max()) for _, goal in blocks.read())
-            gap = (largest - solution.objective) / max(unit, largest, TINY)
-            return Answer(x, f"optimal ({solution.status})", True, gap)
-        rows, goal, places = (
-            np.concatenate([one, more[new]]) for one, more in zip((rows, goal, places), worst, strict=True)
-        )
-    return frame.failed("row generation did not end")
-
-
-def _evenly(blocks: Blocks) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return some rows, their targets and their places among all."""
-    n, parts, place = blocks.count, [], 0
-    places = np.unique(np.linspace(0, n - 1, min(n, _ROWS_AT_A_TIME)).astype(np.intp))
-    for rows, goal in blocks.read():
-        local = places[(places >= place) & (places < place + goal.size)] - place
-        parts.append((rows[local], goal[local]))
-        place += goal.size
-    some, goals = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return some, goals, places
-
-
-def _worst(blocks: Blocks, x: Array, limit: float) -> tuple[tuple[Array, Array, NDArray[np.intp]], float]:
-    """Return the rows with the largest residuals above a limit, as `_evenly` does, and the largest residual of all."""
-    empty, largest, place = np.zeros(0), 0.0, 0
-    some, goals, places, sizes = np.zeros((0, x.size)), empty, empty.astype(np.intp), empty
-    for rows, goal in blocks.read():
-        residual = np.abs(rows @ x - goal)
-        largest = max(largest, float(residual.max(initial=0.0)))
-        local = np.flatnonzero(residual > limit)
-        local = local[np.argsort(residual[local], kind="stable")[::-1][:_ROWS_AT_A_TIME]]
-        sizes = np.append(sizes, residual[local])
-        order = np.argsort(sizes, kind="stable")[::-1][:_ROWS_AT_A_TIME]
-        some, goals = np.concatenate([some, rows[local]])[order], np.append(goals, goal[local])[order]
-        places, sizes, place = np.append(places, local + place)[order], sizes[order], place + goal.size
-    return (some, goals, places), largest

@@ -194,7 +194,6 @@ PLANS = (
     PaperPlan("record_noiseless", elements=40, noiseless=True),
     PaperPlan("record_tops", elements=40, tops=True),
     PaperPlan("record_tops_l2", elements=40, norm="l2", tops=True),
-    PaperPlan("record_tops_linf", elements=40, norm="linf", tops=True),
 )
 
 

@@ -18,7 +18,7 @@ th small{display:block;font-weight:400;color:#666}
 td.text,th.text{min-width:9.5rem}
 h3{margin-top:1rem}
 """
-_NORMS = {"l1": "absolute sum", "l2": "sum of squares", "linf": "largest"}
+_NORMS = {"l1": "absolute sum", "l2": "sum of squares"}
 _TITLE = "The paper's experiment on a virtual actuator"
 _SOURCE = (
     "T.-J. Yeh, S.-W. Lu, T.-Y. Wu, Modeling and Identification of Hysteresis in Piezoelectric Actuators, ASME J. Dyn. "
