@@ -22,9 +22,9 @@ extern "C" {
 #endif
 
 #define DEHYST_VERSION "0.1.0"
-/* Blocks of a later format are refused, and snapshots of another one. */
-#define DEHYST_MODEL_FORMAT 2
-#define DEHYST_SNAPSHOT_FORMAT 2
+/* Blocks of another format are refused. */
+#define DEHYST_MODEL_FORMAT 1
+#define DEHYST_SNAPSHOT_FORMAT 1
 
 typedef DEHYST_REAL dehyst_real;
 /* What depends on the number type. A file that was compiled for another one does not link. */

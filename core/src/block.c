@@ -2,7 +2,7 @@
  *
  * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of all that follows, then N, knots of
  * the spring, grades, knots of tau, J, L, taps, inertia (0 or 1), ahead, K and two zeros - and the numbers that walk_model
- * names, in its order. Letters are those of dehyst_model.h. In format 1 K is 0.
+ * names, in its order. Letters are those of dehyst_model.h.
  *
  * A snapshot: ten unsigned - "DHYS", format, bytes, CRC-32, shape and id of the model, samples limited, slewed, refused,
  * zero - and w, y, rate, input, sent, acting, intended [2], gain, offset, driven, carts [N], strains [J], elongations [L],
@@ -273,9 +273,7 @@ static uint64_t room_of(const uint32_t *size)
 
 static dehyst_status read_sizes(const unsigned char *bytes, unsigned long length, uint32_t *size)
 {
-    const int old = bytes != NULL && length >= 8 && word_at(bytes + 4) == 1;
-    const uint32_t format = old ? 1 : DEHYST_MODEL_FORMAT;
-    const dehyst_status status = check_frame(bytes, length, KIND_OF_MODEL, format, HEADER_OF_MODEL);
+    const dehyst_status status = check_frame(bytes, length, KIND_OF_MODEL, DEHYST_MODEL_FORMAT, HEADER_OF_MODEL);
     int i;
     if (status != DEHYST_OK) return status;
     for (i = 0; i < 12; i++) {
@@ -283,7 +281,6 @@ static dehyst_status read_sizes(const unsigned char *bytes, unsigned long length
         if (word > (i < SIZES ? LARGEST_SIZE : 0)) return DEHYST_ERR_LENGTH;
         if (i < SIZES) size[i] = word;
     }
-    if (old && size[OUTPUT] > 0) return DEHYST_ERR_LENGTH;
     if (size[KNOTS] < 2 || size[BENDS] == 1 || size[TAPS] < 1 || size[INERTIA] > 1) return DEHYST_ERR_SIZE;
     return numbers_of(size) * 8 + HEADER_OF_MODEL == length ? DEHYST_OK : DEHYST_ERR_LENGTH;
 }

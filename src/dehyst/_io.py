@@ -40,8 +40,10 @@ GENERATOR = f"dehyst {__version__}"
 COMPUTED = "expected_um"
 # Begins the first line of the path of a scan, with its declaration as JSON.
 SCAN = "# dehyst-scan: "
-# What to do with a file of a version that is not known yet.
-NEWER = "a newer dehyst wrote it: install that one, for instance with pip install --upgrade dehyst"
+# Of every format.
+VERSION = 1
+# What to do with a file of another version.
+OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
 # HTML, SVG, FMU, WebAssembly, and a table of a fleet, whose metadata are at the end of the file.
@@ -357,18 +359,11 @@ def read_json(path: PathLike) -> dict[str, Any]:
     return data
 
 
-def demand_version(data: Mapping[str, Any], newest: int, what: str) -> int:
-    """Return the version that a file of dehyst states, 1 if it states none; raise FileFormatError if it is newer.
-
-    `newest`: the newest version that is read. `what`: the file, for the message.
-    """
-    found = data.get("version", 1)
-    if type(found) is not int or not 1 <= found <= newest:
-        newer = type(found) is int and found > newest
-        need = f"version {newest}" if newest == 1 else f"versions 1 to {newest}"
-        hint = NEWER if newer else "the file is damaged: take it from a copy"
-        raise FileFormatError(f"{what}: got version {found!r}, need {need}; {hint}")
-    return found
+def demand_version(data: Mapping[str, Any], what: str) -> None:
+    """Raise FileFormatError if a file of dehyst states another version than `VERSION`; `what`: the file."""
+    found = data.get("version", VERSION)
+    if type(found) is not int or found != VERSION:
+        raise FileFormatError(what, got=f"version {found!r}", need=f"version {VERSION}", hint=OTHER_VERSION)
 
 
 def write_json(path: PathLike, data: Mapping[str, Any]) -> None:

@@ -80,12 +80,6 @@ def test_what_holds_nothing_may_be_replaced(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_table_of_version_0_1_is_read(tmp_path):
-    """Its first number ends in e0."""
-    (tmp_path / "old.csv").write_text("time_s,voltage_V\n0.0e0,1.5\n0.1,2.5\n")
-    assert read_table(tmp_path / "old.csv").column("time").tolist() == [0, 0.1]
-
-
 def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
     write_columns(os.devnull, {"time_s": [0.0, 1.0]})
     with pytest.raises(FileFormatError, match="text only"):

@@ -436,11 +436,9 @@ def test_a_model_of_another_shape_is_refused_and_the_loop_stays():
     ("change", "message"),
     [
         ({"format": "dehyst-actuator"}, "got format"),
-        ({"version": 1}, "version 1"),
         ({"counts": [1, 2]}, "three whole numbers"),
         ({"counts": [1, 2, -1]}, "three whole numbers"),
         ({"counts": [10**30, 0, 0]}, "three whole numbers"),
-        ({"version": True}, "version True"),
         ({"rest": [0.0]}, "got 1 numbers beside the state, need 9"),
         ({"rest": "none"}, "list of numbers"),
         ({"extra": 1}, "unknown keys"),

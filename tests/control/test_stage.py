@@ -333,19 +333,10 @@ def test_a_file_keeps_every_bit(tmp_path):
     assert np.array_equal(again.coupling, model.coupling)
 
 
-def test_a_file_of_version_1_has_its_origin_among_free_entries():
-    data = {**stage().as_dict(), "version": 1, "provenance": {"axes": ["vx_V:x_um", "b", "c"], "is_matrix": False}}
-    del data["is_matrix"], data["recorded_columns"]
-    again = Stage.from_dict(data)
-    assert (again.is_matrix, again.recorded_columns) == (False, ("vx_V:x_um", "b", "c"))
-    assert Stage.from_dict({**data, "provenance": {}}).recorded_columns == ()
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"format": "dehyst-actuator"}, "need 'dehyst-stage'"),
-        ({"version": 3}, "version 1 or 2"),
         ({"is_matrix": 1}, "is_matrix: got 1"),
         ({"recorded_columns": "x_um"}, "recorded_columns: got 'x_um'"),
         ({"extra": 1}, "unknown keys"),

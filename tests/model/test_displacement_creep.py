@@ -1,6 +1,5 @@
 """Creep in displacement: its equation by other means, its inverse, its memory, and what refuses it."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -155,11 +154,6 @@ def test_it_is_kept_in_files_and_states(tmp_path):
     read = Actuator.load(tmp_path / "model.json")
     assert read.as_dict() == kept.as_dict() and read.needs_time and read.wide
     np.testing.assert_array_equal(read.state.displacement_creep, state.displacement_creep)
-    data = json.loads((tmp_path / "model.json").read_text())
-    newer = ("displacement_creep", "thermal")
-    older = {key: value for key, value in data.items() if key not in newer} | {"version": 3}
-    older["state"] = {key: value for key, value in data["state"].items() if key != "displacement_creep_m"}
-    assert Actuator.from_dict(older).displacement_creep is None
     assert "creep strains" in repr(state)
     assert "behind the elements" in kept.summary()
 

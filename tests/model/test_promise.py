@@ -100,9 +100,6 @@ def test_a_model_file_keeps_it():
     model = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, STROKE], [0.0, 100.0])).with_identification(validity=TOPS)
     again = Actuator.from_dict(model.as_dict())
     assert again.identification.validity.as_dict() == TOPS.as_dict()
-    entries = model.as_dict()
-    del entries["identification"]["validity"]
-    assert Actuator.from_dict(entries).identification.validity is None
 
 
 def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount():
@@ -141,11 +138,9 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
     assert temperatures_to_record(tested, used, reference) == needed
 
 
-def test_temperatures_survive_a_file_and_older_files_have_none():
+def test_temperatures_survive_a_file():
     warm = replace(TOPS, temperatures=(15.0, 45.0)).as_dict()
     assert Validity.from_dict(warm).temperatures == (15.0, 45.0)
-    del warm["temperatures_degC"]
-    assert Validity.from_dict(warm).temperatures is None
     with pytest.raises(ModelError):
         Validity.from_dict(warm | {"temperatures_degC": [45.0, 15.0]})
 

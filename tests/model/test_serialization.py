@@ -160,54 +160,6 @@ def test_the_speed_of_the_records_comes_back_and_old_files_have_none(tmp_path, l
             Actuator(plain.slip, plain.spring, recorded_slew_rate=wrong)
 
 
-def test_a_file_of_version_1(tmp_path):
-    data = made().as_dict()
-    for key in ("transformer", "creep", "smooth", "dynamics", "load_stiffness_N_per_m", "lag_s", "identification"):
-        del data[key]
-    del data["displacement_creep"], data["thermal"]
-    for key in ("creep_m", "smooth_m", "displacement_creep_m", "motion"):
-        del data["state"][key]
-    data["version"] = 1
-    write_json(tmp_path / "a.json", data)
-    back = Actuator.from_dict(read_json(tmp_path / "a.json"))
-    assert back.as_dict() == replace(made(), identification=None).as_dict()
-    refused(tmp_path, {**data, "creep": None}, r"model: missing keys \[\], unknown keys \['creep'\]")
-
-
-@pytest.mark.parametrize(
-    ("entries", "known"),
-    [
-        ({"note": "by hand", "goal_percent": "much", "largest_error_m": -1, "outcome": 3, "structure": []}, None),
-        (
-            {
-                "program": "dehyst 0.1.0",
-                "method": "record",
-                "norm": "l1",
-                "slope_floor": 0.1,
-                "shared_datum": True,
-                "drift": False,
-                "sensor_lag": 2e-3,
-                "structure": {"elements": 20, "smoothing": 1e-2},
-                "largest_error_m": 5e-8,
-                "goal_percent": 2,
-                "outcome": "WIDER",
-            },
-            Identification(
-                "record", "l1", 0.1, True, False, 2e-3, False, 1e-2, Outcome.WIDER, largest_error=5e-8, goal=2.0
-            ),
-        ),
-        ({"provisional": True, "ringing": True}, Identification(provisional=True, ringing=True)),
-    ],
-)
-def test_a_file_of_version_2_knows_its_identification_from_free_entries(tmp_path, entries, known):
-    data = {**wide().as_dict(), "version": 2, "provenance": entries}
-    del data["identification"], data["displacement_creep"], data["thermal"], data["state"]["displacement_creep_m"]
-    write_json(tmp_path / "a.json", data)
-    back = Actuator.load(tmp_path / "a.json")
-    assert back.identification == known
-    assert dict(back.provenance) == entries
-
-
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
@@ -376,21 +328,16 @@ def test_a_misspelt_key_is_named_twice(tmp_path):
     refused(tmp_path, data, r"model: missing keys \['delay_s'\], unknown keys \['delay'\]")
 
 
-@pytest.mark.parametrize("version", [0, 5, 1.5, "1", None, [1]])
-def test_another_version(tmp_path, version):
-    refused(tmp_path, changed("version", version), r"got format .* version .*, need .* version 1, 2, 3 or 4")
-
-
 @pytest.mark.parametrize("name", ["dehyst-fit", "", None, 1])
 def test_another_format(tmp_path, name):
-    refused(tmp_path, changed("format", name), r"got format .* version 4, need 'dehyst-actuator' version 1, 2, 3 or 4")
+    refused(tmp_path, changed("format", name), r"got format .* version 1, need 'dehyst-actuator' version 1")
 
 
 @pytest.mark.parametrize("key", ["format", "version"])
 def test_a_missing_format_or_version(tmp_path, key):
     data = made().as_dict()
     del data[key]
-    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1, 2, 3 or 4")
+    refused(tmp_path, data, rf"got .*{key} None.*, need 'dehyst-actuator' version 1")
 
 
 @pytest.mark.parametrize("place", [*PLACES, "delay_s"])
@@ -414,8 +361,6 @@ def test_not_finite_in_text(tmp_path, place, value, word):
         ("slip.breakaway_m", ["1e-7", "1e-6"], r"slip.breakaway_m\[0\]: got '1e-7', need a finite number"),
         ("slip.stiffness_V_per_m", [True, False], r"slip.stiffness_V_per_m\[0\]: got True, need a finite number"),
         ("slip.stiffness_V_per_m", 3.0, "slip.stiffness_V_per_m: got float, need a list of numbers"),
-        ("version", True, "got format 'dehyst-actuator' version True"),
-        ("version", 1.0, "got format 'dehyst-actuator' version 1.0"),
         ("spring.voltage_V", [0.0, 2.0, 1.0], r"must strictly increase \(Assumption I\); .* between knots 1 and 2"),
         ("spring.voltage_V", [0.0, 0.0, 1.0], r"must strictly increase \(Assumption I\); .* between knots 0 and 1"),
         ("spring.displacement_m", [0.0, 2e-6, 1e-6], "spring knots must strictly increase"),

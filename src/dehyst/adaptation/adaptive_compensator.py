@@ -21,8 +21,7 @@ from dehyst.control import Compensator, Snapshot, VoltageLimits, unchanged_by_er
 from dehyst.model import Actuator, State, looped
 from dehyst.model import serialization as files
 
-# Version 1 has no means of the cycle before, version 2 no origin.
-FORMAT, VERSIONS = "dehyst-adaptive-loop", (1, 2, 3)
+FORMAT = "dehyst-adaptive-loop"
 # Samples of a cycle in the loop at most, of any cycle at least, and those after which turns are looked for.
 _MOST, FEWEST, _DUE = 4096, 24, 32
 # The integral action moves the path by this part of the reach at most.
@@ -44,12 +43,12 @@ class AdaptiveSnapshot(files.JsonFile):
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; `from_dict` reads them back without loss."""
         learnt = {name: values.tolist() for name, values in self.learnt.items()}
-        return {"format": FORMAT, "version": VERSIONS[-1], "loop": self.loop.as_dict(), "learnt": learnt}
+        return {"format": FORMAT, "version": 1, "loop": self.loop.as_dict(), "learnt": learnt}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> AdaptiveSnapshot:
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
-        files.demand_format(data, FORMAT, VERSIONS)
+        files.demand_format(data, FORMAT)
         files.demand_keys(data, {"format", "version", "loop", "learnt"}, "snapshot")
         if not isinstance(data["learnt"], Mapping):
             raise ModelError(argument="snapshot: learnt", got=type(data["learnt"]).__name__, need="an object")

@@ -245,7 +245,7 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
         owner = read_json(path)
     except FileFormatError as error:
         raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
-    demand_version(owner, 1, f"{path}")
+    demand_version(owner, f"{path}")
     if {key: owner.get(key) for key in instrument} != instrument:
         raise FileFormatError(
             f"{folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "

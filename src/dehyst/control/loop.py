@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from dehyst._errors import ModelError
+from dehyst._io import VERSION
 from dehyst._native import CoreState, Loop, StepCoefficients, checked
 from dehyst._types import Array
 from dehyst._validation import keep, vector
@@ -18,7 +19,6 @@ from dehyst.model import Actuator, State
 from dehyst.model import serialization as files
 
 FORMAT = "dehyst-loop"
-VERSION = 2
 # What the memory of a loop depends on, beside breakaway elongations and amplifier: words, part, and its number.
 _SHAPE = (
     ("creep time constants", "creep", "time_constants"),
@@ -132,7 +132,7 @@ class Snapshot(files.JsonFile):
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Snapshot:
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
-        files.demand_format(data, FORMAT, (VERSION,))
+        files.demand_format(data, FORMAT)
         files.demand_keys(data, {"format", "version", "key", "model", "state", "rest", "counts"}, "snapshot")
         rest = files.numbers(data["rest"], "rest")
         return cls(str(data["key"]), files.state(data), rest, data["counts"], str(data["model"]))

@@ -104,7 +104,7 @@ def load(path: PathLike) -> Fleet:
         if marked is None:
             raise FileFormatError(f"{path}: is no table of a fleet; give one that dehyst fleet identify wrote")
         about = json.loads(marked)
-        io.demand_version(about, 1, f"{path}")
+        io.demand_version(about, f"{path}")
         _demand_columns(target, file.schema_arrow, about["by"])
         names = [name for name in file.schema_arrow.names if name != MODEL]
         rows = tuple(file.read(columns=names, use_threads=False).to_pylist())

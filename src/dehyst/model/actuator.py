@@ -448,7 +448,7 @@ class Actuator(JsonFile, AbstractModel):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
-        """Rebuild from the `data` of `as_dict`, strictly; files of earlier versions too.
+        """Rebuild from the `data` of `as_dict`, strictly.
 
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from math import inf
@@ -168,21 +167,4 @@ class Identification:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Identification:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        return cls(**{name: data[key] for key, name in cls.keys().items() if key in data})
-
-    @classmethod
-    def from_entries(cls, entries: Mapping[str, Any]) -> Identification | None:
-        """Return the identification in the free `entries` of a model file of version 1 or 2, which are not trusted.
-
-        Impossible values are left out; None if nothing is known.
-        """
-        structure = entries.get("structure")
-        given = {**entries, "sensor_lag_s": entries.get("sensor_lag") or 0.0}
-        given["smoothing"] = structure.get("smoothing") if isinstance(structure, Mapping) else None
-        found = {}
-        for one in fields(cls):
-            key = one.metadata["key"] or one.name
-            with suppress(ModelError):
-                found[one.name] = one.metadata["read"](given.get(key, one.default), key)
-        own = cls(**found)
-        return None if own == cls() else own
+        return cls(**{name: data[key] for key, name in cls.keys().items()})

@@ -246,8 +246,7 @@ class Validity:
         names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
         names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")}
         names |= {"new": "new", "closing": "closing", "temperatures_degC": "temperatures"}
-        # Files of before have no temperatures.
-        if not isinstance(data, Mapping) or set(data) | {"temperatures_degC"} != set(names):
+        if not isinstance(data, Mapping) or set(data) != set(names):
             raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
         try:
             return cls(**{names[key]: value for key, value in data.items()})

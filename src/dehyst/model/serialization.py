@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._io import NEWER, PathLike, read_json, write_json
+from dehyst._io import OTHER_VERSION, VERSION, PathLike, read_json, write_json
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst._views.fields import json_value
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
 FORMAT = "dehyst-actuator"
-VERSION = 4
 # Parts of one set of keys each, which are those of their fields in order; all but the spring may be missing.
 _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "spring": (Spring, ("displacement_m", "voltage_V")),
@@ -34,13 +33,10 @@ _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "thermal": (Thermal, ("gain_per_K", "offset_m_per_K", "reference_degC")),
     "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
 }
-_PLAIN = {"format", "version", "name", "slip", "spring", "state", "limits", "delay_s", "provenance"}
-_KEYS = _PLAIN | _PARTS.keys() | {"load_stiffness_N_per_m", "lag_s", "identification"}
-# Keys that versions before lack.
-_NEW = {"displacement_creep", "thermal"}
-_ADDED = {1: _KEYS - _PLAIN, 2: {"identification", *_NEW}, 3: _NEW, VERSION: set()}
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
+_NUMBERS = {"slip", "state", "limits", "delay_s", "lag_s", "load_stiffness_N_per_m"}
+_KEYS = DESCRIPTION | _PARTS.keys() | _NUMBERS
 # Largest magnitudes in a file, far beyond those of any piezo actuator: a larger one was edited or damaged.
 _LARGEST = {
     "stiffness_V_per_m": 1e20,
@@ -133,38 +129,29 @@ def state_dict(state: State) -> dict[str, Any]:
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of `Actuator` by name from JSON values.
 
-    Version 1 has only Maxwell-slip elements and a spring. Versions 1 to 3 have neither creep in displacement nor
-    temperature. Versions 1 and 2 hold the `Identification` among the entries of "provenance".
-
     Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
     """
-    version = demand_format(data, FORMAT, (1, 2, 3, VERSION))
-    demand_keys(data, _KEYS - _ADDED[version], "model")
+    demand_format(data, FORMAT)
+    demand_keys(data, _KEYS, "model")
     if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
         raise ModelError("model: name must be text and provenance an object")
     found: dict[str, Any] = {"name": data["name"], "provenance": data["provenance"]}
-    found["slip"] = _slip(data, graded=version > 1)
+    found["slip"] = _slip(data)
     for name, (kind, keys) in _PARTS.items():
-        if name == "spring" or data.get(name) is not None:
+        if name == "spring" or data[name] is not None:
             part, read = _part(data, name, set(keys)), number if kind in (Dynamics, Thermal) else numbers
             found[name] = kind(*(read(part[key], f"{name}.{key}") for key in keys))
-    if version > 1:
-        found["lag"] = number(data["lag_s"], "lag_s")
-        found["load_stiffness"] = _or_none(number, data["load_stiffness_N_per_m"], "load_stiffness_N_per_m")
-    if "identification" not in data:
-        found["identification"] = Identification.from_entries(data["provenance"])
-    elif data["identification"] is not None:
-        known = data["identification"]
-        # Files of earlier programs lack what the records tested.
-        later = {"identification": {"validity": None, **known} if isinstance(known, Mapping) else known}
-        entries = _part(later, "identification", set(Identification.keys()))
-        found["identification"] = Identification.from_dict(entries)
+    found["lag"] = number(data["lag_s"], "lag_s")
+    found["load_stiffness"] = _or_none(number, data["load_stiffness_N_per_m"], "load_stiffness_N_per_m")
+    if data["identification"] is not None:
+        known = _part(data, "identification", set(Identification.keys()))
+        found["identification"] = Identification.from_dict(known)
     if data["limits"] is not None:
         known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
         limits = _part(data, "limits", known or set(_LIMITS[:1]))
         found["limits"] = _or_none(_pair, limits.get(_LIMITS[0]), f"limits.{_LIMITS[0]}")
         found["recorded_slew_rate"] = _or_none(number, limits.get(_LIMITS[1]), _LIMITS[1])
-    found |= {"delay": number(data["delay_s"], "delay_s"), "state": state(data, version)}
+    found |= {"delay": number(data["delay_s"], "delay_s"), "state": state(data)}
     for where in ("", "limits", *_PARTS, "slip"):
         _demand_plausible(where, data.get(where) if where else data)
     return found
@@ -185,9 +172,9 @@ def _demand_plausible(where: str, values: Mapping[str, Any] | None) -> None:
             )
 
 
-def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
+def _slip(data: Mapping[str, Any]) -> MaxwellSlip | GradedSlip:
     keys, given, where = {"breakaway_m", "stiffness_V_per_m"}, data["slip"], "slip.stiffness_V_per_m"
-    graded = graded and isinstance(given, Mapping) and "knots_m" in given
+    graded = isinstance(given, Mapping) and "knots_m" in given
     slip = _part(data, "slip", keys | {"knots_m"} if graded else keys)
     rho, rows = numbers(slip["breakaway_m"], "slip.breakaway_m"), slip["stiffness_V_per_m"]
     if not graded:
@@ -201,36 +188,32 @@ def _slip(data: Mapping[str, Any], *, graded: bool) -> MaxwellSlip | GradedSlip:
     return GradedSlip(rho, knots, np.array(table).reshape(rho.size, knots.size - 1))
 
 
-def state(data: Mapping[str, Any], version: int = VERSION) -> State:
-    """Read the entry "state" of a model file of a version, strictly; version 1 holds only displacement and carts.
+def state(data: Mapping[str, Any]) -> State:
+    """Read the entry "state" of a model file, strictly.
 
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
-    plain = version == 1
-    rows = ("carts_m", "creep_m", "smooth_m", "displacement_creep_m")[: 1 if plain else 3 if version < VERSION else 4]
-    given = _part(data, "state", {"displacement_m", *rows, *(() if plain else ("motion",))})
+    rows = ("carts_m", "creep_m", "smooth_m", "displacement_creep_m")
+    given = _part(data, "state", {"displacement_m", *rows, "motion"})
     found = {key.removesuffix("_m"): numbers(given[key], f"state.{key}") for key in rows}
-    if not plain and given["motion"] is not None:
+    if given["motion"] is not None:
         keys = ("displacement_m", "velocity_m_per_s")
         part = _part(given, "motion", set(keys))
         found["motion"] = np.array([number(part[key], f"motion.{key}") for key in keys])
     return State(number(given["displacement_m"], "state.displacement_m"), **found)
 
 
-def demand_format(data: Mapping[str, Any], name: str, versions: Sequence[int]) -> int:
-    """Return the version of a file; raise `ModelError` if it has another format or version, or is no object."""
+def demand_format(data: Mapping[str, Any], name: str) -> None:
+    """Raise `ModelError` if JSON values have another format than `name`, another version, or are no object."""
     if not isinstance(data, Mapping):
-        raise ModelError(f"got {type(data).__name__}, need an object of the format {name!r}")
-    found = data.get("version")
-    if data.get("format") != name or type(found) is not int or found not in versions:
-        *others, last = map(str, versions)
-        wanted = f"{', '.join(others)} or {last}" if others else last
-        newer = data.get("format") == name and type(found) is int and found > versions[-1]
+        raise ModelError(got=type(data).__name__, need=f"an object of the format {name!r}")
+    kind, found = data.get("format"), data.get("version")
+    if kind != name or type(found) is not int or found != VERSION:
         raise ModelError(
-            f"got format {data.get('format')!r} version {found!r}, need {name!r} version {wanted}",
-            hint=NEWER if newer else "",
+            got=f"format {kind!r} version {found!r}",
+            need=f"{name!r} version {VERSION}",
+            hint=OTHER_VERSION if kind == name else "",
         )
-    return found
 
 
 def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:

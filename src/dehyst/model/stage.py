@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, of_part
+from dehyst._io import VERSION
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
 from dehyst._views.fields import json_values
@@ -23,10 +24,7 @@ from dehyst.records import Record
 # A stage whose inverse multiplies errors by more cannot be driven.
 _WORST_CONDITION = 1e3
 FORMAT = "dehyst-stage"
-VERSION = 2
 _KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "is_matrix", "recorded_columns"}
-# Those that files of version 1 lack, which have them among the entries of "provenance".
-_LATER = {"is_matrix", "recorded_columns"}
 
 
 def inverse(coupling: Array) -> Array:
@@ -304,12 +302,12 @@ class Stage(JsonFile):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Stage:
-        """Rebuild from the `data` of `as_dict`, strictly; a file of version 1 too.
+        """Rebuild from the `data` of `as_dict`, strictly.
 
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
-        version = demand_format(data, FORMAT, (1, VERSION))
-        demand_keys(data, _KEYS - _LATER if version == 1 else _KEYS, "stage")
+        demand_format(data, FORMAT)
+        demand_keys(data, _KEYS, "stage")
         lists = all(isinstance(data[key], list) for key in ("axes", "coupling", "actuators"))
         if not lists or not all(isinstance(one, Mapping) for one in data["actuators"]):
             raise ModelError("stage: axes, coupling and actuators must be lists, and each actuator an object")
@@ -321,10 +319,7 @@ class Stage(JsonFile):
                 argument="coupling", got=f"rows of {[row.size for row in rows]} numbers", need="rows of one length"
             )
         actuators = tuple(Actuator.from_dict(one) for one in data["actuators"])
-        is_matrix, columns = data.get("is_matrix"), data.get("recorded_columns")
-        if version == 1:
-            is_matrix, given = data["provenance"].get("is_matrix") is not False, data["provenance"].get("axes")
-            columns = list(map(str, given)) if isinstance(given, list) else []
+        is_matrix, columns = data["is_matrix"], data["recorded_columns"]
         if not isinstance(columns, list) or not all(isinstance(one, str) for one in columns):
             raise ModelError(f"stage: recorded_columns: got {columns!r}, need a list of text")
         if not isinstance(is_matrix, bool):

@@ -381,5 +381,5 @@ def scan_declared(path: Path) -> dict[str, Any] | None:
         found = json.loads(line.removeprefix(SCAN)) if line.startswith(SCAN) else None
     if not isinstance(found, dict):
         return None
-    demand_version(found, 1, f"{path}")
+    demand_version(found, f"{path}")
     return found

@@ -83,7 +83,7 @@ def decode(content: bytes, least: int = 0, most: int = MOST) -> Stored | None:
             if _MARK not in file.attrs or not all(dataset in file for dataset in DATASETS):
                 return None
             stated = json.loads(file.attrs[_MARK])
-            demand_version(stated, 1, "this record of dehyst")
+            demand_version(stated, "this record of dehyst")
             name, meta, others = stated["name"], stated["meta"], list(map(str, stated.get("others", [])))
             if not isinstance(name, str) or not isinstance(meta, dict):
                 raise ValueError(f"need name as text and meta as an object, got {str(stated)[:60]}")

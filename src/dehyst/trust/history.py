@@ -261,7 +261,7 @@ def _past(path: Path) -> PastCheck:
     """Read one check."""
     data = read_json(path)
     if data.get("format") == _CHECK:
-        demand_version(data, 1, f"{path}")
+        demand_version(data, f"{path}")
     try:
         if data["format"] != _CHECK:
             raise ValueError(f"format {data['format']!r}")

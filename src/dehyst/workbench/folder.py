@@ -82,7 +82,7 @@ class Folder:
     def saved(self) -> dict[str, Any]:
         """Return the state of the workbench before."""
         state = read_json(self.path / STATE)
-        demand_version(state, 1, f"{self.path / STATE}")
+        demand_version(state, f"{self.path / STATE}")
         return state
 
     def new(self, place: str, name: str, suffix: str = "") -> str:

@@ -38,7 +38,7 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
     except (ValueError, RecursionError):
         stated = {}
     if isinstance(stated, dict):
-        demand_version(stated, 1, "this record of dehyst")
+        demand_version(stated, "this record of dehyst")
     guesses, others = (stated.get("guesses"), stated.get("others")) if isinstance(stated, dict) else (None, None)
     words = {k: v for k, v in guesses.items() if isinstance(v, str) and v} if isinstance(guesses, dict) else {}
     kept = others if isinstance(others, list) else []
